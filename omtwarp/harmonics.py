@@ -21,9 +21,6 @@ from omtwarp.mesh.arrays import real_numbers, whole_number
 
 Floats = NDArray[np.float64]
 
-HIGHEST_DEGREE = 500  # SciPy's recurrence has been compared with pyshtools' up to here
-_AT_ONCE = 2**22  # numbers held at once while they are made
-
 
 def check_degree(degree: int) -> int:
     """Check a degree from 0 to 500, and return it as an int.
@@ -31,7 +28,8 @@ def check_degree(degree: int) -> int:
     Raises:
         OmtwarpError: the degree is no whole number, or is out of range.
     """
-    return whole_number(degree, "the degree", most=HIGHEST_DEGREE)
+    # Highest degree: SciPy's recurrence has been compared with pyshtools' up to here
+    return whole_number(degree, "the degree", most=500)
 
 
 def real_harmonics(points: ArrayLike, degree: int) -> Floats:
@@ -55,7 +53,8 @@ def real_harmonics(points: ArrayLike, degree: int) -> Floats:
     degree = check_degree(degree)
     directions = real_numbers(points, "points", (None, 3))
     out = np.empty((len(directions), (degree + 1) ** 2))
-    chunk = max(1, _AT_ONCE // ((degree + 1) * (2 * degree + 1)))
+    # At once: numbers held at once while they are made
+    chunk = max(1, (2**22) // ((degree + 1) * (2 * degree + 1)))
     for first in range(0, len(directions), chunk):
         part = slice(first, first + chunk)
         _fill(directions[part], degree, out[part])

@@ -37,14 +37,11 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int32]
 
 NAMES = "ico0 to ico8, fsaverage3 to fsaverage7, healpix:NSIDE, healpix-nested:NSIDE, equiangular:HxW, octahedral:N"
-# Radii of FreeSurfer's spheres, written with four digits, differ by 7e-5 of their mean.
-RADIUS_TOLERANCE = 1e-3
 # Twice the pixels of the finest grid in use (HEALPix with NSIDE 1024); more is a typing error.
 MOST_POINTS = 25_165_824
 
 WHOLE_COVER = 1e-6  # of the sphere: coverings are whole numbers but for the round-off of a million solid angles
 MOST_HEALPIX, MOST_OCTAHEDRAL = 1024, 4096  # pixels along a side: 12.6 and 16.8 million points
-BITS = 16  # of a place within a base pixel: MOST_HEALPIX has 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +157,8 @@ def unit_sphere(points: ArrayLike, name: str = "the sphere") -> Floats:
         raise OmtwarpError(f"{name}: there are no vertices")
     radii = np.linalg.norm(array, axis=1)
     low, high = float(radii.min()), float(radii.max())
-    if low <= 0.0 or high - low > RADIUS_TOLERANCE * high:
+    # Radii of FreeSurfer's spheres, written with four digits, differ by 7e-5 of their mean.
+    if low <= 0.0 or high - low > 1e-3 * high:
         raise OmtwarpError(
             f"{name}: not a sphere about the origin: its vertices are {low:.6g} to {high:.6g} away from there"
         )
@@ -331,7 +329,8 @@ def _healpix_points(face: NDArray[np.int64], x: Floats, y: Floats) -> Floats:
 def _spread_bits(values: NDArray[np.int64]) -> NDArray[np.int64]:
     """Insert a zero between each two bits of whole numbers below 2^16."""
     out = np.zeros_like(values)
-    for k in range(BITS):
+    # Bits, of a place within a base pixel: MOST_HEALPIX has 10
+    for k in range(16):
         out |= (values >> k & 1) << 2 * k
     return out
 

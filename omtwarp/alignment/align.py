@@ -28,9 +28,6 @@ from omtwarp.spheres import SphereGrid
 Floats = NDArray[np.float64]
 
 DEGREE = 16  # of the harmonics that are correlated by default: they resolve about 180 / 16 = 11 degrees
-# Two surfaces with the same faces are taken as one where a similarity brings them this near, as a part of their size:
-# noise of a thousandth of the size at every vertex leaves 0.0045, another of the made hippocampi 0.026 or more.
-SAME_SHAPE = 0.01
 MIRROR = np.diag([-1.0, 1.0, 1.0])  # reflects in the plane x = 0
 
 
@@ -246,7 +243,10 @@ def _why_one_surface(moving: SpherePoints, fixed: SpherePoints) -> str:
     _, agreement = _fitted_rotation(ours.T @ theirs)
     # The least squares of a rotation and a scale leave 1 - agreement² of the square.
     apart = np.sqrt(max(1.0 - agreement**2, 0.0))
-    return "equal faces, and one surface in both" if apart < SAME_SHAPE else ""
+    # Two surfaces with the same faces are taken as one where a similarity brings them this near, as a part of their
+    # size: noise of a thousandth of the size at every vertex leaves 0.0045, another of the made hippocampi 0.026 or
+    # more.
+    return "equal faces, and one surface in both" if apart < 0.01 else ""
 
 
 def _own_turned(points: SpherePoints, rotation: Floats) -> Floats:

@@ -24,8 +24,6 @@ _AT_ONCE = 16384
 SMALLEST_SHARE = 1e-12
 # Of the largest value: a feature that varies less is rounding around a constant (1e-16 times the root of the vertices).
 LEAST_VARIATION = 1e-9
-# The same of a shape's own features, whose positions come from files: six digits and single precision vary by 1e-6.
-LEAST_SHAPE = 1e-5
 
 
 def sphere_weights(points: SpherePoints) -> Floats:
@@ -98,7 +96,8 @@ def is_constant(values: Floats, weights: Floats, least: float = LEAST_VARIATION)
 def varying_features(points: SpherePoints) -> dict[str, Floats]:
     """Return the default features that are not constant, as those of a ball are."""
     weights = sphere_weights(points)
-    return {k: values for k, values in own_features(points).items() if not is_constant(values, weights, LEAST_SHAPE)}
+    # Up to this variation they are constant; positions come from files: six digits and single precision vary by 1e-6.
+    return {k: values for k, values in own_features(points).items() if not is_constant(values, weights, 1e-5)}
 
 
 def feature_coefficients(features: Mapping[str, Floats], points: SpherePoints, degree: int) -> Floats:

@@ -33,12 +33,7 @@ Complex = NDArray[np.complex128]
 STARTS = 8
 START_APART = 15.0
 STEPS = 40
-# Radians: where steps end. The correlation is flat to round-off 1e-8 away from its maximum; Newton's step is finer.
-SMALLEST_STEP = 1e-12
-LONGEST_STEP = 0.2  # radians; half the shortest wave of degree 16
 DISTINCT = 5.0  # degrees: maxima further apart than this are two
-
-MOST_HALVINGS = 30  # of a step: it is then below 1e-9 of the first, where the correlation climbs by less than round-off
 
 
 @dataclass(frozen=True)
@@ -203,10 +198,15 @@ def _climb(a: Complex, b: Complex, rotation: Floats) -> tuple[Floats, float, int
         # Where the function is not concave, climb along the slope instead of to a saddle.
         move = axes @ (axes.T @ gradient / np.maximum(np.abs(bends), ROUND_OFF * np.abs(bends).max() + TINY))
         length = float(np.linalg.norm(move))
-        if length < SMALLEST_STEP:
+        # Radians: where steps end. The correlation is flat to round-off 1e-8 away from its maximum; Newton's step is
+        # finer.
+        if length < 1e-12:
             return rotation, value, step
-        move *= min(1.0, LONGEST_STEP / length)
-        for _ in range(MOST_HALVINGS):
+        # Longest step: radians; half the shortest wave of degree 16
+        move *= min(1.0, 0.2 / length)
+        # Most halvings, of a step: it is then below 1e-9 of the first, where the correlation climbs by less than
+        # round-off
+        for _ in range(30):
             candidate = Rotation.from_rotvec(move).as_matrix() @ rotation
             ahead = rotated(a, candidate)
             reached = float(np.vdot(b, ahead).real)

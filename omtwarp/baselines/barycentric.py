@@ -63,15 +63,12 @@ RELAXATION_TOLERANCE = 1e-6
 """The relaxation ends when the root mean square force at right angles to the constraint is below this."""
 NEWTON_TOLERANCE = 1e-12
 """Newton's method ends at this force on any vertex; a vertex' mean weight sum is 1."""
-_LONGEST_STEP = 0.3  # radians: farther away a tangent plane does not approximate the sphere
 
 # Times a length: an angle of π, of a triangle folded flat, has tan(θ/2) = 1.6e16 in float64; more than this is that.
 MOST_WEIGHT = 1e15
 # Of the weights' sums: makes the Laplacian definite, which has constants for its kernel. It is a preconditioner alone.
 REGULARISATION = 0.001
-SHORTEST_STEP = 1e-6  # of the preconditioned gradient: the energy falls by less than its round-off along a shorter one
 SUFFICIENT_DECREASE = 1e-4  # share of the decrease by the slope (Nocedal & Wright, Numerical Optimization, section 3.1)
-STEP_GROWTH = 1.5  # after a step that was taken, which halving had shortened before; by convention
 
 
 @dataclass(frozen=True)
@@ -342,7 +339,8 @@ def _relax(springs: _Springs, points: Array, masses: Array, report: Report) -> A
         boost = np.linalg.solve(inertia, masses @ direction)
         direction -= _tangential(points, np.broadcast_to(boost, points.shape))
         slope = float((force * direction).sum())
-        while step > SHORTEST_STEP:
+        # Shortest step, of the preconditioned gradient: the energy falls by less than its round-off along a shorter one
+        while step > 1e-6:
             trial, _ = centre_points(springs.move(points, direction, step), masses)
             new = springs.sweep(trial)
             if new.energy <= state.energy - SUFFICIENT_DECREASE * step * slope:
@@ -352,7 +350,8 @@ def _relax(springs: _Springs, points: Array, masses: Array, report: Report) -> A
             break  # the decrease is below the round-off of float64
         points, state = trial, new
         report("relax", iteration, state.residual)
-        step = min(1.0, STEP_GROWTH * step)
+        # Step growth, after a step that was taken, which halving had shortened before; by convention
+        step = min(1.0, 1.5 * step)
     return points
 
 
@@ -397,7 +396,8 @@ def _newton(springs: _Springs, points: Array, masses: Array | None, report: Repo
         longest = float(np.linalg.norm(direction, axis=1).max())
         if not np.isfinite(longest):
             break
-        points = springs.move(points, direction, min(1.0, _LONGEST_STEP / max(longest, TINY)))
+        # Longest step, radians: farther away a tangent plane does not approximate the sphere
+        points = springs.move(points, direction, min(1.0, 0.3 / max(longest, TINY)))
     return points, multiplier, False
 
 

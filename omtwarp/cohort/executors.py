@@ -19,9 +19,6 @@ from omtwarp.files.children import interpreter, safe_paths
 Record: TypeAlias = Row
 
 ATTEMPTS = 2  # an item whose process was killed from outside is tried once more
-GRACE = 30.0  # seconds that a host may take to load, and to end an item that exceeds its time
-# Seconds that a host has to end its item where the run is interrupted: it does so at once, but while it loads.
-SECONDS_TO_STOP = 1.0
 
 
 class Executor(Protocol):
@@ -79,7 +76,8 @@ class Host:
             overdue.set()
             process.kill()
 
-        timer = threading.Timer(job.time_limit + GRACE, end)
+        # Grace: seconds that a host may take to load, and to end an item that exceeds its time
+        timer = threading.Timer(job.time_limit + 30.0, end)
         timer.daemon = True
         timer.start()
         try:
@@ -124,7 +122,9 @@ class Host:
             if process.stdin is not None:
                 process.stdin.close()  # by which the process knows, and ends its item
         with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(SECONDS_TO_STOP)
+            # Seconds that a host has to end its item where the run is interrupted: it does so at once, but while it
+            # loads.
+            process.wait(1.0)
         process.kill()
 
     def close(self) -> None:

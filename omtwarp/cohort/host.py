@@ -27,9 +27,6 @@ from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.shapes import blob
 from omtwarp.mesh.write import write_mesh
 
-POLL = 0.02  # seconds between polls of an item, where the system cannot wait for it
-PR_SET_PDEATHSIG = 1  # of Linux's prctl
-
 
 def main() -> None:
     """Serve jobs until standard input ends."""
@@ -88,7 +85,8 @@ def _supervise(job: Job) -> dict[str, int | bool]:
         while True:
             left = deadline - time.monotonic()
             watched = [0] if pidfd is None else [0, pidfd]
-            ready, _, _ = select.select(watched, [], [], max(0.0, left if pidfd is not None else min(left, POLL)))
+            # Poll: seconds between polls of an item, where the system cannot wait for it
+            ready, _, _ = select.select(watched, [], [], max(0.0, left if pidfd is not None else min(left, 0.02)))
             done, status = os.waitpid(child, os.WNOHANG)
             if done:
                 return {"exit": os.waitstatus_to_exitcode(status), "timeout": late}
@@ -112,7 +110,8 @@ def _work(job: Job, host: int) -> None:
     try:
         os.setpgid(0, 0)
         if sys.platform == "linux":
-            ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+            # Pr set pdeathsig, of Linux's prctl
+            ctypes.CDLL(None).prctl(1, signal.SIGKILL)
             if os.getppid() != host:
                 return
         os.dup2(os.open(os.devnull, os.O_RDONLY), 0)

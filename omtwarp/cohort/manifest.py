@@ -14,7 +14,6 @@ from typing import TextIO
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import read_bytes
 
-LARGEST_MANIFEST = 2**28  # bytes; a million rows of 256
 MESH_SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb", ".gltf", ".gii", ".vtk", ".white", ".pial", ".orig")
 
 
@@ -71,7 +70,8 @@ def _checked(items: list[Item], source: str) -> list[Item]:
 
 def _from_table(path: Path) -> list[Item]:
     try:
-        text = read_bytes(path, LARGEST_MANIFEST, "table").decode("utf-8-sig")
+        # Largest manifest: bytes; a million rows of 256
+        text = read_bytes(path, 2**28, "table").decode("utf-8-sig")
     except UnicodeDecodeError:
         raise OmtwarpError(f"'{path}' is no text: give a table (.csv, .tsv), a folder or a pattern in quotes") from None
     return _from_text(text, f"'{path}'", path.parent, "\t" if path.suffix.lower() == ".tsv" else ",")

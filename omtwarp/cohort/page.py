@@ -14,7 +14,6 @@ from omtwarp.mesh.arrays import TINY
 from omtwarp.render import preview
 from omtwarp.reporting.markup import Markup, element, figure, pictures, table, write_plain_page
 
-OUTLIERS = 6  # pictures on the page
 MEASURES = {
     "area": "area distortion",
     "angle": "angle distortion",
@@ -22,9 +21,6 @@ MEASURES = {
     "seconds": "seconds",
 }
 PICTURE = (360, 270)  # pixels
-
-# Of the median: where most items have the same value, deviations are counted in this, so that a quotient stays finite.
-LEAST_DEVIATION = 1e-9
 
 
 def write_page(rows: Sequence[Row], folder: Path) -> Path:
@@ -62,14 +58,17 @@ def outliers(done: Sequence[Row]) -> list[tuple[Row, str]]:
         if not np.isfinite(values).any():
             continue
         middle = np.nanmedian(values)
-        spread = max(np.nanmedian(np.abs(values - middle)), LEAST_DEVIATION * max(abs(middle), TINY))
+        # Of the median: where most items have the same value, deviations are counted in this, so that a quotient stays
+        # finite.
+        spread = max(np.nanmedian(np.abs(values - middle)), 1e-9 * max(abs(middle), TINY))
         for row, value in zip(done, values, strict=True):
             distance = (value - middle) / spread
             name_of_item = str(row["id"])
             if np.isfinite(distance) and distance > found.get(name_of_item, (0.0,))[0]:
                 found[name_of_item] = (distance, row, f"{words} {value:.4g}, median {middle:.4g}")
     ranked = sorted(found.values(), key=lambda entry: (-entry[0], str(entry[1]["id"])))
-    return [(row, why) for _, row, why in ranked[:OUTLIERS]]
+    # Outliers: pictures on the page
+    return [(row, why) for _, row, why in ranked[:6]]
 
 
 def _measures(done: Sequence[Row]) -> Markup:

@@ -114,7 +114,6 @@ app = typer.Typer(
     context_settings={"help_option_names": ["--help", "-h"]},
 )
 
-GARBAGE_THRESHOLD = 1_000_000  # objects made between searches for garbage: a map imports half as many, and all stay
 app.command("map", cls=Command, short_help=SUMMARIES["map"], epilog=EXAMPLES["map"])(map_mesh)
 app.command("texture", cls=Command, short_help=SUMMARIES["texture"], epilog=EXAMPLES["texture"])(texture_mesh)
 app.command("transfer", cls=Command, short_help=SUMMARIES["transfer"], epilog=EXAMPLES["transfer"])(transfer)
@@ -159,7 +158,8 @@ def main(arguments: list[str] | None = None) -> None:
     """
     # A command imports many modules once and ends soon after: garbage collection of these takes a tenth of a second
     # during the import and as much again at the end.
-    gc.set_threshold(GARBAGE_THRESHOLD)
+    # Garbage threshold, objects made between searches for garbage: a map imports half as many, and all stay
+    gc.set_threshold(1_000_000)
     atexit.register(gc.freeze)
     with ending_the_process(restore=arguments is not None):
         try:

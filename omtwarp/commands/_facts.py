@@ -7,12 +7,6 @@ from typing import TYPE_CHECKING, TypedDict, cast
 
 from omtwarp.options import Domain
 
-# Degrees are whole numbers but for the round-off of a million solid angles, as in omtwarp.spheres.
-WHOLE_COVER = 1e-6
-# Above this gap the bound says little of the least cost: on a bracket, two fifths of whose conformal map are flipped,
-# it is less than a ten-thousandth of the cost of the map.
-LOOSE_GAP = 1.0
-
 if TYPE_CHECKING:
     from omtwarp.maps.result import MapReport, MapResult
     from omtwarp.maps.torus_map import TorusMap
@@ -132,7 +126,9 @@ def quality(facts: MapFacts) -> str:
         line += f", areas of all triangles right to {facts['largest_area_error']:.1e}"
     if facts["gap"] is not None:
         within = f"within {facts['gap']:.3%} of the least"
-        line += f", cost {within if facts['gap'] <= LOOSE_GAP else 'more than twice its lower bound'}"
+        # Above this gap the bound says little of the least cost: on a bracket, two fifths of whose conformal map are
+        # flipped, it is less than a ten-thousandth of the cost of the map.
+        line += f", cost {within if facts['gap'] <= 1.0 else 'more than twice its lower bound'}"
     return line
 
 
@@ -141,7 +137,8 @@ def _covered(facts: MapFacts) -> str:
     degrees = facts["degree_of_parts"] or [facts["degree"]]
     where = f" each of {len(degrees)} {'disks' if facts['domain'] == Domain.DISK else 'spheres'}"
     several, low, high = len(degrees) > 1, min(degrees), max(degrees)
-    if all(abs(degree - round(low)) < WHOLE_COVER for degree in degrees):
+    # Degrees are whole numbers but for the round-off of a million solid angles, as in omtwarp.spheres.
+    if all(abs(degree - round(low)) < 1e-6 for degree in degrees):
         return f"degree {low:.6f}" + (f" on{where}" if several else "")
     share = f"{low:.2%}" if f"{low:.2%}" == f"{high:.2%}" else f"{low:.2%} to {high:.2%}"
     return f"{share} of{where if several else ' the sphere'} covered"

@@ -11,7 +11,6 @@ from omtwarp.commands._streams import say
 from omtwarp.options import Progress, Record
 
 BAR, NARROW_BAR = 30, 8  # characters of a bar; on a terminal of 80 columns the narrow one leaves room for the figures
-WIDE = 104  # columns of a terminal from which on the wide bar fits beside all figures
 
 
 @contextlib.contextmanager
@@ -77,7 +76,8 @@ def _bars(quiet: bool) -> Iterator[Progress | None]:
             return False  # a process that is interrupted must not leave the terminal without a cursor
 
     console = CalmConsole(stderr=True)
-    width = BAR if console.width >= WIDE else NARROW_BAR
+    # Wide: columns of a terminal from which on the wide bar fits beside all figures
+    width = BAR if console.width >= 104 else NARROW_BAR
     columns = (
         TextColumn("{task.description}", table_column=Column(min_width=10, no_wrap=True)),
         BarColumn(width, table_column=Column(min_width=width)),

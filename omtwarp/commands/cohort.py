@@ -35,8 +35,6 @@ from omtwarp.options import MapOptions, Refinement
 if TYPE_CHECKING:
     from omtwarp.options import Progress, Record
 
-LINES_EVERY = 30.0  # seconds between lines on how far a cohort is, where there is no terminal
-
 
 def parse_shard(text: str) -> tuple[int, int]:
     """Read the value of --shard, i/n.
@@ -184,7 +182,8 @@ def _reporting(quiet: bool, verbose: bool = False) -> Iterator[Progress | None]:
         nonlocal last
         first.append(done - 1) if not first else None
         now = time.monotonic()
-        if verbose or now - last >= LINES_EVERY or done == total:
+        # Lines every: seconds between lines on how far a cohort is, where there is no terminal
+        if verbose or now - last >= 30.0 or done == total:
             last = now
             left = (now - begun) / (done - first[0]) * (total - done)
             words = f"{done} of {total} done, {info['failed']} failed, about {left:.0f} s left"

@@ -13,8 +13,6 @@ from omtwarp.errors import OmtwarpError, choose
 
 # Launches of fewer threads are not divided on the CPU: they take less time than waking another core.
 SMALLEST_SHARED_LAUNCH = 4096
-# Lists of a length that only the device knows are shared between so many threads on CUDA, and left to one on the CPU.
-CUDA_LIST_THREADS = 16384
 
 
 def resolve_device(device: str | None = "auto") -> wp.Device:
@@ -130,4 +128,6 @@ def launch_parts_of(device: wp.Device, count: int, cores: int, least: int = SMAL
 
 def list_threads(device: wp.Device) -> int:
     """Return the number of threads that work through a list whose length only the device knows."""
-    return CUDA_LIST_THREADS if is_cuda(device) else 1
+    # Lists of a length that only the device knows are shared between so many threads on CUDA, and left to one on the
+    # CPU.
+    return 16384 if is_cuda(device) else 1

@@ -23,7 +23,6 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files.limits import LARGEST_ARRAYS, LARGEST_DIRECTORY, LARGEST_MESH_FILE, LARGEST_REPORT, amount
 from omtwarp.files.output import as_path, note_input, staged
 
-_LONGEST_END = 22 + 2**16 + 76  # bytes in which a zip archive's last records stand, with the longest comment
 _LONGEST_HEADER = 10_000  # characters of an array's header, as numpy.lib.format has it by default
 
 
@@ -172,7 +171,8 @@ def _check_directory(source: BinaryIO) -> None:
         OmtwarpError: the list of entries is too long.
     """
     source.seek(0, os.SEEK_END)
-    source.seek(max(source.tell() - _LONGEST_END, 0))
+    # Longest end: bytes in which a zip archive's last records stand, with the longest comment
+    source.seek(max(source.tell() - (22 + 2**16 + 76), 0))
     end = source.read()
     source.seek(0)
     size, place = 0, end.rfind(b"PK\5\6")

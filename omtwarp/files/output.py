@@ -33,7 +33,6 @@ except ImportError:  # Windows
 PREFIX = ".omtwarp-"  # of the directories that files are written in before they are moved
 MARKER = "omtwarp-staging"  # the file in these directories that tells them from all others
 RECORD = ".omtwarp.json"  # what the package wrote in a folder: names of files, and the digests of their content
-LARGEST_RECORD = 1 << 24  # bytes
 STALE_SECONDS = 3600.0  # age from which a staging directory that no process holds is removed
 STALE_UNKNOWN_SECONDS = 86400.0  # the same where it is unknown whether a process holds it
 
@@ -223,7 +222,8 @@ def _content(path: Path) -> bytes:
     """
     descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
     with open(descriptor, "rb") as stream:
-        return stream.read(LARGEST_RECORD) if stat.S_ISREG(os.fstat(descriptor).st_mode) else b""
+        # Largest record: bytes
+        return stream.read(1 << 24) if stat.S_ISREG(os.fstat(descriptor).st_mode) else b""
 
 
 def _digest(path: Path) -> str:

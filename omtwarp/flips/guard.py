@@ -18,8 +18,6 @@ MAX_ROUNDS = 500
 # A step that leaves a triangle a hundredth of its area counts as a flip: on scanned shapes one such triangle raises the
 # area distortion of the map by more than the step lowers it.
 MIN_PART = 0.2
-# A motion is given up if not even this share of it leaves a bijection.
-MAX_WHOLE_HALVINGS = 6
 
 
 class StepGuard:
@@ -149,7 +147,8 @@ def hold_back(
     where = resolve_device(device)
     guard, start = StepGuard(surface, where), vectors(before, where)
     step = np.nan_to_num(after - before, posinf=0.0, neginf=0.0)
-    for halvings in range(MAX_WHOLE_HALVINGS + 1):
+    # A motion is given up if not even this share of it leaves a bijection.
+    for halvings in range(6 + 1):
         moved = before + step * 0.5**halvings
         lengths = np.linalg.norm(moved, axis=1, keepdims=True)
         held = wp.clone(vectors(np.where(lengths > 0.0, moved / np.where(lengths > 0.0, lengths, 1.0), before), where))

@@ -16,12 +16,6 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import Arguments, cut, launch_parts
 from omtwarp.flips.guard_kernels import UNCERTAIN, certain_signs
 
-# Six triple products, each rounded at most four times, and their sum: 7 units of roundoff suffice, 8 also
-# cover the rounding of the bound. Fused multiply-add only lowers the error.
-_RELATIVE_BOUND = 8.0 * 2.0**-53
-# Products below this may have lost bits to gradual underflow, which a relative bound does not see.
-_UNDERFLOW_BOUND = 2.0**-1000
-
 
 def orientation_signs(
     sphere: ArrayLike | wp.array, faces: ArrayLike | wp.array, *, device: str | wp.Device | None = "cpu"
@@ -45,7 +39,10 @@ def orientation_signs(
     out = wp.empty(len(corners), dtype=wp.int8, device=where)
 
     def arguments(part: slice) -> Arguments:
-        return [given, cut(corners, part), wp.float64(_RELATIVE_BOUND), wp.float64(_UNDERFLOW_BOUND)], [cut(out, part)]
+        # Six triple products, each rounded at most four times, and their sum: 7 units of roundoff suffice, 8 also cover
+        # the rounding of the bound. Fused multiply-add only lowers the error.
+        # Products below this may have lost bits to gradual underflow, which a relative bound does not see.
+        return [given, cut(corners, part), wp.float64(8.0 * 2.0**-53), wp.float64(2.0**-1000)], [cut(out, part)]
 
     launch_parts(certain_signs, len(corners), arguments, where)
     signs = out.numpy()

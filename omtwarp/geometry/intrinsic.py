@@ -20,7 +20,6 @@ from omtwarp.geometry.intrinsic_kernels import flip_to_delaunay
 from omtwarp.mesh.surface import Surface
 
 LEAST, MOST = 1e-9, 1e6  # of cotangents; those of triangles without area are not finite
-FLIPS_PER_EDGE = 50  # most flips; scans need 0.1 to 1 an edge
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,8 @@ def delaunay_edges(surface: Surface, jumps: NDArray[np.int64] | None = None) -> 
     lengths = on_host(sides, wp.float64)
     steps = on_host((np.roll(jumps, -1, axis=1) - jumps).reshape(-1, 2).astype(np.int32), wp.vec2i)
     flips = wp.zeros(1, dtype=wp.int32, device="cpu")
-    inputs = [on_host(twins, wp.int32), FLIPS_PER_EDGE * len(first)]
+    # Flips per edge: most flips; scans need 0.1 to 1 an edge
+    inputs = [on_host(twins, wp.int32), 50 * len(first)]
     outputs = [origins, following, lengths, steps, on_host(first, wp.int32), on_host(queued, wp.int32), flips]
     wp.launch(flip_to_delaunay, dim=1, inputs=inputs, outputs=outputs, device="cpu")
     own, after, long = origins.numpy(), following.numpy(), lengths.numpy()

@@ -21,7 +21,6 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from omtwarp.mesh.surface import Surface
 
-LEVELS = 60  # distances at which rings are measured, in equal steps of 1/61 of the longest
 LEAST_SHARE = 0.01  # smaller caps have few triangles
 
 
@@ -59,7 +58,8 @@ def rings(surface: Surface) -> Iterator[Ring]:
     distance = dijkstra(graph, directed=False, indices=pole)
     areas = surface.sum_to_vertices(surface.own_areas)
     areas = areas / areas.sum()
-    for level in np.linspace(0.0, distance.max(), LEVELS + 2)[1:-1]:
+    # Levels: distances at which rings are measured, in equal steps of 1/61 of the longest
+    for level in np.linspace(0.0, distance.max(), 60 + 2)[1:-1]:
         far = distance >= level
         inside = far[start] & far[end]
         kept = _graph(np.ones(int(inside.sum())), start[inside], end[inside], count)

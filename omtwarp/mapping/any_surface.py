@@ -62,17 +62,7 @@ from omtwarp.topology.handles import cut_handles, slit_open
 from omtwarp.topology.kind import Part, described, numbered_in_space, options_for, parts_of, places_of
 from omtwarp.torus.mapping import map_to_torus
 
-# Share of the surface's area that all small fillings together take. With a tenth of that, triangles on both sides of
-# the rim differ so much that refinement of 1,200 faces takes 90 s instead of 5.
-SMALL_FILLING = 1e-2
-# Where a coarse mesh has a large hole, its filling takes more, so that the sides around it have at least this share of
-# the mean side on the sphere. With a hundredth in all cases, halves of icospheres of 720 and of 2,880 triangles do not
-# converge.
-LEAST_SIDE = 0.25
-
 SLITS = (1.0, 0.5, 0.25)  # of a path across a closed part that is slit open; loops around handles avoid it
-# Share of the sphere up to which a cap is untangled in its gnomonic projection, which half a sphere lacks.
-GNOMONIC_SHARE = 0.45
 # Where sides of large triangles reach from one cap into another, caps are made smaller by this factor, at most so many
 # times.
 ROUNDS_APART, LESS_COVERED = 6, 0.85
@@ -595,11 +585,16 @@ def _surface(opened: _Opened, weights: Floats | None = None) -> Surface:
     if not filling.any():
         return surface.with_areas(areas)
     whole = fsum(areas[own])
-    least = SMALL_FILLING * whole / fsum(areas[filling])
+    # Share of the surface's area that all small fillings together take. With a tenth of that, triangles on both sides
+    # of the rim differ so much that refinement of 1,200 faces takes 90 s instead of 5.
+    least = 1e-2 * whole / fsum(areas[filling])
     side = np.sqrt(4.0 / np.sqrt(3.0) * SPHERE_AREA / np.count_nonzero(own))
     for number in range(opened.small, len(opened.loops)):
         here = filled.patch == number
-        around = LEAST_SIDE * side * len(opened.loops[number])  # of a cap with the share (around / 4π)² of the sphere
+        # Where a coarse mesh has a large hole, its filling takes more, so that the sides around it have at least this
+        # share of the mean side on the sphere. With a hundredth in all cases, halves of icospheres of 720 and of 2,880
+        # triangles do not converge.
+        around = 0.25 * side * len(opened.loops[number])  # of a cap with the share (around / 4π)² of the sphere
         areas[here] *= min(1.0, max(least, whole * (around / SPHERE_AREA) ** 2 / fsum(areas[here])))
     return surface.with_areas(areas)
 
@@ -773,7 +768,8 @@ def _on_cap(result: MapResult, share: float, half: Surface | None = None) -> Map
     ]
     if half is not None:
         ways.append(lambda: untangle_patches_on_cap(cap, rim, half))
-    if share < GNOMONIC_SHARE:
+    # Share of the sphere up to which a cap is untangled in its gnomonic projection, which half a sphere lacks.
+    if share < 0.45:
         ways.insert(1, lambda: from_gnomonic(untangle_in_plane(to_gnomonic(cap, share), faces, rim)[0], share))
     for way in ways:
         points = way()

@@ -56,33 +56,17 @@ from omtwarp.version import package_version
 # One pass of Moser's flow leaves an area error of the order of the mesh; a second, from where the first ended, about
 # halves it; a third gains little.
 MOSER_PASSES = 2
-# With a target density the area that a triangle is to have depends on where it is: refinement is repeated with the
-# areas of where the last round left the triangles. One, two and three rounds leave a mean mass distortion of 2.025,
-# 2.008 and 2.002 on a picture with edges of contrast 5, and 2.0033, 2.0007 and 2.0004 on a smooth one of contrast 20.
-TARGET_ROUNDS = 3
-# On a smooth density of contrast 20 the curl falls from 0.049 after one pass to 0.006 after four and 0.0015 after
-# eight, on a picture with edges from 0.066 to 0.020 and 0.013.
-TARGET_POLISHES = 8
 # What the measurement after the last stage is called in progress and in the records of stages.
 OPTIMALITY = "optimality"
 # What the map of the quartered mesh is called there.
 EXACT = "exact"
-# Where one repair of a map took all that it may take and failed, later ones may take this share of it, as they fail
-# too: a box with triangles of 0.001 degrees spent 4.5 s on each, for nothing. Repairs of scans stay far below that.
-REPEATED_REPAIR = 0.1
 # Of a stage's triangles: maps with a larger share flipped, and more than so many in number, are not repaired. Of twelve
 # scans and made shapes at most 3 % are flipped by Moser's flow and all are repaired, except an octopus with 7.5 % and a
 # box with triangles of 0.001 degrees with 26 %, where repair fails after all the work that it may take.
 MOST_FLIPPED, MANY_FLIPS = 0.05, 300
-# The gap up to which the bound on the cost is improved.
-MAX_GAP = 9.9e-4
-# A mesh whose triangles are cut in four bears more of the shape term: more trades optimality for smoothness.
-EXACT_SHARE = 2.0
 # A map above all of these, the last a mean squared distance in radians², is not said to be optimal, whatever the
 # minimisation reached. Where points move less, gap and curl are the mesh's own error. Smaller ones warn of more maps.
 FAR_GAP, FAR_CURL, FAR_COST = 0.01, 0.05, 0.02
-NO_BOUND = 1.0  # a gap above this says nothing of a map: it is reported as none
-EXACT_ERROR = 1e-6  # largest relative error of a triangle's area that an exact map may have
 # Weight of the shape term for the distance itself, relative to that for its square: a gargoyle's mean distance is
 # 0.4143 radians with 1 and 0.4135 with this, at 3 % more angle distortion.
 DISTANCE_SHAPE = 0.3
@@ -480,7 +464,9 @@ class _Run:
         self.history = moved.history
         if self.options.scheme is Scheme.DEFAULT and self.options.cost is Cost.SQUARED:
             # With a target the prescribed areas depend on where triangles are: few rounds at a time, then new areas.
-            for _ in range(TARGET_POLISHES):
+            # On a smooth density of contrast 20 the curl falls from 0.049 after one pass to 0.006 after four and 0.0015
+            # after eight, on a picture with edges from 0.066 to 0.020 and 0.013.
+            for _ in range(8):
                 polished = polish_transport(
                     self.goal(sphere),
                     self.points(sphere),
@@ -583,11 +569,12 @@ class _Run:
         """Measure how far a map is from optimal, and improve the bound of an optimal one where the gap is too large."""
         assert self.source is not None
         steps = GAP_ASCENT_STEPS[self.surface.vertex_count <= GAP_ASCENT_VERTICES] if improve else 0
+        # The gap up to which the bound on the cost is improved.
         return optimality(
             self.surface,
             sphere,
             start=self.source,
-            enough=MAX_GAP,
+            enough=9.9e-4,
             ascent_steps=steps,
             device=self.device,
             progress=self.progress,
@@ -621,7 +608,8 @@ class _Run:
         if self.mirror is not None and is_symmetric(self.mirror, before):
             on_cells = partial(symmetric_exact_map, self.mirror)
 
-        weight = EXACT_SHARE * shape_term(self.surface, before, source, self.device).weight
+        # A mesh whose triangles are cut in four bears more of the shape term: more trades optimality for smoothness.
+        weight = 2.0 * shape_term(self.surface, before, source, self.device).weight
         if self.options.cost is Cost.GEODESIC:
             weight *= DISTANCE_SHAPE
         found = on_cells(
@@ -635,7 +623,8 @@ class _Run:
         )
         self.keep_steps(found)
         largest = float(found.history[-1]["ring_largest"])
-        if largest > EXACT_ERROR:
+        # Exact error: largest relative error of a triangle's area that an exact map may have
+        if largest > 1e-6:
             raise OmtwarpError(
                 f"exact areas were not reached: a triangle's area is off by {largest:.2g} of it; remesh with more "
                 "triangles, evenly shaped, or leave exact out"
@@ -680,7 +669,11 @@ class _Run:
         give_back()  # the largest matrices follow
         sphere = self.sphere if isinstance(weight, AreaMatch) else self.least_distorted(refinement_weight(weight))
         repaired = 0
-        for _ in range(1 if self.target is None else TARGET_ROUNDS):
+        # With a target density the area that a triangle is to have depends on where it is: refinement is repeated with
+        # the areas of where the last round left the triangles. One, two and three rounds leave a mean mass distortion
+        # of 2.025, 2.008 and 2.002 on a picture with edges of contrast 5, and 2.0033, 2.0007 and 2.0004 on a smooth one
+        # of contrast 20.
+        for _ in range(1 if self.target is None else 3):
             refined = refine_map(self.goal(sphere), sphere, weight=weight, device=self.device, progress=self.progress)
             sphere, flips = self.untangle(sphere, refined.sphere)
             repaired += flips
@@ -710,7 +703,8 @@ class _Run:
         if measured is None or self.records[-1].name not in (Stage.OMT, EXACT):
             measured = self.bounded(self.sphere, improve=self.sphere is self.maps.get(Stage.OMT))
         found: dict[str, float | int | None] = measured.to_dict()
-        if measured.gap > NO_BOUND:
+        # No bound, a gap above this says nothing of a map: it is reported as none
+        if measured.gap > 1.0:
             found |= dict.fromkeys(("lower_bound", "gap", "uniform_lower_bound", "uniform_gap"))
         if self.target is not None:  # the image does not have uniform density
             found = {name: value for name, value in found.items() if not name.startswith("uniform")}
@@ -779,7 +773,10 @@ class _Run:
         if flips > MANY_FLIPS and flips > MOST_FLIPPED * self.surface.face_count:
             self.give_up(f"{flips} flipped triangles were held back towards the map before: too many to repair")
             return hold_back(self.surface, before, after, device=self.device), flips
-        budget = RepairBudget(self.surface, REPEATED_REPAIR if self.repair_given_up else 1.0)
+        # Where one repair of a map took all that it may take and failed, later ones may take this share of it, as they
+        # fail too: a box with triangles of 0.001 degrees spent 4.5 s on each, for nothing. Repairs of scans stay far
+        # below that.
+        budget = RepairBudget(self.surface, 0.1 if self.repair_given_up else 1.0)
         repaired = untangle(self.goal(before), after, budget=budget, device=self.device)
         if repaired.bijective:
             return repaired.sphere, flips

@@ -23,11 +23,6 @@ from omtwarp.spheres import triangle_solid_angles
 MAX_AREA_DISTORTION = 2.05
 # Relative error of the area around a vertex. Where the optimal map is found it is at round-off.
 MAX_VERTEX_AREA_ERROR = 0.10
-# An equilateral triangle with its corners on the sphere has the largest area, 3 sqrt(3) / 4: this share of 4π. With a
-# share of 0.086 the map of a small sphere is at 2.16.
-LARGE_FACE = 0.05
-# Vertices around a limb for those needed. Tubes whose edges were flipped at random reach 2.04 at 1.3, 2.12 at 1.2.
-ENOUGH_VERTICES = 1.3
 # Triangles count as long where the longest edge is so many times the height over it, and matter where they have this
 # share of the area, as on flat sides that are triangulated without a vertex inside, and where radii are noise: on
 # spheres with log-normal radii of 0.2, 0.32 and 0.5 the share is 0.08, 0.23 and 0.65, the distortion 2.04, 2.08, 2.11.
@@ -43,15 +38,7 @@ FOLD, FOLDED_SHARE = 100.0, 0.18
 # flipped tubes, creatures and flipped spheres of 80 to 132 faces are at 2.05 to 2.14 where the mean ratio of length to
 # height is 2.4 to 3.2 and the mean fold 62 to 74 degrees; beside them spheres of 80 faces with 2.3 and 59 at 2.04.
 MEAN_LONG, MEAN_FOLD = 2.3, 60.0
-# Among so few triangles one that is so many times as long as high may keep the solver from converging: spheres of 82
-# faces with a needle of 3,800 to 8.5e8 did not in 9 cases of 16, those with 280 or less and those of 320 faces did.
-NEEDLE = 1e3
 NEEDLES = "needle"  # kind of the warning about them
-# Mean side of triangles over the mean thickness, twice the volume by the area. Plates are at 2.01 where it is 1.5, at
-# 2.05 for 1.9, and at 2.1 to 2.2 for 3; thin plates of larger triangles may come out at any of these.
-LARGEST_SIDE = 1.8
-# A surface glued to its mirror copy encloses nothing but rounding errors, and is no sheet.
-LEAST_THICKNESS = 1e-9
 
 
 @dataclass(frozen=True)
@@ -89,14 +76,18 @@ def foretell(surface: Surface) -> list[Finding]:
     found = []
     share = surface.own_areas / SPHERE_AREA
     worst = int(np.argmax(share))
-    if share[worst] > LARGE_FACE:
+    # An equilateral triangle with its corners on the sphere has the largest area, 3 sqrt(3) / 4: this share of 4π. With
+    # a share of 0.086 the map of a small sphere is at 2.16.
+    if share[worst] > 0.05:
         number, name = named_face(surface.names, worst)
         text = f"{name} {_place_of_face(surface, worst)} has {share[worst]:.1%} of the area"
         found.append(Finding("large-face", number, text, "split large triangles"))
     ring = thinnest_ring(surface)
     if ring is not None:
         needed = vertices_needed(ring.share, surface.face_count)
-        if ring.around < ENOUGH_VERTICES * needed:
+        # Vertices around a limb for those needed. Tubes whose edges were flipped at random reach 2.04 at 1.3, 2.12 at
+        # 1.2.
+        if ring.around < 1.3 * needed:
             number, name = named_vertex(surface.names, ring.vertex)
             text = (
                 f"about {ring.around:.0f} vertices around a limb with {ring.share:.1%} of the area, at "
@@ -138,7 +129,10 @@ def _coarse_findings(surface: Surface, long: NDArray[np.float64]) -> list[Findin
             f"the area, the largest is {name} {_place_of_face(surface, worst)}"
         )
         found.append(Finding("folded-triangles", number, text, "remesh with more triangles where the surface bends"))
-    if surface.face_count <= FEW_FACES and long.max() > NEEDLE:
+    # Among so few triangles one that is so many times as long as high may keep the solver from converging: spheres of
+    # 82 faces with a needle of 3,800 to 8.5e8 did not in 9 cases of 16, those with 280 or less and those of 320 faces
+    # did.
+    if surface.face_count <= FEW_FACES and long.max() > 1e3:
         worst = int(np.argmax(long))
         number, name = named_face(surface.names, worst)
         text = f"{name} {_place_of_face(surface, worst)} is {long[worst]:.0e} times as long as high"
@@ -153,7 +147,10 @@ def _coarse_findings(surface: Surface, long: NDArray[np.float64]) -> list[Findin
         found.append(Finding("few-triangles", -1, text, "remesh with more triangles, evenly shaped"))
     thickness = 2.0 * abs(float((corners[:, 0] * across).sum())) / 6.0 / SPHERE_AREA
     side = float(np.sqrt(4.0 / np.sqrt(3.0) * SPHERE_AREA / surface.face_count))
-    if thickness > LEAST_THICKNESS and side > LARGEST_SIDE * thickness:
+    # Mean side of triangles over the mean thickness, twice the volume by the area. Plates are at 2.01 where it is 1.5,
+    # at 2.05 for 1.9, and at 2.1 to 2.2 for 3; thin plates of larger triangles may come out at any of these.
+    # A surface glued to its mirror copy encloses nothing but rounding errors, and is no sheet.
+    if thickness > 1e-9 and side > 1.8 * thickness:
         text = f"the mean side of triangles is {side / thickness:.3g} times the mean thickness"
         found.append(Finding("thin-sheet", -1, text, "remesh with triangles smaller than the sheet is thick"))
     return found

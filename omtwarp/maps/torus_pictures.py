@@ -13,15 +13,11 @@ from omtwarp.texturing.export import split_corners
 from omtwarp.texturing.textured import TexturedSurface
 
 MOST_TUBE = 0.8  # radius of the tube over the ring's: a fatter one hides its inside
-KEPLER_STEPS = 40  # of Newton's method, at most: from the mean anomaly, seven reach round-off with MOST_TUBE
 
 Floats = NDArray[np.float64]
 
 PATTERNS = ("circles", "checker")
-CIRCLES = 162  # as many as the sphere's pattern has
-COVERAGE = 0.56  # the share of the torus that circles cover
 CHECKS = 6  # fields along the shorter lattice vector, an even number so that the picture closes up
-TEXELS = 1 << 21  # of a pattern, as many as a pattern 2048 wide has on the sphere
 LIGHT = np.array([0.96, 0.94, 0.90])  # sRGB between the circles, and of every other field
 
 
@@ -44,7 +40,8 @@ def torus_pattern(name: str, lattice: Floats, size: int | None = None) -> NDArra
         raise OmtwarpError(f"the pattern '{name}' is for the sphere: a torus takes {' or '.join(PATTERNS)}")
     along = np.linalg.norm(lattice, axis=1)
     ratio = float(along[1] / along[0])
-    wide = _nearest_power(np.sqrt(TEXELS / ratio)) if size is None else size
+    # Texels, of a pattern, as many as a pattern 2048 wide has on the sphere
+    wide = _nearest_power(np.sqrt((1 << 21) / ratio)) if size is None else size
     high = _nearest_power(wide * ratio) if is_power_of_two(wide) else round(wide * ratio)
     width, height = check_size((max(wide, 16), max(high, 16)))
     u = (np.arange(width) + 0.5) / width
@@ -72,7 +69,8 @@ def _circles(lattice: Floats, u: Floats, v: Floats) -> Floats:
     """Draw circles: 1 inside, 0 outside and between the two at their rims, shape [H, W]."""
     area = abs(float(np.linalg.det(lattice)))
     first = float(np.linalg.norm(lattice[0]))
-    apart = np.sqrt(2.0 / np.sqrt(3.0) * area / CIRCLES)
+    # Circles, as many as the sphere's pattern has
+    apart = np.sqrt(2.0 / np.sqrt(3.0) * area / 162)
     columns = max(1, round(first / apart))
     rows = max(2, 2 * round(area / first / (apart * np.sqrt(3.0) / 2.0) / 2.0))
     offsets = np.array([(j, i) for j in range(-2, 3) for i in np.arange(-2.0, 2.5, 0.5)])
@@ -80,7 +78,8 @@ def _circles(lattice: Floats, u: Floats, v: Floats) -> Floats:
     steps = np.stack([offsets[:, 1] / columns, offsets[:, 0] / rows], axis=1) @ lattice
     lengths = np.linalg.norm(steps, axis=1)
     least = float(lengths[lengths > 0.0].min())
-    radius = min(float(np.sqrt(COVERAGE * area / (columns * rows * np.pi))), 0.46 * least)
+    # Coverage: the share of the torus that circles cover
+    radius = min(float(np.sqrt(0.56 * area / (columns * rows * np.pi))), 0.46 * least)
     texel = np.sqrt(area / (len(u) * len(v)))
     nearest = np.full((len(v), len(u)), np.inf)
     row = np.round(v * rows)
@@ -152,7 +151,8 @@ def ring_torus(coordinates: Floats, lattice: Floats) -> Floats:
     share = tube_radius(lattice)
     tube, ring = (coordinates.T if along[0] <= along[1] else coordinates.T[::-1]) * (2.0 * np.pi)
     angle = tube.copy()
-    for _ in range(KEPLER_STEPS):  # Newton's method on Kepler's equation; convex enough for every share below 1
+    # Kepler steps, of Newton's method, at most: from the mean anomaly, seven reach round-off with MOST_TUBE
+    for _ in range(40):  # Newton's method on Kepler's equation; convex enough for every share below 1
         angle -= (angle + share * np.sin(angle) - tube) / (1.0 + share * np.cos(angle))
     reach = 1.0 + share * np.cos(angle)
     turned = -1.0 if along[0] <= along[1] else 1.0  # keeps triangles counter-clockwise from outside

@@ -12,9 +12,6 @@ from omtwarp.geometry.sphere_hierarchy import sphere_hierarchy
 from omtwarp.mesh.arrays import real_numbers
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 
-# Level of the icosahedron's subdivision that the total mass is taken on: 40,962 nodes, one and a quarter degrees apart.
-QUADRATURE_LEVEL = 6
-
 
 class TargetDensity:
     """A positive density ρ on the unit sphere, scaled to the mean 1 (total mass 4π).
@@ -49,7 +46,9 @@ class TargetDensity:
         self._density = density
         self._lowest = 0.0
 
-        hierarchy = sphere_hierarchy(QUADRATURE_LEVEL)
+        # Level of the icosahedron's subdivision that the total mass is taken on: 40,962 nodes, one and a quarter
+        # degrees apart.
+        hierarchy = sphere_hierarchy(6)
         values = self._values(hierarchy.vertices, positive=floor == 0.0)
         if floor > 0.0:
             self._lowest = floor * float(hierarchy.node_areas @ values) / SPHERE_AREA

@@ -22,7 +22,6 @@ from omtwarp.mesh.arrays import whole_numbers
 Numbers = NDArray[np.generic]
 
 _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}  # by componentType
-_FLOAT = 5126  # the componentType of single precision
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _GLB_HEADER, _CHUNK_HEADER = 12, 8  # bytes of a .glb before its first chunk, and of each chunk before its content
 _JSON, _BIN = 0x4E4F534A, 0x004E4942  # the types of its chunks, "JSON" and "BIN" in ASCII
@@ -169,7 +168,8 @@ def with_plain_accessors(data: bytes, document: Document, binary: bool, named: C
         array = _array(accessors[k], buffers)
         if k in scaled and accessors[k].get("normalized"):
             array = _unit_range(array)
-            accessors[k] |= {"componentType": _FLOAT, "normalized": False}
+            # Float: the componentType of single precision
+            accessors[k] |= {"componentType": 5126, "normalized": False}
         for key in ("sparse", "byteOffset"):
             accessors[k].pop(key, None)  # type: ignore[misc]
         accessors[k]["bufferView"] = len(views)

@@ -21,7 +21,6 @@ TINY = 1e-300
 # Relative: what differs by less is equal but for rounding. Some five thousand times float64's round-off, as much as a
 # few thousand roundings in a row leave at worst, and a millionth of the least digit that any figure is given to.
 ROUND_OFF = 1e-12
-UNIT_LENGTH = 1e-5  # largest distance of a point from the sphere: many times the rounding of single precision
 
 # A repair merges vertices of boundaries that are nearer than this share of the mean length of the edges at both. Single
 # precision rounds a coordinate by 6e-8 of the extent, a thousandth of edges that are 6e-5 of it.
@@ -284,7 +283,8 @@ def require_unit_length(points: NDArray[np.generic], name: str) -> None:
     """
     with np.errstate(over="ignore"):
         lengths = np.linalg.norm(np.asarray(points, dtype=np.float64), axis=1)
-    off = ~(np.abs(lengths - 1.0) <= UNIT_LENGTH)
+    # Unit length, largest distance of a point from the sphere: many times the rounding of single precision
+    off = ~(np.abs(lengths - 1.0) <= 1e-5)
     if off.any():
         first = int(np.argmax(off))
         raise OmtwarpError(

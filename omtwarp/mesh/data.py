@@ -35,8 +35,6 @@ CURV_SUFFIXES = (".curv", ".sulc", ".thickness", ".area", ".volume")
 TEXT_SUFFIXES = (".csv", ".txt")
 DATA_SUFFIXES = (".npy", *TEXT_SUFFIXES, ".gii", ".annot", *CURV_SUFFIXES, ".ply")
 
-MOST_EXACT = 2**24  # up to which float32 holds every whole number
-MOST_WHOLE = 2**53  # the same of float64: numbers of it that are larger are whole whatever they count
 _TOO_EXACT = "single precision does not hold these whole numbers"
 
 Color = tuple[float, float, float, float]
@@ -295,8 +293,10 @@ def _stored(column: NDArray[np.generic], name: str, *, labels: bool = False) -> 
     """
     finite = column[np.isfinite(column)]
     largest = np.abs(finite).max(initial=0)
-    counted = column.dtype.kind != "f" or (largest <= MOST_WHOLE and bool((finite == np.floor(finite)).all()))
-    if labels or (counted and largest > MOST_EXACT):
+    # Numbers of float64 that are larger are whole whatever they count
+    counted = column.dtype.kind != "f" or (largest <= 2**53 and bool((finite == np.floor(finite)).all()))
+    # Most exact: up to which float32 holds every whole number
+    if labels or (counted and largest > 2**24):
         limits = np.iinfo(np.int32)
         fits = finite.min(initial=0) >= limits.min and finite.max(initial=0) <= limits.max
         if len(finite) < len(column) or not fits:

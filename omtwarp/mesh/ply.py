@@ -22,7 +22,6 @@ _TYPES = {
 }  # fmt: skip
 _NUMBERS = b"0123456789+-.eEnaifNAIF \t\r\n\f\v"  # the characters of numbers, NaN and infinity as text
 _CORNERS = ("vertex_indices", "vertex_index")
-_LONGEST_HEADER = 1_000_000  # bytes
 
 
 Column = NDArray | tuple[NDArray, NDArray]
@@ -114,7 +113,8 @@ def _header(data: bytes) -> tuple[list[_Element], str | None, bytes]:
     Raises:
         ValueError: no header, or one that cannot be understood.
     """
-    found = re.search(rb"[\r\n]end_header[ \t]*(\r\n|\n|\r)", data[:_LONGEST_HEADER])
+    # Longest header: bytes
+    found = re.search(rb"[\r\n]end_header[ \t]*(\r\n|\n|\r)", data[:1_000_000])
     if not data.startswith(b"ply") or found is None:
         raise ValueError("no header of a PLY file, or one cut short")
     elements: list[_Element] = []

@@ -28,12 +28,7 @@ LARGEST_HOLE = 64
 CRUMBS = 8
 """Parts of at most so many faces are dropped from a surface that may have several: artefacts of scanners."""
 
-NEIGHBOURS = 16  # places next to one that are compared with it: more than the faces around most vertices
 NOTED_LOSS = 0.01  # share of the area above which the repair says how much of it is gone
-
-# Rounds of exchanged edges, so that they end: each round repairs one triangle of every row of flat ones.
-MOST_ROUNDS = 1000
-LEAST_AREA = 1e-12  # twice the area of a triangle that fills a hole, in units of the hole's size squared: less is none
 
 
 class Repaired(NamedTuple):
@@ -190,7 +185,8 @@ class _Work:
     def flip_flat_faces(self) -> None:
         """Flip the longest edge of every triangle without area, so that the neighbour is split at the vertex on it."""
         flipped = 0
-        for _ in range(MOST_ROUNDS):
+        # Rounds of exchanged edges, so that they end: each round repairs one triangle of every row of flat ones.
+        for _ in range(1000):
             used = np.unique(self.faces)
             if not len(used):
                 break
@@ -370,7 +366,8 @@ def _first_at_place(unit: NDArray[np.float64], edges: NDArray[np.int64], among: 
     inverse = inverse.reshape(-1)
     reach = np.full(len(places), np.inf)
     np.minimum.at(reach, inverse, WELD * mean[among])
-    far, near = cKDTree(places).query(places, k=min(NEIGHBOURS, len(places)))
+    # Neighbours, places next to one that are compared with it: more than the faces around most vertices
+    far, near = cKDTree(places).query(places, k=min(16, len(places)))
     near = near.reshape(len(places), -1)
     joined = far.reshape(len(places), -1) <= np.minimum(reach[:, None], reach[near])
     one, neighbour = np.nonzero(joined)
@@ -449,7 +446,9 @@ def _patch(
             between = np.arange(i + 1, j)
             area = np.linalg.norm(np.cross(corners[between] - corners[i], corners[j] - corners[i]), axis=1)
             # A triangle without area would be another defect.
-            cost = best[i, between] + best[between, j] + np.where(area > LEAST_AREA, area, np.inf)
+            # Least area, twice the area of a triangle that fills a hole, in units of the hole's size squared: less is
+            # none
+            cost = best[i, between] + best[between, j] + np.where(area > 1e-12, area, np.inf)
             split[i, j] = between[np.argmin(cost)]
             best[i, j] = cost.min()
     if not np.isfinite(best[0, n - 1]):

@@ -28,7 +28,6 @@ HIPPOCAMPUS_BEND = 1.8
 # In cells: a node nearer to the surface is moved inside, as triangles around it would have no area; and the step of
 # one-sided differences, whose error is that part of a slope's change over a cell.
 NODE_CLEARANCE, DIFFERENCE = 1e-6, 1e-4
-LEAST_SLOPE = 1e-12  # squared, of a signed distance, whose slope is 1: where it has none a point stays
 
 
 # Spheres, and what is made by moving their vertices -----------------------------------------------------------------
@@ -328,10 +327,6 @@ def _bend(points: Points, curvature: float, length: float) -> Points:
 # Implicit surfaces --------------------------------------------------------------------------------------------------
 
 
-# Rounds in which every vertex moves to the middle of its neighbours and back onto the surface.
-SMOOTHING_ROUNDS = 8
-
-
 def implicit_surface(value: Callable[[Points], Points], low: ArrayLike, high: ArrayLike, cell: float) -> Surface:
     """Triangulate the surface value = 0 by marching tetrahedra, then even the triangles out along the surface.
 
@@ -374,7 +369,8 @@ def implicit_surface(value: Callable[[Points], Points], low: ArrayLike, high: Ar
     share = np.clip(share, 0.02, 0.98)  # keeps the first triangles from being slivers; the surface is met again below
     surface = Surface(nodes[a] + share * (nodes[b] - nodes[a]), index.reshape(-1, 3))
     points = surface.vertices
-    for _ in range(SMOOTHING_ROUNDS):
+    # Rounds in which every vertex moves to the middle of its neighbours and back onto the surface.
+    for _ in range(8):
         points = _onto_surface(value, _average_of_neighbours(surface, points), cell, steps=1)
     return Surface(_onto_surface(value, points, cell, steps=2), surface.faces)
 
@@ -436,7 +432,8 @@ def _onto_surface(value: Callable[[Points], Points], points: Points, cell: float
     for _ in range(steps):
         here = value(points)
         slope = np.stack([value(points + step * axis) - here for axis in np.eye(3)], axis=1) / step
-        move = -here[:, None] * slope / np.maximum((slope**2).sum(axis=1), LEAST_SLOPE)[:, None]
+        # Least slope, squared, of a signed distance, whose slope is 1: where it has none a point stays
+        move = -here[:, None] * slope / np.maximum((slope**2).sum(axis=1), 1e-12)[:, None]
         far = np.linalg.norm(move, axis=1)
         points = points + move * np.minimum(1.0, 0.5 * cell / np.maximum(far, TINY))[:, None]
     return points

@@ -12,7 +12,6 @@ from omtwarp.mesh.arrays import whole_numbers
 
 Numbers = NDArray[np.generic]
 
-_MZ3_MAGIC = 23117  # "MZ" as a little-endian number
 _MZ3_HEADER = "<HHIII"  # the magic number, what is in the file, and the numbers of faces, vertices and bytes to skip
 _MZ3_BOTH = 3  # bits of faces and vertices in what is in the file
 
@@ -28,7 +27,8 @@ def read_mz3(data: bytes) -> tuple[Numbers, Numbers]:
     """
     size = struct.calcsize(_MZ3_HEADER)
     magic, content, faces, vertices, skipped = struct.unpack(_MZ3_HEADER, data[:size].ljust(size, b"\0"))
-    if magic != _MZ3_MAGIC:
+    # Mz3 magic: "MZ" as a little-endian number
+    if magic != 23117:
         raise OmtwarpError("no header of an mz3 file")
     if content & _MZ3_BOTH != _MZ3_BOTH:
         raise OmtwarpError("not a triangle mesh: an mz3 file of data alone")

@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 TRIALS, SHORTER = 6, 0.4  # lengths of a step that are tried, each so many times the one before
-MOST_PAIRS = 10  # of steps and changes of the slope; 3 to 20 are usual (Nocedal and Wright 2006, chapter 7)
-LEAST_CURVATURE = 1e-12  # s · y over |s| |y|: pairs with less are not kept, their curvature is round-off
 # The first step is this long, in units of what would bring a straight line to zero. Above so many points it is as long
 # as the third number says: a parabola whose least excess is zero has it at 2, and a bound takes long. On a bunny of
 # 35,000 vertices one step of that length leaves a gap of 0.083 of 0.357 %, one of half of it 0.172. Small meshes end
@@ -134,7 +132,8 @@ class _Pairs:
 
     def __init__(self, dual: DualProblem[Found]):
         self._smoothed = dual.smoothed
-        self._pairs: deque[tuple[Array, Array, float]] = deque(maxlen=MOST_PAIRS)
+        # Most pairs, of steps and changes of the slope; 3 to 20 are usual (Nocedal and Wright 2006, chapter 7)
+        self._pairs: deque[tuple[Array, Array, float]] = deque(maxlen=10)
         self._scale = 1.0
 
     @property
@@ -145,7 +144,8 @@ class _Pairs:
     def add(self, step: Array, change: Array) -> None:
         """Add a step of the potential and how far the slope fell, unless its curvature is round-off."""
         product = float(step @ change)
-        if product > LEAST_CURVATURE * float(np.linalg.norm(step) * np.linalg.norm(change)):
+        # Least curvature, s · y over |s| |y|: pairs with less are not kept, their curvature is round-off
+        if product > 1e-12 * float(np.linalg.norm(step) * np.linalg.norm(change)):
             self._pairs.append((step, change, product))
             self._scale = product / float(change @ self._smoothed(change))
 

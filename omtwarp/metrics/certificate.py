@@ -17,8 +17,6 @@ from omtwarp.mesh.surface import SPHERE_AREA, triangle_areas
 from omtwarp.metrics.kernels import count_crossings
 
 RAYS = 32  # all have to count the same degree; without flips one would suffice
-# Rays that pass an edge this closely (as a triple product of unit vectors) are drawn again.
-CLEARANCE = 1e-13
 
 SEED = 20_240_229  # fixed, so that results are the same bits; any other gives the same degree
 
@@ -151,10 +149,11 @@ def _ray_degree(faces: NDArray[np.int32], sphere: NDArray[np.float64], device: s
         directions = wp.array(rays, dtype=wp.vec3d, device=where)
         crossings = wp.zeros(wanted, dtype=wp.int32, device=where)
         doubtful = wp.zeros(wanted, dtype=wp.int32, device=where)
+        # Rays that pass an edge this closely (as a triple product of unit vectors) are drawn again.
         wp.launch(
             count_crossings,
             dim=(len(faces), wanted),
-            inputs=[points, corners, directions, wp.float64(CLEARANCE)],
+            inputs=[points, corners, directions, wp.float64(1e-13)],
             outputs=[crossings, doubtful],
             device=where,
         )

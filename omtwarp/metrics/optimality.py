@@ -73,7 +73,6 @@ GOOD_ENOUGH = 1e-4
 # triangles quartered.
 CLOSED_GAP, SOURCE_STEPS = 0.01, 6
 STEPS_BEFORE = 3  # ascent, for progress: the curl, the first potential and its bound
-MOST_PIVOTS = 10_000_000  # of the network simplex: POT's default of 100,000 ends too soon above some thousand points
 
 
 class SphereMaps(Protocol):
@@ -426,7 +425,8 @@ def exact_transport(
     a, b = (np.asarray(w, dtype=np.float64) / np.sum(w) for w in (source_masses, target_masses))
     squared = 2.0 * np.arcsin(np.clip(np.sqrt(np.maximum(2.0 - 2.0 * (x @ z.T), 0.0)) / 2.0, 0.0, 1.0))
     squared *= squared
-    plan, log = ot.emd(a, b, squared, numItermax=MOST_PIVOTS, log=True)
+    # Most pivots, of the network simplex: POT's default of 100,000 ends too soon above some thousand points
+    plan, log = ot.emd(a, b, squared, numItermax=10_000_000, log=True)
     if log.get("warning"):
         raise OmtwarpError(f"the exact optimum was not found: {log['warning']}")
     mean = plan @ z

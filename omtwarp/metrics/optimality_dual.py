@@ -22,15 +22,6 @@ Array = NDArray[np.float64]
 
 TOLERANCE = 1e-5
 """How far below the true minimum, in units of the mean cost, the search for it may stay: what it adds to the gap."""
-_NARROWEST = 1e-3  # of the median interval: flipped triangles make empty ones, whose weight must stay finite
-# Where the conformal map shrinks limbs to points, all points of a limb have nearly the same transform, and all of its
-# image is a candidate for each: 8,000 nodes of the tree where others take 200. The transform is then computed once for
-# the points in each cube of this side, in units of the tolerance, and lowered for the others by what it can differ, at
-# most 0.43 of the tolerance. For a person of 27,000 vertices that takes a third of the time.
-_CUBE = 0.05
-# Points whose transforms are worth a launch of their own on another core: each takes 10 microseconds.
-_LEAST_POINTS = 128
-_MIN_SHARED = 0.05  # of the edges shorter than the cube, below which there is little to share
 
 
 @dataclass(frozen=True)
@@ -150,7 +141,12 @@ class TransportDual:
         self._nodes = wp.array(nodes, dtype=wp.int32, device=self.device)
         self._segments = wp.array(segments[spread], dtype=wp.vec2i, device=self.device)
         self._offsets = wp.array(offsets, dtype=wp.int32, device=self.device)
-        self.shared = shared_sources(x, surface.edges, _CUBE * self.tolerance)
+        # Where the conformal map shrinks limbs to points, all points of a limb have nearly the same transform, and all
+        # of its image is a candidate for each: 8,000 nodes of the tree where others take 200. The transform is then
+        # computed once for the points in each cube of this side, in units of the tolerance, and lowered for the others
+        # by what it can differ, at most 0.43 of the tolerance. For a person of 27,000 vertices that takes a third of
+        # the time.
+        self.shared = shared_sources(x, surface.edges, 0.05 * self.tolerance)
         self._solver: EdgeLaplacianSolver | None = None
 
     @property
@@ -166,7 +162,8 @@ class TransportDual:
         """
         lowest, highest = self.admissible_differences()
         width = highest - lowest
-        floor = max(_NARROWEST * float(np.median(np.abs(width))), np.finfo(float).tiny)
+        # Narrowest, of the median interval: flipped triangles make empty ones, whose weight must stay finite
+        floor = max(1e-3 * float(np.median(np.abs(width))), np.finfo(float).tiny)
         weights = 1.0 / np.maximum(width, floor)
         weights /= weights.mean()
         self._solver = EdgeLaplacianSolver(self.surface, weights)
@@ -222,7 +219,8 @@ class TransportDual:
             inputs = [sources[part], seeds[part], *mesh, places, values, self._leaves, self.tolerance, *tree]
             return inputs, [array[part] for array in found]
 
-        launch_parts(kernels.c_transform, len(seeds), arguments, self.device, _LEAST_POINTS)
+        # Points whose transforms are worth a launch of their own on another core: each takes 10 microseconds.
+        launch_parts(kernels.c_transform, len(seeds), arguments, self.device, 128)
         proven, leaf, weights, visited = (array.numpy() for array in found)
         face = np.where(leaf >= 0, self.order[np.maximum(leaf, 0)], -1)
         if self.shared is not None:
@@ -292,7 +290,8 @@ def shared_sources(points: Array, edges: NDArray[np.int32], side: float) -> Shar
     if not side > 0.0:
         return None
     short = np.abs(points[edges[:, 0]] - points[edges[:, 1]]).max(axis=1) < side
-    if short.mean() < _MIN_SHARED:
+    # Min shared, of the edges shorter than the cube, below which there is little to share
+    if short.mean() < 0.05:
         return None
     cells = np.floor(points / side)
     _, chosen, of = np.unique(cells, axis=0, return_index=True, return_inverse=True)

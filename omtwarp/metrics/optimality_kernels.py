@@ -20,28 +20,8 @@ vec6d = wp.types.vector(length=6, dtype=wp.float64)
 # the largest coordinate along both axes, and the largest distance from its centre.
 vec11d = wp.types.vector(length=11, dtype=wp.float64)
 
-# Relative, added to the diagonal of the normal equations of a fit, which few or collinear points leave singular.
-RIDGE = wp.constant(wp.float64(1.0e-10))
-SLACK = wp.constant(wp.float64(1.0e-14))  # lowers bounds of numbers of size 1 by fifty times float64's round-off
 SAMPLES = wp.constant(6)  # of the potential in a triangle: as many as a quadratic function has coefficients
 SEGMENT = wp.constant(256)  # triangles below a node that one thread goes through at most, a power of two
-# Triangles of a node that its paraboloid is fitted to; the level that makes it a bound uses all of them.
-FITTED = wp.constant(4)
-
-# Squared, of a least-squares system in units of its node: the ridge keeps pivots above.
-SMALLEST_PIVOT = wp.constant(wp.float64(1.0e-30))
-# Squared radius: a node of one point is no smaller, so that it can be divided by.
-SMALLEST_NODE = wp.constant(wp.float64(1.0e-30))
-# Length of the sum of a node's directions: less where they cancel, as over a whole great circle.
-NO_MIDDLE = wp.constant(wp.float64(1.0e-9))
-# Of a unit vector's x: another axis helps to make a frame where it is larger. Anything from 0.58 to 1 leaves one to
-# take.
-MOST_ALONG = wp.constant(wp.float64(0.6))
-# Second derivatives of a fit: more is a fit through rounding, and a constant bounds better.
-STEEPEST = wp.constant(wp.float64(1.0e12))
-# 1 - cos θ, a thousandth of a radian short of the antipode, where the squared distance has no second derivative.
-ANTIPODE = wp.constant(wp.float64(1.999999))
-SMALLEST_SINE = wp.constant(wp.float64(1.0e-12))  # below, θ / sin θ is 1 to the last digit
 
 
 @wp.func
@@ -231,7 +211,8 @@ def solve_definite(matrix: mat66d, right: vec6d) -> vec6d:
     for j in range(6):
         for k in range(j):
             low[j, j] = low[j, j] - low[j, k] * low[j, k]
-        low[j, j] = wp.sqrt(wp.max(low[j, j], SMALLEST_PIVOT))
+        # Squared, of a least-squares system in units of its node: the ridge keeps pivots above.
+        low[j, j] = wp.sqrt(wp.max(low[j, j], wp.float64(1.0e-30)))
         for i in range(j + 1, 6):
             for k in range(j):
                 low[i, j] = low[i, j] - low[i, k] * low[j, k]
@@ -367,22 +348,27 @@ def fit_nodes(
         return
 
     count = last - first + 1
-    fitted = wp.min(count, FITTED)
+    # Triangles of a node that its paraboloid is fitted to; the level that makes it a bound uses all of them.
+    fitted = wp.min(count, 4)
     total = wp.vec3d()
     for k in range(fitted):
         f = first + ((2 * k + 1) * count) // (2 * fitted)
         total += places[SAMPLES * f] + places[SAMPLES * f + 1] + places[SAMPLES * f + 2]
     c = wp.normalize(total)
-    if wp.length(total) < NO_MIDDLE:
+    # Length of the sum of a node's directions: less where they cancel, as over a whole great circle.
+    if wp.length(total) < wp.float64(1.0e-9):
         c = places[SAMPLES * first]
     u = wp.vec3d(ONE, ZERO, ZERO)
-    if wp.abs(c[0]) > MOST_ALONG:
+    # Of a unit vector's x: another axis helps to make a frame where it is larger. Anything from 0.58 to 1 leaves one to
+    # take.
+    if wp.abs(c[0]) > wp.float64(0.6):
         u = wp.vec3d(ZERO, ONE, ZERO)
     u = wp.normalize(wp.cross(u, c))
     v = wp.cross(c, u)
 
     # The first axis is the direction in which the node is longest.
-    size = wp.float64(SMALLEST_NODE)
+    # Squared radius: a node of one point is no smaller, so that it can be divided by.
+    size = wp.float64(1.0e-30)
     stretch = wp.vec2d()
     for k in range(fitted):
         f = first + ((2 * k + 1) * count) // (2 * fitted)
@@ -400,7 +386,9 @@ def fit_nodes(
     gram = mat66d()
     right = vec6d()
     for k in range(6):
-        gram[k, k] = RIDGE * wp.float64(fitted)
+        # Relative, added to the diagonal of the normal equations of a fit, which few or collinear points leave
+        # singular.
+        gram[k, k] = wp.float64(1.0e-10) * wp.float64(fitted)
     for k in range(fitted):
         f = first + ((2 * k + 1) * count) // (2 * fitted)
         for s in range(SAMPLES):
@@ -416,7 +404,8 @@ def fit_nodes(
     fit = solve_definite(gram, right)
     for k in range(3):
         fit[3 + k] = fit[3 + k] / (size * size)
-    if not (wp.abs(fit[3]) + wp.abs(fit[4]) + wp.abs(fit[5]) < STEEPEST):
+    # Second derivatives of a fit: more is a fit through rounding, and a constant bounds better.
+    if not (wp.abs(fit[3]) + wp.abs(fit[4]) + wp.abs(fit[5]) < wp.float64(1.0e12)):
         fit = vec6d()
     centre_out[node] = c
     axis_out[node] = u
@@ -525,12 +514,14 @@ def node_bound(x: wp.vec3d, c: wp.vec3d, axis: wp.vec3d, model: vec11d, enough: 
     radius = model[10]
     cosine = wp.dot(x, c)
     v = HALF * wp.length_sq(x - c)
-    if radius > ONE or v > ANTIPODE:
+    # 1 - cos θ, a thousandth of a radian short of the antipode, where the squared distance has no second derivative.
+    if radius > ONE or v > wp.float64(1.999999):
         return -LARGE  # next to the antipode the slope is infinite
     sine = wp.sqrt(v * (TWO - v))
     angle = TWO * wp.asin(wp.sqrt(HALF * v))
     kappa = ONE
-    if sine > SMALLEST_SINE:
+    # Smallest sine, below, θ / sin θ is 1 to the last digit
+    if sine > wp.float64(1.0e-12):
         kappa = angle / sine
     t0 = wp.dot(x, axis)
     t1 = wp.dot(x, wp.cross(c, axis))
@@ -657,7 +648,8 @@ def c_transform(
             bound = node_bound(x, centres[node], axes[node], model, enough)
             inside = bound < enough
             if not inside:
-                relied = wp.min(relied, bound - SLACK)
+                # Slack: lowers bounds of numbers of size 1 by fifty times float64's round-off
+                relied = wp.min(relied, bound - wp.float64(1.0e-14))
         if inside and node < leaf_count:
             node = 2 * node
         else:

@@ -30,11 +30,6 @@ Array = NDArray[np.float64]
 # Sources that are left out or looked at together: with 6,900 of them and 16,600 images a search takes 0.06 to 0.1 CPU
 # seconds, a third of what it takes one by one.
 BLOCK = 16
-# The second derivative of the bound couples neighbours x_a and x_b by the length of the border between their images
-# over |x_a - x_b|. Distances are at least this, in radians: after ten steps on an octopus the gap is 0.61 % with this
-# and with a tenth of it, 0.63 % with ten times as much; with the weights that ψ is fitted with it is above 3 % after
-# 40.
-CLOSEST = 1e-5
 
 
 @dataclass(frozen=True)
@@ -79,7 +74,11 @@ class SourceDual:
         self._sources, self._centres = vectors(sources, dual.device), vectors(centres, dual.device)
         self._radii = wp.array(np.maximum.reduceat(apart, self._first), dtype=wp.float64, device=dual.device)
         ends = x[dual.surface.edges]
-        weights = 1.0 / np.maximum(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1), CLOSEST)
+        # The second derivative of the bound couples neighbours x_a and x_b by the length of the border between their
+        # images over |x_a - x_b|. Distances are at least this, in radians: after ten steps on an octopus the gap is
+        # 0.61 % with this and with a tenth of it, 0.63 % with ten times as much; with the weights that ψ is fitted with
+        # it is above 3 % after 40.
+        weights = 1.0 / np.maximum(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1), 1e-5)
         self._solver = EdgeLaplacianSolver(dual.surface, weights / weights.mean())
 
     def initial_potential(self) -> Array:

@@ -19,9 +19,6 @@ from omtwarp.moser.kernels import face_areas, integrate_particles, sources_and_d
 from omtwarp.options import Progress, Record
 from omtwarp.solvers.poisson import PoissonSolver, cotangent_solver, solve_arrays
 
-# In s = -log(1 - t) the remaining motion falls as e^-s: at s = 14 it is 1e-6 of ∇Θ.
-FINAL_TIME = 14.0
-LARGEST_STEP = 0.25  # at the start; it grows with s
 COURANT = 0.5
 PARTS = 4  # of the work in progress reports: half is the factorisation
 
@@ -126,7 +123,9 @@ def moser_map(
     launch_parts(vertex_field, vertices, field_arguments, where)
     moved = wp.empty_like(points)
     steps = wp.empty(vertices, dtype=wp.int32, device=where)
-    limits = [wp.float64(LARGEST_STEP), wp.float64(COURANT), wp.float64(FINAL_TIME)]
+    # In s = -log(1 - t) the remaining motion falls as e^-s: at s = 14 it is 1e-6 of ∇Θ.
+    # Largest step, at the start; it grows with s
+    limits = [wp.float64(0.25), wp.float64(COURANT), wp.float64(14.0)]
 
     def arguments(part: slice) -> Arguments:
         own = [points[part], rows[0][part]]

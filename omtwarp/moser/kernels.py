@@ -6,7 +6,6 @@ from omtwarp.location.kernels import walk
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-LONGEST_STEP = wp.constant(wp.float64(2.0))  # of the 14 units of time of a path
 SHORTEST_STEP = wp.constant(wp.float64(1e-3))  # where slivers would need shorter ones: a path has 14 units of time
 MAX_STEPS = wp.constant(20000)  # of a path: more than FINAL_TIME / SHORTEST_STEP, so that every path ends
 # Coefficients of Ralston's method of third order (1962).
@@ -180,7 +179,8 @@ def integrate_particles(
     while s < final and count < MAX_STEPS:
         k1, size, f = velocity_at(p, grown - ONE, f, points, faces, neighbours, field, mu, excess, sizes)
         # The remaining motion falls as e^-s, and the error of a step as its fourth power.
-        longest = wp.min(largest_step * wp.sqrt(wp.sqrt(grown)), LONGEST_STEP)
+        # Longest step, of the 14 units of time of a path
+        longest = wp.min(largest_step * wp.sqrt(wp.sqrt(grown)), wp.float64(2.0))
         step = wp.min(longest, courant * size / wp.max(wp.length(k1), TINY))
         step = wp.min(wp.max(step, SHORTEST_STEP), final - s)
         quarter = wp.exp(QUARTER * step)

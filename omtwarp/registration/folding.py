@@ -19,10 +19,8 @@ Floats = NDArray[np.float64]
 
 AREA = 1e5  # mm²
 FLOW_TIME = 160.0  # mm²
-CURVATURE_FWHM = 4.0  # mm, of the kernel that curvature is smoothed with
 LARGEST_CURVATURE = 3.0  # 1 / mm: sharper corners are faults of the mesh
 SMOOTHING_STEPS = 2  # implicit steps of heat: their kernel is between an exponential's and Gauss's
-FWHM = 2.0 * np.sqrt(2.0 * np.log(2.0))  # full width at half maximum of a Gaussian over its standard deviation
 LEAST_AREA = 1e-9  # of a vertex, over the mean of all: none is divided by less
 LARGEST_COTANGENT = 10.0  # of a sliver's angle, above which it counts for no more: the matrices stay definite
 
@@ -52,7 +50,8 @@ class HeatFlow:
 
 def smoothed(surface: Surface, points: Floats, values: Floats, fwhm: float) -> Floats:
     """Smooth values at the vertices, shape [V] or [V, K], by heat with a kernel of a full width at half maximum."""
-    flow = HeatFlow(surface, points, (fwhm / FWHM) ** 2 / 2.0 / SMOOTHING_STEPS)
+    # Fwhm: full width at half maximum of a Gaussian over its standard deviation
+    flow = HeatFlow(surface, points, (fwhm / (2.0 * np.sqrt(2.0 * np.log(2.0)))) ** 2 / 2.0 / SMOOTHING_STEPS)
     for _ in range(SMOOTHING_STEPS):
         values = flow.step(values)
     return values
@@ -75,9 +74,10 @@ def folding_features(vertices: Floats, faces: NDArray[np.int32]) -> dict[str, Fl
     curvature = np.clip(curvature, -LARGEST_CURVATURE, LARGEST_CURVATURE)
     moved = HeatFlow(surface, points, FLOW_TIME).step(points)
     depth = np.einsum("ij,ij->i", moved - points, normals)
+    # Curvature fwhm: mm, of the kernel that curvature is smoothed with
     return {
         "sulc": depth - np.average(depth, weights=areas),
-        "curv": smoothed(surface, points, curvature, CURVATURE_FWHM),
+        "curv": smoothed(surface, points, curvature, 4.0),
     }
 
 

@@ -28,12 +28,6 @@ from omtwarp.resampling.resample import PointsLike
 
 Floats = NDArray[np.float64]
 
-# A best rotation whose correlation is not this much above the next best one's may be the wrong one.
-CLEAR_MARGIN = 0.1
-# Then the best rotations of the lower degree are tried too: features that a warp moves by up to 30 degrees still agree
-# in their longest waves. Of two made cortices at 20 and 40 degrees degree 6 has the nearest rotation among its two best
-# each time, degree 16 once.
-LOW_DEGREE = 6
 STARTS = 3  # rotations of each degree that a doubtful start is tried from
 
 
@@ -175,9 +169,13 @@ def register(
     steps = 3
     notify = progress or (lambda *_: None)
     rotations = feature_rotations(here, there, ours, theirs, most=STARTS)
-    doubtful = rotations[0].score - rotations[0].runner_up < CLEAR_MARGIN
+    # A best rotation whose correlation is not this much above the next best one's may be the wrong one.
+    doubtful = rotations[0].score - rotations[0].runner_up < 0.1
     if doubtful:
-        rotations += feature_rotations(here, there, ours, theirs, LOW_DEGREE, most=STARTS)
+        # Then the best rotations of the lower degree are tried too: features that a warp moves by up to 30 degrees
+        # still agree in their longest waves. Of two made cortices at 20 and 40 degrees degree 6 has the nearest
+        # rotation among its two best each time, degree 16 once.
+        rotations += feature_rotations(here, there, ours, theirs, 6, most=STARTS)
     notify("register", 1, steps, {})
     grid = feature_grid()
     to_grid = resample(there, (grid.vertices, grid.faces), device="cpu")

@@ -17,7 +17,6 @@ from omtwarp.untangling.untangle import untangle
 Floats = NDArray[np.float64]
 
 ROUNDS = 24  # of relaxing around triangles over the bound
-ROUNDS_PER_RING = 4  # after so many, a ring of vertices more is freed
 
 
 def octaves(before: Floats, after: Floats, faces: NDArray[np.int32]) -> tuple[Floats, Floats]:
@@ -63,7 +62,8 @@ def kept_within(surface: Surface, sphere: Floats, bound: float) -> Floats:
         energy = energy or DistortionEnergy(surface, resolve_device("cpu"))
         chosen = np.zeros(surface.vertex_count, dtype=bool)
         chosen[surface.faces[over]] = True
-        chosen = grow(surface.faces, chosen, done // ROUNDS_PER_RING)
+        # Rounds per ring, after so many, a ring of vertices more is freed
+        chosen = grow(surface.faces, chosen, done // 4)
         points = energy.upload(np.ascontiguousarray(sphere))
         moved = relax(energy, points, energy.terms(points), 1.0, 1.0, chosen)
         if moved is not None:

@@ -27,8 +27,6 @@ COARSE = ((8, 40.0, 16.0), (8, 40.0, 4.0), (8, 40.0, 1.0), (16, 20.0, 1.0))
 FINE = ((16, 12.0, 1.0), (32, 7.0, 1.0), (32, 4.0, 1.0))
 ITERATIONS = 40  # at a level
 TOLERANCE = 1e-4  # of the mean distortion
-# Of the bound: between the grid's vertices a mesh is strained a little more than the grid.
-GRID_SHARE = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +64,8 @@ class Warping:
     def __init__(self, target: Floats, weights: Floats, stiffness: float, most_strain: float):
         self.grid = feature_grid()
         self._target, self._weights, self._stiffness = target, weights, stiffness
-        self._bound = GRID_SHARE * most_strain
+        # Of the bound: between the grid's vertices a mesh is strained a little more than the grid.
+        self._bound = 0.9 * most_strain
         self._fields: dict[float, FeatureField] = {}
 
     def run(

@@ -12,9 +12,6 @@ from omtwarp.device.threads import Arguments, launch_parts
 from omtwarp.resampling.overlap_kernels import box_polygons, count_overlaps, list_overlaps
 from omtwarp.spheres import SphereGrid
 
-# Where cells only touch, round-off makes overlaps of some 1e-16 of a cell; the overlaps dropped stay below 1e-13.
-SMALLEST_SHARE = 1e-14
-
 
 def overlap_areas(target: SphereGrid, source: SphereGrid, *, device: str | None = "auto") -> sparse.csr_matrix:
     """Return the areas on the unit sphere that cells of target points share with cells of source points.
@@ -44,7 +41,8 @@ def overlap_areas(target: SphereGrid, source: SphereGrid, *, device: str | None 
     targets, lower, upper = send(target_corners)
     sources, *source_boxes = send(source_corners)
     boxes = wp.Bvh(*source_boxes)
-    smallest = wp.float64(SMALLEST_SHARE * 4.0 * np.pi / max(len(target_corners), len(source_corners)))
+    # Where cells only touch, round-off makes overlaps of some 1e-16 of a cell; the overlaps dropped stay below 1e-13.
+    smallest = wp.float64(1e-14 * 4.0 * np.pi / max(len(target_corners), len(source_corners)))
     counts = wp.empty(len(target_corners), dtype=wp.int32, device=where)
 
     def counting(part: slice) -> Arguments:

@@ -8,8 +8,6 @@ wp.set_module_options(KERNEL_OPTIONS)
 # Two quadrilaterals overlap in a polygon of up to eight corners; while it is cut there may be one more.
 mat93d = wp.types.matrix(shape=(9, 3), dtype=wp.float64)
 
-BOX_MARGIN = wp.constant(wp.float64(1e-6))  # more than the unit of roundoff of the boxes' single precision
-
 
 @wp.func
 def single(v: wp.vec3d) -> wp.vec3:
@@ -101,7 +99,8 @@ def box_polygons(
         high = wp.max(high, corners[i, k])
         for m in range(4):
             diameter = wp.max(diameter, wp.length_sq(corners[i, k] - corners[i, m]))
-    bulge = ONE - wp.sqrt(wp.max(ONE - diameter / wp.float64(3.0), ZERO)) + BOX_MARGIN
+    # Box margin: more than the unit of roundoff of the boxes' single precision
+    bulge = ONE - wp.sqrt(wp.max(ONE - diameter / wp.float64(3.0), ZERO)) + wp.float64(1e-6)
     margin = wp.vec3d(bulge, bulge, bulge)
     lower[i] = single(low - margin)
     upper[i] = single(high + margin)

@@ -20,8 +20,6 @@ from omtwarp.files.output import as_path, staged
 from omtwarp.harmonics import degree_of
 from omtwarp.shape_analysis.expansion import Expansion
 
-LARGEST_FILE = 2**26  # bytes; degree 500 has 251,001 rows of at most 80
-
 
 def write_coef(path: str | os.PathLike[str], expansion: Expansion) -> None:
     """Write the coefficients of a surface for SPHARM-PDM, with all digits.
@@ -44,7 +42,8 @@ def read_coef(path: str | os.PathLike[str]) -> Expansion:
     Raises:
         OmtwarpError: no such file, or no coefficients in it.
     """
-    text = read_bytes(path, LARGEST_FILE, "file of coefficients").decode("ascii", "replace")
+    # Largest file: bytes; degree 500 has 251,001 rows of at most 80
+    text = read_bytes(path, 2**26, "file of coefficients").decode("ascii", "replace")
     head = re.match(r"\s*\{\s*(\d{1,9})\s*,", text)
     if head is None:
         raise OmtwarpError(f"'{path}' is no .coef file: it does not begin with '{{ COUNT,'")

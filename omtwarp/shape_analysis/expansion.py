@@ -17,13 +17,9 @@ from omtwarp.mesh.surface import Surface, triangle_areas
 Floats = NDArray[np.float64]
 
 METHODS = ("least-squares", "quadrature")
-# Least squares whose normal matrix is worse conditioned than this determine the highest degrees by rounding alone.
-WORST_CONDITION = 1e10
 _AT_ONCE = 2**22  # harmonics at points that are held at once
 # Dunavant's rule of degree 4 (1985): barycentric coordinates (1 - 2 a, a, a) in all orders, and weights.
 _RULE = ((0.445948490915965, 0.223381589678011), (0.091576213509771, 0.109951743655322))
-
-MOST_OFF_SPHERE = 1e-3  # of a radius of 1: points written with four digits pass, and those of another radius do not
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +124,8 @@ def expand(
     if not (np.isfinite(points).all() and np.isfinite(data).all()):
         raise OmtwarpError("the points or the data on them are not all finite")
     lengths = np.linalg.norm(points, axis=1)
-    if np.abs(lengths - 1.0).max() > MOST_OFF_SPHERE:
+    # Most off sphere, of a radius of 1: points written with four digits pass, and those of another radius do not
+    if np.abs(lengths - 1.0).max() > 1e-3:
         span = f"{lengths.min():.4g} to {lengths.max():.4g}"
         raise OmtwarpError(f"the points do not lie on the unit sphere: their lengths go from {span}")
     triangles = None if faces is None else np.asarray(faces, dtype=np.int64)
@@ -159,7 +156,8 @@ def _least_squares(points: Floats, data: Floats, weights: Floats, degree: int) -
         normal += weighted.T @ basis
         right += weighted.T @ data[part]
     spectrum = np.linalg.eigvalsh(normal)
-    if spectrum[0] * WORST_CONDITION <= spectrum[-1]:
+    # Least squares whose normal matrix is worse conditioned than this determine the highest degrees by rounding alone.
+    if spectrum[0] * 1e10 <= spectrum[-1]:
         raise too_many
     try:
         solved: Floats = cho_solve(cho_factor(normal, lower=True), right)

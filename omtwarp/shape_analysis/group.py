@@ -20,14 +20,7 @@ from omtwarp.shape_analysis.distance import DEGREE, distance_matrix, transport_m
 Floats = NDArray[np.float64]
 
 PERMUTATIONS = 999  # the smallest p value is then 0.001
-# Highest degree of the features that spheres are aligned by: coarse form determines positions, detail varies. Tubes
-# that vary by 5 % end within 2 to 4 degrees of one another with degree 4.
-ALIGNING_DEGREE = 4
 FEWEST = 5  # shapes; with four there are six labellings, and no p value below a sixth
-# Scatter of a point below this part of the largest is round-off: there is no direction in which groups could differ.
-LEAST_SCATTER = 1e-10
-
-EQUAL = 1e-9  # relative: statistics of two permutations that differ by less are the same one, summed in another order
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +152,9 @@ def study_group(
     if components < 1 or permutations < 1:
         raise OmtwarpError(f"{components} components, {permutations} permutations: give at least 1 of each")
     names = None if labels is None else two_groups(labels, len(maps))
-    found = procrustes_mean(maps, grid=grid, scale=scale, degree=ALIGNING_DEGREE, device=device, progress=progress)
+    # Highest degree of the features that spheres are aligned by: coarse form determines positions, detail varies. Tubes
+    # that vary by 5 % end within 2 to 4 degrees of one another with degree 4.
+    found = procrustes_mean(maps, grid=grid, scale=scale, degree=4, device=device, progress=progress)
     if found.mirrored.any():
         warnings.warn(mirrored_words(found, [f"shape {k}" for k in range(len(maps))]), OmtwarpWarning, stacklevel=2)
     weights = as_points(grid, "the grid").grid.areas
@@ -293,7 +288,9 @@ def hotelling(
     centred = values - values.mean(axis=0)
     scatter = np.einsum("nvi,nvj->vij", centred, centred)
     sizes, axes = np.linalg.eigh(scatter)
-    real = sizes > LEAST_SCATTER * max(float(sizes.max()), np.finfo(float).tiny)
+    # Scatter of a point below this part of the largest is round-off: there is no direction in which groups could
+    # differ.
+    real = sizes > 1e-10 * max(float(sizes.max()), np.finfo(float).tiny)
     scales = np.where(real, 1.0 / np.sqrt(np.where(real, sizes, 1.0)), 0.0)
     white = (np.einsum("nvi,vij->nvj", centred, axes) * scales[None]).reshape(count, -1)
 
@@ -310,5 +307,6 @@ def hotelling(
         if k == 0:
             observed = squared
     # Equal up to round-off counts as at least as large.
-    p_values = (extremes[:, None] >= observed * (1.0 - EQUAL)).mean(axis=0)
+    # Equal, relative: statistics of two permutations that differ by less are the same one, summed in another order
+    p_values = (extremes[:, None] >= observed * (1.0 - 1e-9)).mean(axis=0)
     return observed, np.asarray(p_values)

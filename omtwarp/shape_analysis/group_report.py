@@ -21,7 +21,6 @@ from omtwarp.shape_analysis.group import GroupStudy, mirrored_words
 SHOWN = 2.0  # standard deviations to either side of the mean
 SIGNIFICANT = 0.05  # level of the corrected p values, the customary one
 PICTURE = (420, 300)  # pixels
-DRAWN = 3  # components with pictures on the page
 MOST_ROWS = 200  # of the table on the page; table.csv has all
 
 
@@ -107,7 +106,8 @@ def _body(study: GroupStudy, columns: Sequence[str], rows: Sequence[Sequence[str
     body.append(
         element("p", f"The mean less and plus {SHOWN:g} standard deviations; red lies outside it, blue inside.")
     )
-    for k in range(min(DRAWN, len(known.deviations))):
+    # Drawn: components with pictures on the page
+    for k in range(min(3, len(known.deviations))):
         normals = vertex_normals(study.alignment.mean, study.alignment.faces)
         outward = SHOWN * known.deviations[k] * (known.directions[k] * normals).sum(axis=1)
         pair = [(f"component {k + 1}, {word}", sign) for word, sign in (("minus", -1.0), ("plus", 1.0))]

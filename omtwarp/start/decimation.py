@@ -27,18 +27,6 @@ from omtwarp.start.decimation_kernels import (
     select_minima,
 )
 
-# Only the cheaper part of the candidates takes part in a round: order by cost, at the price of more rounds.
-_CHEAPER_PART = 0.6
-# Below this many vertices one goes at a time: independent removals of tiny meshes can produce the same face twice.
-_ONE_AT_A_TIME = 8
-# Share of a star's mass that is divided evenly over its fan, independent of areas in space.
-_EVEN_SHARE = 0.2
-# The same where vertices are removed by distance: large triangles lose it to every small one beside them. Areas of a
-# drawn box's coarse levels differ by at most 1 % of the whole from the surface's with this, by up to 31 % with 0.2.
-_EVEN_SHARE_BY_DISTANCE = 1e-6
-# Least mass of a face, relative to the mean: the mass of a sliver would be no barrier against its flip.
-_MASS_FLOOR = 1e-3
-
 
 @dataclass
 class Level:
@@ -117,11 +105,16 @@ def simplify(
     count = surface.vertex_count
     faces = surface.faces
     _require_sphere_topology(faces, count)
-    masses = np.maximum(surface.face_areas, _MASS_FLOOR * surface.face_areas.mean())
+    # Least mass of a face, relative to the mean: the mass of a sliver would be no barrier against its flip.
+    masses = np.maximum(surface.face_areas, 1e-3 * surface.face_areas.mean())
     masses *= 4.0 * np.pi / masses.sum()
     points: wp.array = wp.array(surface.scaled_vertices, dtype=wp.vec3d, device=device)
     alive = np.arange(count, dtype=np.int32)
-    even_share = _EVEN_SHARE_BY_DISTANCE if by_distance else _EVEN_SHARE
+    # Share of a star's mass that is divided evenly over its fan, independent of areas in space.
+    # The same where vertices are removed by distance: large triangles lose it to every small one beside them. Areas of
+    # a drawn box's coarse levels differ by at most 1 % of the whole from the surface's with this, by up to 31 % with
+    # 0.2.
+    even_share = 1e-6 if by_distance else 0.2
     device_kinds = integers(np.full(count, INSIDE) if kinds is None else kinds, device)
     fewest = 4 if kinds is None else 5
     levels: list[Level] = []
@@ -207,9 +200,11 @@ def _select(
         raise OmtwarpError(
             f"simplification stopped at {len(alive)} vertices: the mesh is not one closed manifold of genus 0"
         )
-    if len(alive) <= _ONE_AT_A_TIME:
+    # Below this many vertices one goes at a time: independent removals of tiny meshes can produce the same face twice.
+    if len(alive) <= 8:
         return legal[[np.argmin(cost[legal])]].astype(np.int64)
-    bound = np.quantile(cost[legal], _CHEAPER_PART)
+    # Only the cheaper part of the candidates takes part in a round: order by cost, at the price of more rounds.
+    bound = np.quantile(cost[legal], 0.6)
     candidates = legal[cost[legal] <= bound]
     # Equal costs up to 20 % are put in random order: strictly by cost, local minima are few and the rounds many.
     classes = np.floor(4.0 * np.log2(np.maximum(cost[candidates], TINY))).astype(np.int64) + (1 << 15)

@@ -18,14 +18,9 @@ Ring = wp.types.vector(length=MAX_VALENCE, dtype=wp.int32)
 
 FORBIDDEN_COST = wp.constant(wp.float64(1.0e300))  # of a removal that would break the mesh: more than any other
 NO_KEY = wp.constant(wp.int64(0x7FFFFFFFFFFFFFFF))  # the largest int64, after every key
-_FOUR_ROOT_THREE = wp.constant(wp.float64(6.928203230275509))  # Σ of squared sides over area, if equilateral
-# Times the shape measure of an equilateral triangle: worse ones count as this, or one needle would outweigh its ring.
-# On scans of 6,000 and 20,000 triangles 200 decimates as 20 does, and 3 changes the embedding's mean angle by 0.5 %.
-_WORST_SHAPE = wp.constant(wp.float64(20.0))
 # Kinds of vertices of a surface with a boundary whose hole a fan around one vertex closes.
 INSIDE, RIM, POLE = 0, 1, 2
 _INSIDE, _RIM = wp.constant(INSIDE), wp.constant(RIM)
-_MAX_FREE_VALENCE = wp.constant(wp.int32(8))  # degrees up to which a vertex is not crowded; twelve fit the arrays
 
 
 @wp.func
@@ -96,7 +91,11 @@ def shape_penalty(p: wp.vec3d, q: wp.vec3d, r: wp.vec3d, star_normal: wp.vec3d) 
     normal = wp.cross(q - p, r - p)
     double_area = wp.length(normal)
     squares = wp.length_sq(q - p) + wp.length_sq(r - q) + wp.length_sq(p - r)
-    shape = wp.min(TWO * squares / wp.max(_FOUR_ROOT_THREE * double_area, TINY), _WORST_SHAPE)
+    # Four root three: Σ of squared sides over area, if equilateral
+    # Times the shape measure of an equilateral triangle: worse ones count as this, or one needle would outweigh its
+    # ring. On scans of 6,000 and 20,000 triangles 200 decimates as 20 does, and 3 changes the embedding's mean angle by
+    # 0.5 %.
+    shape = wp.min(TWO * squares / wp.max(wp.float64(6.928203230275509) * double_area, TINY), wp.float64(20.0))
     fold = ONE - wp.dot(normal, star_normal) / wp.max(double_area * wp.length(star_normal), TINY)
     return shape * (ONE + fold)
 
@@ -154,7 +153,8 @@ def propose_collapses(
                         r = points[ring[(apex + k + 1) % valence]]
                         shape += shape_penalty(points[w], q, r, star_normal)
                     # Valences stay low, so that rings fit the arrays of fixed size and their kernels stay large.
-                    crowd = wp.float64(wp.max(0, offsets[w + 1] - offsets[w] + valence - 4 - _MAX_FREE_VALENCE))
+                    # Max free valence: degrees up to which a vertex is not crowded; twelve fit the arrays
+                    crowd = wp.float64(wp.max(0, offsets[w + 1] - offsets[w] + valence - 4 - wp.int32(8)))
                     size = mass
                     if by_distance:
                         size = wp.length_sq(points[w] - points[v])

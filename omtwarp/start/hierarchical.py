@@ -28,12 +28,6 @@ from omtwarp.start.decimation import Hierarchy, Level, Removal, integers, simpli
 from omtwarp.start.decimation_kernels import MAX_VALENCE
 from omtwarp.start.hierarchical_kernels import insert_vertices, relax_vertices, triangle_coefficients
 
-# The areas of coarse triangles are exact, their shapes only approximate: on a level of n vertices, a quarter of all or
-# fewer, the weight of area is at least this number over n. This lowers the area distortion of long tubes (5.6 instead
-# of 7.1 at 30 girths) and does not change that of compact shapes.
-_COARSE_AREA_WEIGHT = 1e4
-# Part of an equilateral triangle mixed into each coarse triangle's metric.
-_ROUNDING = 0.001
 # Levels with fewer vertices than this are cheap and determine the global layout: they get more sweeps.
 _SMALL_LEVEL = 1000
 _SMALL_SWEEPS = 30
@@ -221,6 +215,7 @@ class Embedding:
             integers(x, self.device) for x in (level.vertices, level.offsets, level.heads, level.thirds)
         )
         self.coefficients: wp.array = wp.empty(len(level.heads), dtype=wp.vec4d, device=self.device)
+        # Part of an equilateral triangle mixed into each coarse triangle's metric.
         wp.launch(
             triangle_coefficients,
             dim=len(level.vertices),
@@ -232,7 +227,7 @@ class Embedding:
                 integers(level.half_edge_faces, self.device),
                 wp.array(level.face_masses, dtype=wp.float64, device=self.device),
                 self.points,
-                _ROUNDING,
+                0.001,
             ],
             outputs=[self.coefficients],
             device=self.device,
@@ -272,7 +267,10 @@ class Embedding:
         """Return a recorded launch of a kernel that moves vertices; ``more`` are its last inputs."""
         area_weight, count = self.area_weight, len(self.level.vertices)
         if 4 * count <= len(self.sphere):
-            area_weight = max(area_weight, _COARSE_AREA_WEIGHT / count)
+            # The areas of coarse triangles are exact, their shapes only approximate: on a level of n vertices, a
+            # quarter of all or fewer, the weight of area is at least this number over n. This lowers the area
+            # distortion of long tubes (5.6 instead of 7.1 at 30 girths) and does not change that of compact shapes.
+            area_weight = max(area_weight, 1e4 / count)
         mesh = [self.vertices, self.offsets, self.heads, self.thirds, self.coefficients]
         move = wp.launch(
             kernel,

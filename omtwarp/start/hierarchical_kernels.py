@@ -8,7 +8,6 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 _MAX_VALENCE = wp.constant(MAX_VALENCE)
 _NO_POLE = wp.constant(-1)  # of a closed surface
-_INFEASIBLE = wp.constant(wp.float64(1.0e300))  # energy of a ring with a flipped triangle: more than any other
 # det[a, b, c] evaluated in float64 from unit vectors is right to about 3e-16: no move may bring a triangle nearer to 0
 # than this, unless it is already nearer.
 _SAFE_DETERMINANT = wp.constant(wp.float64(1.0e-12))
@@ -167,7 +166,8 @@ def star_energy(
         k = coefficients[h]
         det = wp.dot(x, wp.cross(a, b - a))
         if det <= least_determinant:
-            return _INFEASIBLE
+            # Infeasible, energy of a ring with a flipped triangle: more than any other
+            return wp.float64(1.0e300)
         if heads[h] != pole and thirds[h] != pole:
             stretch = k[0] * wp.length_sq(b - a) + k[1] * wp.length_sq(x - b) + k[2] * wp.length_sq(x - a)
             energy += k[3] * (stretch + TWO * area_weight * k[3]) / det + HALF * area_weight * det

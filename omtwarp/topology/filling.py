@@ -21,9 +21,6 @@ from scipy.sparse.linalg import spsolve
 from omtwarp.geometry.operators import corner_cotangents
 
 COARSENING = 0.8  # a ring has at least so many times the vertices of the ring around it
-FAN = 7  # a ring of so few vertices is closed by one vertex in the middle
-RENEWALS = 5  # of the membrane's weights; the area then changes by less than a per cent
-EQUALLY_FAR = 1e-9  # difference of distances, over the largest, that may be round-off of another order or position
 LEAST_WEIGHT = 1e-3  # of an edge: positive, so that a vertex lies among its neighbours
 
 
@@ -57,7 +54,8 @@ def fill_loop(points: NDArray[np.float64]) -> Patch:
     turns = np.concatenate([[0.0], np.cumsum(steps)[:-1]]) / max(float(steps.sum()), np.finfo(float).tiny)
     flat, faces = _rings(turns)
     places = _harmonic(flat, faces, loop)
-    for _ in range(RENEWALS):
+    # Renewals, of the membrane's weights; the area then changes by less than a per cent
+    for _ in range(5):
         places = _harmonic(places, faces, loop)
     return Patch(places[count:] * extent + centre, np.where(faces < count, (faces + begin) % count, faces))
 
@@ -65,7 +63,8 @@ def fill_loop(points: NDArray[np.float64]) -> Patch:
 def _beginning(points: NDArray[np.float64]) -> int:
     """Return the vertex of a loop that is nearest to its middle, of equally near ones the first along x, y and z."""
     far = np.linalg.norm(points - points.mean(axis=0), axis=1)
-    nearest = np.flatnonzero(far <= far.min() + EQUALLY_FAR * far.max())
+    # Equally far: difference of distances, over the largest, that may be round-off of another order or position
+    nearest = np.flatnonzero(far <= far.min() + 1e-9 * far.max())
     return int(nearest[np.lexsort(points[nearest, ::-1].T)[0]])
 
 
@@ -73,7 +72,8 @@ def _rings(turns: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.
     """Triangulate the unit disk, its first vertices on the circle at the turns given, in [0, 1), ascending."""
     rings, radius = [turns], 1.0
     points = [np.stack([np.cos(2 * np.pi * turns), np.sin(2 * np.pi * turns), 0.0 * turns], axis=1)]
-    while len(rings[-1]) > FAN:
+    # Fan: a ring of so few vertices is closed by one vertex in the middle
+    while len(rings[-1]) > 7:
         around = len(rings[-1])
         # Near-equilateral triangles: the next ring is sqrt(3)/2 of an edge further in.
         shrink = 1.0 - np.sqrt(3.0) * np.pi / around

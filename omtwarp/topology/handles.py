@@ -24,11 +24,6 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import edge_keys
 from omtwarp.topology.boundary import boundary_loops
 
-FAR_SWEEPS = 3  # from the farthest vertex to the one farthest from it
-ROOTS = 6  # vertices through which a short loop is sought where it need not be the shortest
-CHUNK = 4_000_000  # edges times roots at once, which bounds the memory
-SHORTER = 1.0 - 1e-12  # of a length: a difference above rounding
-
 
 @dataclass(frozen=True)
 class CutSurface:
@@ -103,7 +98,8 @@ def slit_open(vertices: NDArray[np.float64], faces: NDArray, share: float = 1.0)
     lengths = np.maximum(lengths, np.finfo(float).eps * lengths.max())
     graph = sparse.csr_array((lengths, (tail[one_way], head[one_way])), shape=(count, count))
     root = int(tail[0])
-    for _ in range(FAR_SWEEPS):
+    # Far sweeps, from the farthest vertex to the one farthest from it
+    for _ in range(3):
         steps, before = csgraph.dijkstra(graph, directed=False, indices=root, return_predecessors=True)
         far, last = int(np.argmax(np.where(np.isfinite(steps), steps, -1.0))), root
         root = far
@@ -134,7 +130,8 @@ def shortest_handle_loop(
     """
     graph = _LoopGraph(vertices, np.asarray(faces, dtype=np.int64))
     roots = graph.roots()
-    first = np.unique(roots[:: max(1, len(roots) // ROOTS)])
+    # Roots: vertices through which a short loop is sought where it need not be the shortest
+    first = np.unique(roots[:: max(1, len(roots) // 6)])
     graph.search(first)
     if thorough or graph.loop is None:
         graph.search(np.setdiff1d(roots, first))
@@ -189,7 +186,8 @@ class _LoopGraph:
         free = np.flatnonzero(~self.forbidden[self.edges].any(axis=1))
         a, b = self.edges[free].T
         paths = sparse.csr_array((self.lengths[free], (a, b)), shape=(self.count, self.count))
-        size = max(1, CHUNK // max(len(free), 1))
+        # Chunk: edges times roots at once, which bounds the memory
+        size = max(1, 4_000_000 // max(len(free), 1))
         for start in range(0, len(roots), size):
             group = roots[start : start + size]
             # A loop through a root lies within half its length of it.
@@ -198,7 +196,8 @@ class _LoopGraph:
             )
             place, parity = self._parities(steps, before)
             through = steps[:, a] + steps[:, b] + self.lengths[free]
-            row, edge = np.nonzero(through < SHORTER * self.length)
+            # Shorter, of a length: a difference above rounding
+            row, edge = np.nonzero(through < (1.0 - 1e-12) * self.length)
             turned = parity[place[row, a[edge]]] ^ parity[place[row, b[edge]]] ^ self._crossed[free[edge]]
             around = np.flatnonzero(turned.any(axis=1))
             if len(around):

@@ -4,8 +4,6 @@ from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, wp
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-LEAST_RATIO = wp.constant(wp.float64(1e-150))  # of areas: its reciprocal, and that times an area, stay finite
-
 
 @wp.func
 def centre(points: wp.array[wp.vec3d], face: wp.vec3i):
@@ -31,7 +29,8 @@ def area_error(points: wp.array[wp.vec3d], face: wp.vec3i, area: wp.float64, lar
     """Return area times D + 1/D - 2 of a triangle, D the area of its flat image over its own, at most ``largest``."""
     p0 = points[face[0]]
     image = HALF * wp.length(wp.cross(points[face[1]] - p0, points[face[2]] - p0))
-    ratio = wp.max(image / area, LEAST_RATIO)
+    # Least ratio, of areas: its reciprocal, and that times an area, stay finite
+    ratio = wp.max(image / area, wp.float64(1e-150))
     return area * wp.min(ratio + ONE / ratio - TWO, largest)
 
 

@@ -8,7 +8,6 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 SUFFICIENT_DECREASE = wp.constant(wp.float64(0.1))  # share of the gain by the slope that a step has to reach (Armijo)
 AREA_HALVINGS = wp.constant(3)  # of a step that loses too much area, at most
-STEP_TRIALS = wp.constant(30)  # lengths of a step, at most: halved so often, it is below 1e-9 of the first
 TENTH = wp.constant(wp.float64(0.1))
 ROUND_OFF = wp.constant(wp.float64(1e-14))  # relative: some fifty times that of float64
 
@@ -195,7 +194,8 @@ def judge_step(
         s.step = wp.max(wp.min(best, HALF * s.step), TENTH * s.step)
         if -s.slope * s.step < s.negligible * s.cost:
             over = 1
-    if s.trials == STEP_TRIALS:
+    # Step trials, lengths of a step, at most: halved so often, it is below 1e-9 of the first
+    if s.trials == 30:
         over = 1
     if over == 1:
         searching[0] = 0

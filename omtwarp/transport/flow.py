@@ -66,9 +66,6 @@ NEGLIGIBLE = {"default": 1e-7, "plain": 1e-10}
 AREA_LOSS = 0.1
 AREA_PRICE = 0.02
 LONGEST_STEP = 4.0
-# A step that flips triangles whose repair takes more rounds than this, each a ring further, is too long. Scanned shapes
-# took 48 at most.
-GUARD_ROUNDS = 100
 # Where iterations are a graph on the device, the host reads the records of this many at a time.
 ITERATIONS_AT_ONCE = 10
 # Why the flow ended, in the order of the kernels; after the first three the map may be optimal.
@@ -88,8 +85,6 @@ OPTIMAL_CURL = 0.025
 # The numbers that an iteration records, in the order of the kernels.
 RECORD = ("cost", "curl", "step", "held", "area_error")
 
-# Radians: distances of a map that is its own start are rounding, and steps are in proportion to 1 / cost.
-LEAST_COST = 1e-12
 # First steps, in units of a Newton step on a flat density, and of the plain scheme in squared spacings of nodes.
 # Measured with the geodesic cost on a scan of 6,000 triangles: 0.05 ends after as many iterations as 0.4, and 2 after
 # two, at a cost that is 0.3 % higher; plain, 0.01 takes 429 iterations and 0.5 takes 155, for a cost that is 0.07 %
@@ -354,7 +349,9 @@ class _Flow:
 
         launch_parts(advect_points, self.count, arguments, self.device)
         if self.guarded:
-            self.guard.hold(self.points, self.trial, GUARD_ROUNDS)
+            # A step that flips triangles whose repair takes more rounds than this, each a ring further, is too long.
+            # Scanned shapes took 48 at most.
+            self.guard.hold(self.points, self.trial, 100)
         inputs = [self.measure(self.trial), wp.float64(SPHERE_AREA), self.state]
         self.launch(judge_step, 1, inputs, [self.running, self.searching])
 
@@ -363,7 +360,8 @@ class _Flow:
         self.guard.held.zero_()
         cost, error = (float(x) for x in self.measure(self.points).numpy().sum(axis=0))
         # In the squared cost a unit of the preconditioned gradient, halved, is a Newton step on a flat density.
-        scale = 2.0 if not self.geodesic else 4.0 * np.pi / max(cost, LEAST_COST)
+        # Radians: distances of a map that is its own start are rounding, and steps are in proportion to 1 / cost.
+        scale = 2.0 if not self.geodesic else 4.0 * np.pi / max(cost, 1e-12)
         self.state.zero_()
         state = self.state.numpy().copy()
         area_error = error / SPHERE_AREA

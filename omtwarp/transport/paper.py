@@ -52,21 +52,11 @@ from omtwarp.transport import paper_kernels as kernels
 from omtwarp.wavelets import SphereSampler, SphericalWavelets, level_for, sphere_hierarchy
 
 V_CYCLE = (1, 2, 3, 4, 5, 4, 3, 2, 1)  # levels of wavelets in turn, as the paper's Algorithm 2 goes through them
-HIGHEST_RESOLUTION = 8  # its wavelets are on a hierarchy of 655,362 nodes and the next level
 COURANT = 0.1  # of the size of the triangle that a point crosses: the longest way it goes in a step
-WITHIN_COURANT = 0.999  # share of the points that COURANT is kept for; the others are held back
-HOLDING_ROUNDS = 8  # in which points around flipped triangles are held back before a step is refused
-FIRST_STEP = 0.1  # times the squared spacing of the level's nodes
 GROWTH = 1.5  # of the step after one that was accepted; it is halved after one that was not
-SMALLEST_DISPLACEMENT = 0.1  # of the mean displacement: the geodesic cost has no gradient at zero
 # How much the mean area distortion may grow where no bound is given: a constant, and a share of what it is above 2. The
 # paper's tables show a growth of 0.003 on Max Planck, from 2.004, and of 0.10 on Gargoyle, from 2.51.
 AREA_LOSS, RELATIVE_AREA_LOSS = 0.002, 0.15
-SMALLEST_MASS = 1e-12  # of the mean: velocities are divided by masses, and a triangle without area carries nothing
-RESOLVED_DISPLACEMENT = 1e-8  # radians: the sine of a smaller angle is lost in the round-off of a cross product
-STALLED = 1e-6  # of the first step: a level whose step has become shorter is left out
-
-LEAST_DISPLACEMENT = 1e-12  # radians: of a map that is its own start, which is divided by
 
 
 @dataclass(frozen=True)
@@ -133,7 +123,8 @@ class PaperFlow:
                 f"got {start.shape} and {masses.shape}"
             )
         masses *= 4 * np.pi / masses.sum()
-        masses = np.maximum(masses, SMALLEST_MASS * masses.mean())
+        # Smallest mass, of the mean: velocities are divided by masses, and a triangle without area carries nothing
+        masses = np.maximum(masses, 1e-12 * masses.mean())
         self.squared = int(choose(Cost, cost) is Cost.SQUARED)
         self.operators = DifferentialOperators(surface.vertices, surface.faces, device=device)
         self.device = self.operators.device
@@ -164,8 +155,10 @@ class PaperFlow:
 
         sine = np.linalg.norm(np.cross(self._points.numpy(), self.dual_map.numpy()), axis=1)
         self.mean_displacement = float((masses * sine).sum() / (4 * np.pi))
-        relative = 0.0 if self.squared else SMALLEST_DISPLACEMENT * self.mean_displacement
-        self._smallest = max(relative, RESOLVED_DISPLACEMENT)
+        # Smallest displacement, of the mean displacement: the geodesic cost has no gradient at zero
+        relative = 0.0 if self.squared else 0.1 * self.mean_displacement
+        # Resolved displacement, radians: the sine of a smaller angle is lost in the round-off of a cross product
+        self._smallest = max(relative, 1e-8)
 
     def _send(self, array: NDArray[np.float64], dtype: type = wp.float64) -> wp.array:
         return wp.array(np.ascontiguousarray(array), dtype=dtype, device=self.device)
@@ -221,7 +214,8 @@ class PaperFlow:
         mesh = [self.operators.vertices, self.operators.faces]
         inputs = [*mesh, self._areas, self._masses, self._at_vertices]
         self._launch(kernels.dual_velocity, len(self.dual_map), inputs, [self._velocity, self._rate])
-        return float(np.quantile(self._rate.numpy(), WITHIN_COURANT))
+        # Within courant: share of the points that COURANT is kept for; the others are held back
+        return float(np.quantile(self._rate.numpy(), 0.999))
 
     def advance(self, step: float) -> bool:
         """Compute the map after a step dt (Algorithm 1, line 17), without accepting it; return False where it flips.
@@ -232,7 +226,8 @@ class PaperFlow:
         rows = [self.operators.corner_offsets, self.operators.corners]
         faces, count = self.operators.faces, len(self.dual_map)
         self._held.zero_()
-        for _ in range(HOLDING_ROUNDS):
+        # Holding rounds, in which points around flipped triangles are held back before a step is refused
+        for _ in range(8):
             inputs = [*mesh, self._velocity, self._rate, COURANT / step, self._held, step, self.map, self.dual_map]
             self._launch(kernels.advance_map, count, inputs, [self._advanced])
             self._to_vertices(self._advanced, self._advanced_map)
@@ -325,7 +320,8 @@ def paper_flow(
     surface = as_surface(surface)
     if resolutions is None:
         resolutions = default_resolutions(surface.vertex_count)
-    levels = whole_numbers(resolutions, "resolutions", (None,), below=HIGHEST_RESOLUTION + 1).tolist()
+    # Highest resolution: its wavelets are on a hierarchy of 655,362 nodes and the next level
+    levels = whole_numbers(resolutions, "resolutions", (None,), below=8 + 1).tolist()
     if not levels:
         raise OmtwarpError("resolutions: give at least one")
     cycles = whole_number(cycles, "cycles")
@@ -366,9 +362,12 @@ class _Descent:
         self._flow, self._resolutions = flow, resolutions
         # The gradient of the distance has length one, so that its flow is faster than that of the squared distance, by
         # a factor of the displacement.
-        scale = FIRST_STEP * (0.5 if flow.squared else max(flow.mean_displacement, LEAST_DISPLACEMENT))
+        # First step: times the squared spacing of the level's nodes
+        # Least displacement, radians: of a map that is its own start, which is divided by
+        scale = 0.1 * (0.5 if flow.squared else max(flow.mean_displacement, 1e-12))
         self._steps = {r: scale * flow.wavelets.hierarchy.node_spacing(r + 1) ** 2 for r in set(resolutions)}
-        self._least = {r: STALLED * step for r, step in self._steps.items()}
+        # Stalled, of the first step: a level whose step has become shorter is left out
+        self._least = {r: 1e-6 * step for r, step in self._steps.items()}
         self._cost, self._area = flow.cost_of(flow.dual_map), flow.area_of(flow.map)
         default = AREA_LOSS + RELATIVE_AREA_LOSS * max(self._area - 2.0, 0.0)
         self._largest_area = self._area + (default if area_loss is None else area_loss)

@@ -53,8 +53,6 @@ NEGLIGIBLE_CURL = 1e-3
 MAX_COUNTED_ERROR = 10.0
 AREA_SLACK = 1e-4
 
-LEAST_SIZE = 1e-150  # of the displacements: its square is a normal number; a map that is its own start has none
-
 
 @blas_threads(1)
 def polish_transport(
@@ -101,7 +99,8 @@ def polish_transport(
     least, held, step, last = np.inf, 0, STEP, False
     for number in range(rounds + 1):
         removable, size, solved = curl.removable(points)
-        relative = removable / max(size, LEAST_SIZE)
+        # Least size, of the displacements: its square is a normal number; a map that is its own start has none
+        relative = removable / max(size, 1e-150)
         cost, *errors = curl.cost_and_errors(points)
         slack = AREA_SLACK + AREA_PRICE * max(0.0, 1.0 - cost / max(first_cost, TINY))
         tried = step

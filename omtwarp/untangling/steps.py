@@ -16,14 +16,11 @@ from omtwarp.untangling.untangle import STEP_WORK, RepairBudget, Schedule, untan
 
 HOLDS = 30  # halvings of the shares of corners of triangles in trouble
 # With 0.02 and 0.1 the map of a creature of 2,000 vertices has the same bits.
-MOST_TROUBLE = 0.05  # of the triangles: with more than that the step itself is too long
 REPAIRS = (
     Schedule(rings=2, factor=0.3, steps=2, thinnest=0.0, largest=0.1),
     Schedule(rings=3, factor=0.4, steps=2, thinnest=0.02, largest=0.5),
 )  # how the few triangles that a step flips are untangled, before the step is shortened
 
-# Of the budget of one repair, for all steps of a minimisation: a body with eight thin arms takes four fifths of it.
-STEPS_SHARE = 3.0
 # Where untangling after steps fails, later ones mostly fail too, at as much work: after so much without a success, in
 # vertices times Newton steps per vertex, and twice as much once a few succeeded, steps only hold vertices back. On a
 # box with triangles of 0.001 degrees 49 of 50 fail, at 10 to 16 each. An octopus, whose steps need untangling, ends at
@@ -46,7 +43,9 @@ class FlipFreeSteps:
         self._surface, self._device, self._partial = surface, device, partial
         mesh = surface.on(device)
         self._faces, self._rows = mesh.faces, mesh.vertex_corners
-        self.budget = RepairBudget(surface, STEPS_SHARE)
+        # Of the budget of one repair, for all steps of a minimisation: a body with eight thin arms takes four fifths of
+        # it.
+        self.budget = RepairBudget(surface, 3.0)
         self._successes, self._refused = 0, False
         self._useful = 0  # what of the budget was spent at the last success
 
@@ -78,7 +77,8 @@ class FlipFreeSteps:
             if self.hopeless:
                 self._refused = True
                 return None
-            if seeds.mean() > MOST_TROUBLE:
+            # Most trouble, of the triangles: with more than that the step itself is too long
+            if seeds.mean() > 0.05:
                 return None
             schedule = replace(schedule, weight=weight, partial=self._partial)
             # Of scans and made shapes none that succeeds takes more.

@@ -78,8 +78,6 @@ STEP_WORK = 1000
 # limbs took 60 to 1,900, up to a minute for a thousand triangles, for areas better by 0.25 at most. So much takes about
 # twice as long as a whole map of an ordinary shape.
 WORK_PER_VERTEX = 40.0
-# Of the sphere: a patch whose triangles cover nothing in sum is not mistaken for one that covers everything.
-SHARE_ROUND_OFF = 1e-9
 # Relative growth of the diagonal of the semidefinite Hessian. With 1e-9, steps along directions of little curvature
 # turn a change of 1e-12 in a map into one of 5e-4 (a scan with 230 flips), with 1e-5 into 8e-6, with 1e-3 into 1e-8.
 DAMPING = 1e-3
@@ -87,7 +85,6 @@ MAX_HALVINGS = 20  # of a patch's step before the patch stays where it is
 # With half and twice the first, and 0.5 and 0.9 for the second, the area distortion of a creature of 2,000 vertices
 # differs by at most 0.0002.
 SETTLED_GAIN = 0.01  # of a patch's energy: where a step is expected to gain less than half of it, ε is lowered
-MAX_ACTIVE_SHARE = 0.7  # of the triangles: where fewer are in tangled patches, the solved patches are dropped
 
 
 class RepairBudget:
@@ -281,7 +278,8 @@ class _Untangling:
         # The surroundings of a patch determine the area that it has to cover, up to whole spheres; the whole map covers
         # one.
         alone = self.whole.free == len(self.whole.vertices)
-        self.share = np.ones(1) if alone else covered - np.floor(covered + SHARE_ROUND_OFF)
+        # Of the sphere: a patch whose triangles cover nothing in sum is not mistaken for one that covers everything.
+        self.share = np.ones(1) if alone else covered - np.floor(covered + 1e-9)
         self.whole_share, self.surplus = self.share, np.rint(covered - self.share)
 
     def _take(self, patches: Patches) -> None:
@@ -361,7 +359,8 @@ class _Untangling:
             if not active.any() or budget.exhausted:
                 break
             epsilon[active] = np.maximum(epsilon[active] * self.schedule.factor, SMALLEST_EPSILON)
-            if active[self.patches.face_patch].mean() < MAX_ACTIVE_SHARE:
+            # Max active share, of the triangles: where fewer are in tangled patches, the solved patches are dropped
+            if active[self.patches.face_patch].mean() < 0.7:
                 points = wp.array(self._narrow(active, points.numpy()), dtype=wp.vec3d, device=self.device)
                 epsilon, active = epsilon[active], active[active]
         self._keep(points.numpy())

@@ -14,8 +14,6 @@ from omtwarp.geometry.sphere_hierarchy import SphereHierarchy
 from omtwarp.wavelets import kernels
 from omtwarp.wavelets.transform import SphericalWavelets
 
-RANK = 1e-10  # relative, of eigenvalues that are zero but for rounding: that of the constants, of the solid's few nodes
-
 
 def wavelet_energies(hierarchy: SphereHierarchy, wavelets: SphericalWavelets) -> NDArray[np.float64]:
     """Return the Dirichlet energy ∫ |grad psi|^2 of every wavelet, shape [N]; zero at the solid's nodes.
@@ -89,7 +87,8 @@ class WaveletPreconditioner:
             factors[solid:] *= damping[solid:]
         coarse = cotangent_laplacian(hierarchy.vertices[:solid], hierarchy.level_faces[0]).toarray()
         self._factors = wp.array(factors, device=self.device)
-        self._coarse_inverse = wp.array(np.linalg.pinv(coarse, rcond=RANK, hermitian=True), device=self.device)
+        # Rank, relative, of eigenvalues that are zero but for rounding: that of the constants, of the solid's few nodes
+        self._coarse_inverse = wp.array(np.linalg.pinv(coarse, rcond=1e-10, hermitian=True), device=self.device)
         self._coarse = wp.empty(solid, dtype=wp.float64, device=self.device)
 
     def apply(self, right_hand_side: wp.array, out: wp.array | None = None) -> wp.array:

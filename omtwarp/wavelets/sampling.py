@@ -23,8 +23,6 @@ from omtwarp.wavelets.sampling_kernels import (
 )
 from omtwarp.wavelets.transform import transposed_rows
 
-LEAST_MASS = 1e-12  # of a node's mean share of the sphere: with less no point is near it, and the sum is rounding
-
 
 class SphereSampler:
     """Interpolation, its adjoint, and gradients between points and the nodes of one level of a hierarchy.
@@ -197,7 +195,8 @@ class SphereSampler:
         out = self._output(out, self.node_count, wp.float64)
         self.adjoint(source, self._level_sums[self.level])
         self._coarsen(self._level_sums[self.level], self._level_sums)
-        smallest = LEAST_MASS * 4 * np.pi / self.node_count
+        # Least mass, of a node's mean share of the sphere: with less no point is near it, and the sum is rounding
+        smallest = 1e-12 * 4 * np.pi / self.node_count
         out.zero_()
         for j in range(self.level + 1):
             count = self.hierarchy.node_counts[j]
