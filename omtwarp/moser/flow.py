@@ -19,7 +19,7 @@ from omtwarp.moser.kernels import face_areas, integrate_particles, sources_and_d
 from omtwarp.options import Progress, Record
 from omtwarp.solvers.poisson import PoissonSolver, cotangent_solver, solve_arrays
 
-COURANT = 0.5
+COURANT = 0.5  # of a triangle's size: a particle moves by at most this in a step
 PARTS = 4  # of the work in progress reports: half is the factorisation
 
 

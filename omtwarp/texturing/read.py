@@ -41,77 +41,6 @@ _OPTIONS = {
 
 
 @dataclass
-class Wavefront:
-    """The content of an OBJ file.
-
-    Attributes:
-        vertices: float64, shape [V, 3].
-        faces: int64, shape [F, 3].
-        uv: shape [F, 3, 2], NaN where a triangle has none; None where none has any.
-        face_material: number in ``names`` for every triangle, shape [F].
-        names: of the materials used, in the order of their first use; the empty one for triangles without.
-        libraries: names of the material libraries.
-        colors: at the vertices, shape [V, 3], where every one has them.
-        notes: what had to be decided, in words.
-    """
-
-    vertices: Floats
-    faces: NDArray[np.int64]
-    uv: Floats | None
-    face_material: Ints
-    names: list[str]
-    libraries: list[str]
-    colors: NDArray[np.float64] | None = None
-    notes: list[str] = field(default_factory=list)
-
-
-def read_obj(text: bytes) -> Wavefront:
-    """Read the geometry, coordinates and names of materials of an OBJ file, in the order of ``read_mesh``.
-
-    Args:
-        text: the file, in UTF-8.
-
-    Raises:
-        OmtwarpError: no faces, or one with fewer than three corners.
-        ValueError: words where numbers belong.
-    """
-    found = _statements(text)
-    if not found.sizes:
-        raise OmtwarpError("not a triangle mesh: no faces in it")
-    counts = np.array(found.sizes)
-    split = [word.split(b"/") for word in found.corners]
-    ahead = np.repeat(np.array(found.before), counts, axis=0)
-    vertex = np.array([int(parts[0]) for parts in split], dtype=np.int64)
-    require_counted_from_one(vertex)
-    vertex = np.where(vertex < 0, vertex + ahead[:, 0], vertex - 1)
-    which = np.array([int(parts[1]) if len(parts) > 1 and parts[1] else 0 for parts in split], dtype=np.int64)
-    given = which != 0
-    which = np.where(which < 0, which + ahead[:, 1], which - 1)
-    rows, notes = fans(np.arange(len(vertex)), counts)
-    face = np.repeat(np.arange(len(counts)), counts)[rows[:, 0]]
-    uv = None
-    if given.any() and found.coordinates:
-        table = np.array([[*row, b"0"][:2] for row in found.coordinates], dtype=np.float64)
-        if which[given].max() >= len(table) or which[given].min() < 0:
-            raise OmtwarpError(f"a face refers to texture coordinates {which[given].max() + 1} of {len(table)}")
-        at_corner = np.full((len(vertex), 2), np.nan)
-        at_corner[given] = table[which[given]]
-        uv = at_corner[rows]
-    points = found.points
-    colored = bool(points) and all(len(row) >= 6 for row in points)
-    return Wavefront(
-        vertices=np.array([row[:3] for row in points], dtype=np.float64),
-        faces=vertex[rows],
-        uv=uv,
-        face_material=np.array(found.used, dtype=np.int32)[face],
-        names=list(found.names),
-        libraries=found.libraries,
-        colors=np.array([row[3:6] for row in points], dtype=np.float64) if colored else None,
-        notes=notes,
-    )
-
-
-@dataclass
 class _Statements:
     """The statements of an OBJ file, sorted by what they say.
 
@@ -280,10 +209,42 @@ def read_painted_mesh(path: str | os.PathLike[str]) -> PaintedMesh:
     return replace(found, source_files=(file, *found.source_files))
 
 
+def _obj_corners(found: _Statements) -> tuple[NDArray[np.int64], Floats | None, NDArray[np.intp], list[str]]:
+    """Return vertices [F, 3] and coordinates [F, 3, 2] of an OBJ's triangles, their faces in the file, and notes.
+
+    Raises:
+        OmtwarpError: no faces, or one with fewer than three corners.
+        ValueError: words where numbers belong.
+    """
+    if not found.sizes:
+        raise OmtwarpError("not a triangle mesh: no faces in it")
+    counts = np.array(found.sizes)
+    split = [word.split(b"/") for word in found.corners]
+    ahead = np.repeat(np.array(found.before), counts, axis=0)
+    vertex = np.array([int(parts[0]) for parts in split], dtype=np.int64)
+    require_counted_from_one(vertex)
+    vertex = np.where(vertex < 0, vertex + ahead[:, 0], vertex - 1)
+    which = np.array([int(parts[1]) if len(parts) > 1 and parts[1] else 0 for parts in split], dtype=np.int64)
+    given = which != 0
+    which = np.where(which < 0, which + ahead[:, 1], which - 1)
+    rows, notes = fans(np.arange(len(vertex)), counts)
+    face = np.repeat(np.arange(len(counts)), counts)[rows[:, 0]]
+    uv = None
+    if given.any() and found.coordinates:
+        table = np.array([[*row, b"0"][:2] for row in found.coordinates], dtype=np.float64)
+        if which[given].max() >= len(table) or which[given].min() < 0:
+            raise OmtwarpError(f"a face refers to texture coordinates {which[given].max() + 1} of {len(table)}")
+        at_corner = np.full((len(vertex), 2), np.nan)
+        at_corner[given] = table[which[given]]
+        uv = at_corner[rows]
+    return vertex[rows], uv, face, notes
+
+
 def _from_obj(data: bytes, file: Path) -> PaintedMesh:
-    found = read_obj(utf8(data))
+    """Read an OBJ file and its material libraries."""
+    found = _statements(utf8(data))
+    corners, uv, face, notes = _obj_corners(found)
     named: list[Path] = []
-    notes = list(found.notes)
 
     def picture(name: str) -> Bytes | None:
         there = file_beside(file, name)
@@ -302,14 +263,15 @@ def _from_obj(data: bytes, file: Path) -> PaintedMesh:
             named.append(there)
             known |= read_mtl(read_bytes(there, LARGEST_MESH_FILE).decode("utf-8", "replace"), picture)
     materials = tuple(known.get(name, Material(name or "material")) for name in found.names)
+    points = np.array([row[:3] for row in found.points], dtype=np.float64)
     colors = None
-    if found.colors is not None:
-        scaled = found.colors * (255.0 if found.colors.max(initial=0.0) <= 1.0 else 1.0)
+    if found.points and all(len(row) >= 6 for row in found.points):
+        given_colors = np.array([row[3:6] for row in found.points], dtype=np.float64)
+        scaled = given_colors * (255.0 if given_colors.max() <= 1.0 else 1.0)
         colors = _opaque(np.rint(np.clip(scaled, 0, 255)).astype(np.uint8))
-    return PaintedMesh(
-        found.vertices, corners_of(found.faces, len(found.vertices)), found.uv, materials, found.face_material, colors,
-        tuple(notes), source_files=tuple(named),
-    )  # fmt: skip
+    used = np.array(found.used, dtype=np.int32)[face]
+    faces = corners_of(corners, len(points))
+    return PaintedMesh(points, faces, uv, materials, used, colors, tuple(notes), source_files=tuple(named))
 
 
 def _from_ply(data: bytes, file: Path) -> PaintedMesh:
