@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 _HOMES = {"BAKES": "bakes", "paint": "painter", "transfer_texture": "transfer", "unwrap_uv": "unwrap"}
 
-__all__ = ["BAKES", "paint", "transfer_texture", "unwrap_uv"]
+__all__ = list(_HOMES)
 
 
 def __getattr__(name: str) -> object:

@@ -6,11 +6,18 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from omtwarp.render.camera import Camera, Light
-    from omtwarp.render.films import film
-    from omtwarp.render.pictures import comparison, preview, sheet
-    from omtwarp.render.scene import Arrows, ScalarField, SurfaceView, Wireframe
-    from omtwarp.render.subject import as_surface_view, map_view
+    from omtwarp.render.camera import Camera as Camera
+    from omtwarp.render.camera import Light as Light
+    from omtwarp.render.films import film as film
+    from omtwarp.render.pictures import comparison as comparison
+    from omtwarp.render.pictures import preview as preview
+    from omtwarp.render.pictures import sheet as sheet
+    from omtwarp.render.scene import Arrows as Arrows
+    from omtwarp.render.scene import ScalarField as ScalarField
+    from omtwarp.render.scene import SurfaceView as SurfaceView
+    from omtwarp.render.scene import Wireframe as Wireframe
+    from omtwarp.render.subject import as_surface_view as as_surface_view
+    from omtwarp.render.subject import map_view as map_view
 
 _HOMES = {
     "Arrows": "scene",
@@ -26,20 +33,7 @@ _HOMES = {
     "preview": "pictures",
     "sheet": "pictures",
 }
-__all__ = [
-    "Arrows",
-    "Camera",
-    "Light",
-    "ScalarField",
-    "SurfaceView",
-    "Wireframe",
-    "as_surface_view",
-    "comparison",
-    "film",
-    "map_view",
-    "preview",
-    "sheet",
-]
+__all__ = list(_HOMES)
 
 
 def __getattr__(name: str) -> object:

@@ -137,29 +137,6 @@ def _require_room(frames: int, width: int, height: int, suffix: str) -> None:
         )
 
 
-def film_frames(
-    result: FinishedMap | TorusMap,
-    *,
-    pattern: PatternLike = "circles",
-    image: PictureLike | None = None,
-    size: tuple[int, int] = SMALL,
-    fps: float = 20.0,
-    seconds: float | None = None,
-    view: View | None = None,
-    up: str | None = None,
-    front: str | None = None,
-    background: str | ArrayLike = "white",
-    captions: bool = True,
-    backend: BackendLike = "auto",
-    device: str = "auto",
-) -> Iterator[Image.Image]:
-    """Return the frames of :func:`film`, one after another, with the same arguments."""
-    size = _checked_size(size)
-    story, shot_for = _scene_of(result, pattern, image, size[0], view, up, front, device)
-    studio = _Studio(story, shot_for, background, captions, backend, device, fps)
-    return studio.frames(studio.times(size[0] / size[1], seconds), size)
-
-
 def _checked_size(size: tuple[int, int]) -> tuple[int, int]:
     width, height = int(size[0]), int(size[1])
     if not (16 <= width <= LARGEST_VIEW and 16 <= height <= LARGEST_VIEW):

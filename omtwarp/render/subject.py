@@ -158,7 +158,6 @@ def torus_view(
     which: str = "optimal",
     on: str = "surface",
     pattern: str = "circles",
-    caption: str = "",
 ) -> SurfaceView:
     """Return a view of a map to a torus: the surface, or the ring torus, with a picture that repeats both ways.
 
@@ -168,7 +167,6 @@ def torus_view(
         which: ``"optimal"`` (the final map) or ``"conformal"``.
         on: ``"surface"`` or ``"torus"``, the ring torus.
         pattern: ``circles`` or ``checker``.
-        caption: text for a sheet.
 
     Raises:
         OmtwarpError: a choice is unknown.
@@ -178,9 +176,7 @@ def torus_view(
     shown = result if which == "optimal" else replace(result, coordinates=result.conformal)
     cut = shown.textured(None if image is None else read_image(image), pattern=None if image is not None else pattern)
     places = cut.vertices if on == "surface" else shown.ring()[cut.welded]
-    return SurfaceView(
-        places, cut.faces, image=cut.image, uv=cut.uv, up=None if on == "surface" else "z", caption=caption
-    )
+    return SurfaceView(places, cut.faces, image=cut.image, uv=cut.uv, up=None if on == "surface" else "z")
 
 
 def checker_image() -> NDArray[np.uint8]:

@@ -14,7 +14,8 @@ from omtwarp.reporting.markup import Markup, element, html
 
 Floats = NDArray[np.float64]
 
-WIDTH = 560.0  # of a chart in its own units, which the page scales to the column
+# Of a chart in its own units, which the page scales to the column, and of that of a curve.
+WIDTH, HEIGHT = 560.0, 300.0
 
 ROUND = 1e-9  # steps: a value that is so near to a tick, as a quotient of rounded numbers is, is the tick
 
@@ -129,30 +130,26 @@ def curve(
     colour: str,
     x_label: str,
     y_label: str,
-    logarithmic: bool = False,
     level: tuple[float, str] | None = None,
     mark: tuple[int, str] | None = None,
-    height: float = 300.0,
 ) -> Markup:
     """Draw a curve through points, with a horizontal level and one marked point.
 
     Args:
-        x, y: the points; with a logarithmic axis those with y <= 0 are left out.
+        x, y: the points.
         title, description: for screen readers.
         colour: CSS variable.
         x_label, y_label: names of the axes.
-        logarithmic: scale of y.
         level: a value of y with its name, drawn across.
         mark: index of a point with a few words.
-        height: of the chart; its width is that of all charts.
     """
     pairs = zip(map(float, x), map(float, y), strict=True)
-    points = [(a, b) for a, b in pairs if math.isfinite(b) and (b > 0 or not logarithmic)]
+    points = [(a, b) for a, b in pairs if math.isfinite(b)]
     if not points:
         return html("")
     values = [b for _, b in points] + ([level[0]] if level else [])
-    ticks = log_ticks(min(values), max(values)) if logarithmic else nice_ticks(min(values), max(values), 5)
-    plot = _Plot(max(1.0, *(a for a, _ in points)), ticks, logarithmic, height)
+    ticks = nice_ticks(min(values), max(values), 5)
+    plot = _Plot(max(1.0, *(a for a, _ in points)), ticks)
     parts = plot.axes(x_label, y_label)
     if level:
         at = plot.y(level[0])
@@ -171,7 +168,7 @@ def curve(
         parts.append(element("circle", class_="ring", style=ink, **place, r=6))
         place = {"x": f"{plot.x(a) + shift:.1f}", "y": f"{plot.y(b) - 10:.1f}", "text_anchor": anchor}
         parts.append(element("text", mark[1], class_="remark", **place))
-    return _svg(height, title, description, parts)
+    return _svg(HEIGHT, title, description, parts)
 
 
 class _Plot:
@@ -180,31 +177,25 @@ class _Plot:
     Args:
         last: the largest value of x; the least is 0.
         ticks: values of y with a line across, ascending, which enclose all others.
-        logarithmic: scale of y.
-        height: of the chart.
     """
 
-    def __init__(self, last: float, ticks: Sequence[float], logarithmic: bool, height: float):
-        self.last, self.ticks, self.logarithmic = last, ticks, logarithmic
-        self.left, self.right, self.top, self.bottom = 64.0, WIDTH - 12.0, 30.0, height - 44.0
+    def __init__(self, last: float, ticks: Sequence[float]):
+        self.last, self.ticks = last, ticks
+        self.left, self.right, self.top, self.bottom = 64.0, WIDTH - 12.0, 30.0, HEIGHT - 44.0
 
     def x(self, value: float) -> float:
         return self.left + value / self.last * (self.right - self.left)
 
     def y(self, value: float) -> float:
         low, high = self.ticks[0], self.ticks[-1]
-        if self.logarithmic:
-            share = (math.log(value) - math.log(low)) / (math.log(high) - math.log(low))
-        else:
-            share = (value - low) / (high - low)
-        return self.bottom - share * (self.bottom - self.top)
+        return self.bottom - (value - low) / (high - low) * (self.bottom - self.top)
 
     def axes(self, x_label: str, y_label: str) -> list[Markup]:
         """Draw both axes with their lines, numbers and names."""
         parts = [element("text", y_label, class_="axis-name", x=0, y=14)]
         for tick in self.ticks:
             at = self.y(tick)
-            name = power_of_ten(tick) if self.logarithmic else f"{tick:.6g}"
+            name = f"{tick:.6g}"
             parts.append(element("line", class_="grid", x1=self.left, x2=self.right, y1=f"{at:.1f}", y2=f"{at:.1f}"))
             parts.append(element("text", name, class_="tick", x=self.left - 8, y=f"{at + 4:.1f}", text_anchor="end"))
         for tick in nice_ticks(0.0, self.last, 6):
@@ -223,19 +214,6 @@ def nice_ticks(low: float, high: float, count: int) -> list[float]:
     step = next(unit * m for m in (1, 2, 2.5, 5, 10) if unit * m >= raw * (1 - ROUND))
     first, last = math.floor(low / step + ROUND), math.ceil(high / step - ROUND)
     return [k * step for k in range(first, max(last, first + 1) + 1)]
-
-
-def log_ticks(low: float, high: float) -> list[float]:
-    """Return the powers of ten that enclose an interval, at most about six of them."""
-    first, last = math.floor(math.log10(low) + ROUND), math.ceil(math.log10(high) - ROUND)
-    last = max(last, first + 1)
-    step = max(1, math.ceil((last - first) / 5))
-    return [10.0**k for k in range(first, last + step, step)]
-
-
-def power_of_ten(value: float) -> str:
-    exponent = round(math.log10(value))
-    return f"{value:g}" if -3 <= exponent <= 3 else f"10{_superscript(exponent)}"
 
 
 def _svg(height: float, title: str, description: str, parts: Sequence[Markup]) -> Markup:

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from omtwarp.texturing.baking import bake as bake
     from omtwarp.texturing.baking import bake_to_uv as bake_to_uv
     from omtwarp.texturing.baking import bake_vertex_values as bake_vertex_values
-    from omtwarp.texturing.baking import resample as resample
     from omtwarp.texturing.baking import sample as sample
     from omtwarp.texturing.image import read_image as read_image
     from omtwarp.texturing.materials import Material as Material
@@ -46,34 +45,12 @@ _HOMES = {
     "bake_vertex_values": "baking",
     "VertexValues": "baking",
     "sample": "baking",
-    "resample": "baking",
     "read_image": "image",
     "direction_to_image": "projection",
     "rotation_matrix": "projection",
 }
 
-__all__ = [
-    "ATLASES",
-    "Material",
-    "PaintedMesh",
-    "Pattern",
-    "TexturedSurface",
-    "VertexValues",
-    "bake",
-    "bake_to_uv",
-    "bake_vertex_values",
-    "direction_to_image",
-    "make_atlas",
-    "pattern",
-    "rasterize",
-    "read_image",
-    "read_painted_mesh",
-    "resample",
-    "rotation_matrix",
-    "sample",
-    "texture",
-    "unwrap",
-]
+__all__ = list(_HOMES)
 
 
 def __getattr__(name: str) -> object:

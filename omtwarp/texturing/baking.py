@@ -273,21 +273,6 @@ def picture_source(array: NDArray[np.generic], atlas: str | Atlas, where: wp.Dev
     return _PictureSource(array, target.kind, offset, gutter, where)
 
 
-def resample(
-    picture: PictureLike,
-    atlas: str | Atlas,
-    to: str | Atlas = "equirectangular",
-    *,
-    size: int | tuple[int, int] | None = None,
-    supersample: int = 2,
-    device: str | wp.Device | None = "auto",
-) -> Picture:
-    """Carry a picture from one atlas to another; float32, shape [H, W, C]."""
-    where = resolve_device(device)
-    array = picture if isinstance(picture, np.ndarray) and picture.ndim == 3 else read_image(picture)
-    return bake(picture_source(array, atlas, where), to, size=size, supersample=supersample, device=device)
-
-
 def claimed(corners: wp.array, width: int, height: int, grow: float, where: wp.Device) -> NDArray[np.int32]:
     """Return the triangle that owns each texel of a picture, row by row, :data:`NOBODY` where there is none.
 
@@ -380,19 +365,16 @@ class Layout:
         return picture
 
 
-def _own_uv(uv: ArrayLike, faces: NDArray, uv_faces: ArrayLike | None) -> Floats:
+def _own_uv(uv: ArrayLike, faces: NDArray) -> Floats:
     coordinates = np.asarray(uv, dtype=np.float64)
-    index = np.asarray(faces if uv_faces is None else uv_faces)
     if coordinates.ndim == 3 and coordinates.shape == (len(faces), 3, 2):
         corner = coordinates
-    elif coordinates.ndim == 2 and coordinates.shape[1] == 2 and index.shape == (len(faces), 3):
-        if index.max(initial=-1) >= len(coordinates) or index.min(initial=0) < 0:
-            raise OmtwarpError(f"texture coordinates: a face refers to number {index.max()} of {len(coordinates)}")
-        corner = coordinates[index]
+    elif coordinates.ndim == 2 and coordinates.shape[1] == 2:
+        if faces.max(initial=-1) >= len(coordinates) or faces.min(initial=0) < 0:
+            raise OmtwarpError(f"texture coordinates: a face refers to number {faces.max()} of {len(coordinates)}")
+        corner = coordinates[faces]
     else:
-        raise OmtwarpError(
-            f"texture coordinates of shape {list(coordinates.shape)}: give [V, 2], [F, 3, 2], or [T, 2] with uv_faces"
-        )
+        raise OmtwarpError(f"texture coordinates of shape {list(coordinates.shape)}: give [V, 2] or [F, 3, 2]")
     if not np.all(np.isfinite(corner)):
         raise OmtwarpError(f"texture coordinates: {np.count_nonzero(~np.isfinite(corner))} are not finite")
     return corner
@@ -413,7 +395,6 @@ def bake_to_uv(
     faces: ArrayLike,
     uv: ArrayLike,
     *,
-    uv_faces: ArrayLike | None = None,
     size: int | tuple[int, int] = 2048,
     rotation: ArrayLike | None = None,
     projection: str = "equirectangular",
@@ -428,8 +409,7 @@ def bake_to_uv(
             :class:`VertexValues`.
         sphere: the map, unit vectors, shape [V, 3].
         faces: shape [F, 3].
-        uv: the mesh's texture coordinates in 0..1, v up: [V, 2], one per corner [F, 3, 2], or [T, 2] with ``uv_faces``.
-        uv_faces: shape [F, 3], indices into ``uv``.
+        uv: the mesh's texture coordinates in 0..1, v up: [V, 2], or one per corner [F, 3, 2].
         size: side of the picture, or (width, height), in texels.
         rotation: turns the function on the sphere, shape [3, 3].
         padding: texels by which the charts are dilated past their edges; -1 fills the picture.
@@ -442,7 +422,7 @@ def bake_to_uv(
     faces = np.asarray(faces)
     s = np.asarray(sphere, dtype=np.float64)
     width, height = _picture_size(size)
-    layout = Layout(_own_uv(uv, faces, uv_faces), width, height, where, padding)
+    layout = Layout(_own_uv(uv, faces), width, height, where, padding)
     if isinstance(source, VertexValues):
         return _bake_linear(layout, source.corner_values(faces), supersample, padding)
     given = source_of(source, projection, where)

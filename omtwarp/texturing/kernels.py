@@ -446,21 +446,6 @@ def unit_vectors(
 
 
 @wp.kernel
-def sample_plane(
-    picture: wp.array3d[wp.float32],
-    points: wp.array2d[wp.float64],
-    # Data out:
-    out: wp.array2d[wp.float64],
-):
-    """Compute the bilinear samples of a picture at texture coordinates (v up), clamped at its borders."""
-    i = wp.tid()
-    x = points[i, 0] * wp.float64(picture.shape[1])
-    y = (ONE - points[i, 1]) * wp.float64(picture.shape[0])
-    for c in range(picture.shape[2]):
-        out[i, c] = bilinear(picture, OCTAHEDRAL, x, y, c)  # a kind that does not wrap
-
-
-@wp.kernel
 def dilate_texels(
     picture: wp.array2d[wp.float32],
     known: wp.array[wp.uint8],

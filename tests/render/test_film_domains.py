@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+from drawn_frames import film_frames
 from scipy.optimize import least_squares
 
 import omtwarp
@@ -11,7 +12,6 @@ from omtwarp.mesh.surface import triangle_areas
 from omtwarp.render import films
 from omtwarp.render.camera import Camera, camera_axes
 from omtwarp.render.domains import SPACING
-from omtwarp.render.films import film_frames
 from omtwarp.render.stories import Story, story_of
 
 CAMERA = Camera()

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from drawn_frames import film_frames
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
@@ -17,7 +18,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
 from omtwarp.render import Camera, SurfaceView, films, preview
-from omtwarp.render.films import _scene_of, film_frames
+from omtwarp.render.films import _scene_of
 from omtwarp.render.stories import along_great_circles
 from omtwarp.render.subject import map_view
 from omtwarp.texturing import rasterize
