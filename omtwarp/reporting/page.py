@@ -23,7 +23,7 @@ from omtwarp.reporting import sections
 from omtwarp.reporting.markup import Markup, join
 from omtwarp.reporting.scene import AREA_COLOURS, AREA_RANGE, Scene, data_uri, log2_area_ratio, make_scene
 from omtwarp.reporting.stages import Stage, shown_history, shown_report, stages_of, view_on_domain
-from omtwarp.reporting.torus_page import write_torus_report
+from omtwarp.reporting.torus_page import torus_page
 from omtwarp.reporting.viewer import page_with_view, verdict, viewer_section
 from omtwarp.texturing import read_image
 from omtwarp.texturing.adaptive import rasterize
@@ -77,17 +77,6 @@ def write_report(
     """
     target = as_path(path)
     check_output(target)
-    if isinstance(result, TorusMap):
-        return write_torus_report(
-            result,
-            target,
-            title=title,
-            image=image,
-            pattern=pattern,
-            up=up,
-            picture_size=picture_size,
-            device=device,
-        )
     page = report_page(
         result, title=title, image=image, pattern=pattern, up=up, picture_size=picture_size, device=device
     )
@@ -97,7 +86,7 @@ def write_report(
 
 
 def report_page(
-    result: MapResult,
+    result: MapResult | TorusMap,
     *,
     title: str | None = None,
     image: PictureLike | None = None,
@@ -111,6 +100,8 @@ def report_page(
     Raises:
         OmtwarpError: as :func:`write_report`.
     """
+    if isinstance(result, TorusMap):
+        return torus_page(result, title, image, pattern, up, picture_size, device)
     if not all(hasattr(result, name) for name in ("vertices", "faces", "sphere", "conformal", "distortion", "report")):
         raise OmtwarpError(f"cannot report on a {type(result).__name__}: give a result of map_to_sphere")
     texture = read_image(image) if image is not None else pattern_by_name(pattern)

@@ -59,37 +59,30 @@ def _cover(stage: Stage) -> str:
 def pictures(stages: Sequence[Stage], stills: Mapping[str, str], shown: str) -> Markup:
     """Show pictures of the first and the last stage: ``stills`` by key; ``shown`` names the texture."""
     pair = [stages[0], stages[-1]] if len(stages) > 1 else [stages[0]]
-    figures = []
-    for stage in pair:
-        figures.append(
-            html(
-                '<figure><img src="{still}" alt="{shown} on the surface, {label} map" '
-                'loading="lazy"><figcaption>{swatch}<b>{label}.</b> {text}</figcaption></figure>',
-                still=stills[stage.key],
-                shown=shown,
-                label=stage.label,
-                swatch=_swatch(stage),
-                text=_picture_caption(stage),
-            )
+    gained = "Coloured by the area that each triangle gained (red) or lost (blue)."
+    drawn = [("", f"{shown} on the surface", "", stage, _picture_caption(stage)) for stage in pair]
+    drawn += [
+        ("sphere ", f"The triangles on the {stage.domain}", f", on the {stage.domain}", stage, gained) for stage in pair
+    ]
+    figures = [
+        html(
+            '<figure><img src="{}" alt="{}, {} map" loading="lazy"><figcaption>{}<b>{}{}.</b> {}</figcaption></figure>',
+            stills[kind + stage.key],
+            alternative,
+            stage.label,
+            _swatch(stage),
+            stage.label,
+            where,
+            words,
         )
-    for stage in pair:
-        figures.append(
-            html(
-                '<figure><img src="{still}" alt="The triangles on the {domain}, {label} map" '
-                'loading="lazy"><figcaption>{swatch}<b>{label}, on the {domain}.</b> '
-                "Coloured by the area that each triangle gained (red) or lost (blue).</figcaption></figure>",
-                still=stills["sphere " + stage.key],
-                domain=stage.domain,
-                label=stage.label,
-                swatch=_swatch(stage),
-            )
-        )
+        for kind, alternative, where, stage, words in drawn
+    ]
     maps = "two maps" if len(pair) > 1 else "the map"
     words = f"{shown} on the sphere, carried to the surface by {maps}."
     return section("Before and after", words, html('<div class="pair pictures">{}</div>', join(figures)))
 
 
-def _picture_caption(stage: Stage) -> Markup:
+def _picture_caption(stage: Stage) -> str:
     ratio = log2_area_ratio(stage)
     low, high = _weighted_quantiles(ratio, stage.weights, NINE_TENTHS)
     spread = 2.0 ** (high - low)
@@ -236,7 +229,8 @@ def stage_table(stages: Sequence[Stage], report: MapReport) -> Markup:
     for name in ("Area", "Angle"):
         head += html("<th scope='colgroup' colspan='3' class='group'>{} distortion</th>", name)
     head += html("<th scope='col' rowspan='2'>Transport<br>cost</th></tr><tr>")
-    head += 2 * html("<th scope='col'>surface</th><th scope='col'>95 %</th><th scope='col'>sphere</th>")
+    image = "torus" if stages[-1].domain == "torus" else "sphere"
+    head += 2 * html("<th scope='col'>surface</th><th scope='col'>95 %</th><th scope='col'>{}</th>", image)
     table = html(
         '<div class="scroll" tabindex="0" role="region" aria-label="What each stage did"><table><thead>'
         "<tr>{}</tr></thead><tbody>{}</tbody></table></div>",
@@ -246,7 +240,7 @@ def stage_table(stages: Sequence[Stage], report: MapReport) -> Markup:
     words = (
         "Area distortion is σ₁σ₂ + 1/(σ₁σ₂) and angle distortion σ₁/σ₂ + σ₂/σ₁, with σ the singular values of the map "
         "on a triangle; 2 is perfect. Given are the mean weighted by area on the surface, the 95th percentile over the "
-        "triangles, and the mean weighted by area on the sphere."
+        f"triangles, and the mean weighted by area on the {image}."
     )
     return section("Stages", words, table)
 

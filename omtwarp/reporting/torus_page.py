@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from functools import partial
-from pathlib import Path
-
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.files.output import staged
 from omtwarp.maps.result import StageReport
 from omtwarp.maps.torus_map import TorusMap
 from omtwarp.maps.torus_pictures import ring_torus, tube_radius
@@ -127,14 +123,6 @@ def _picture(image: NDArray[np.uint8]) -> str:
     return data_uri(drawn, kind)
 
 
-FIGURES = (
-    ("seconds", "seconds", "{:.2f}"),
-    ("iterations", "steps", "{:d}"),
-    ("ended", "ended", "{}"),
-    ("transport_cost", "transport cost", "{:.6g}"),
-    ("largest_ring_error", "largest error of an area around a vertex", "{:.1e}"),
-    ("flips", "flipped triangles", "{:d}"),
-)
 # Of the report: the map, what it is drawn on, and words about it.
 PICTURES = (
     ("optimal", "surface", "The surface through the optimal map: what is equal on the torus has equal areas."),
@@ -143,44 +131,26 @@ PICTURES = (
 )
 
 
-def write_torus_report(
-    result: TorusMap,
-    path: Path,
-    *,
-    title: str | None = None,
-    image: PictureLike | None = None,
-    pattern: str = "circles",
-    up: str | None = None,
-    picture_size: int = 720,
-    device: str = "auto",
-) -> Path:
-    """Write the page; arguments as of :func:`omtwarp.write_report`.
-
-    Args:
-        result: the map.
-        path: the file; it appears whole or not at all.
-        title: heading of the page.
-        image: a picture that repeats both ways.
-        pattern: ``circles`` or ``checker``, where there is no image.
-        up: the axis of the surface that points upwards.
-        picture_size: width of the pictures in pixels.
-        device: where pictures are drawn without OpenGL.
-    """
+def torus_page(
+    result: TorusMap, title: str | None, image: PictureLike | None, pattern: str, up: str | None, size: int, device: str
+) -> str:
+    """Return the text of the page about a map to a torus; arguments as of :func:`omtwarp.write_report`."""
     pose = posed(SurfaceView(result.vertices, result.faces), up)
     drawn = []
     for which, on, _ in PICTURES:
         view = torus_view(result, image, which=which, on=on, pattern=pattern)
         if on == "surface":
             view.up, view.front = pose.up, pose.front
-        size = picture_size, picture_size * 3 // 4
-        drawn.append(preview(view, size=size, camera=Camera(margin=0.03), transparent=True, device=device))
+        drawn.append(
+            preview(view, size=(size, size * 3 // 4), camera=Camera(margin=0.03), transparent=True, device=device)
+        )
     shown = [
         figure(picture, f"{which}, {on}. ", words) for picture, (which, on, words) in zip(drawn, PICTURES, strict=True)
     ]
     stages = torus_stages(result)
     report = shown_report(result)
     certificate = result.certificate
-    page = page_with_view(
+    return page_with_view(
         torus_scene(result, stages, image, pattern, pose),
         title=title or "Map to a torus",
         version=report.get("versions", {}).get("omtwarp", ""),
@@ -201,18 +171,13 @@ def write_torus_report(
                     element("div", *shown, class_="pair pictures"),
                 ),
                 sections.distributions(stages),
-                sections.section(
-                    "Stages", "Distortion is the mean over the surface, each triangle by its area.", _stages(result)
-                ),
+                sections.stage_table(stages, report),
                 sections.section("Certificate", _certified(result), _torus(result)),
             ],
             "\n",
         ),
         footer=sections.footer(report),
     )
-    with staged(path) as file:
-        file.write_text(page, "utf-8")
-    return path
 
 
 def _certified(result: TorusMap) -> Markup:
@@ -229,32 +194,3 @@ def _torus(result: TorusMap) -> Markup:
         f"The torus repeats along vectors of length {along[0]:.6g} and {along[1]:.6g} at {angle:.2f} degrees; it has "
         "the surface's area.",
     )
-
-
-def _stages(result: TorusMap) -> Markup:
-    given = result.report.get("stages")
-    stages = [stage for stage in given if isinstance(stage, dict)] if isinstance(given, list) else []
-    lines = []
-    for name, words, form in FIGURES:
-        values = [stage.get(name) for stage in stages]
-        if any(value is not None for value in values):
-            lines.append([words, *(_number(form, value) for value in values)])
-    for kind in ("area", "angle"):
-        found = [stage.get(kind) for stage in stages]
-        means = [value.get("surface") if isinstance(value, dict) else None for value in found]
-        lines.append([f"mean {kind} distortion (2 is none)", *(_number("{:.4f}", value) for value in means)])
-    head = element("tr", *(element("th", name) for name in ("", *(str(stage.get("name", "")) for stage in stages))))
-    rows = [
-        element("tr", element("th", name, scope="row"), *map(partial(element, "td"), cells)) for name, *cells in lines
-    ]
-    return element("div", element("table", head, *rows), class_="scroll")
-
-
-def _number(form: str, value: object) -> str:
-    """Write a value of a report, which may come from a file, as text."""
-    if value is None:
-        return ""
-    try:
-        return form.format(value)
-    except (TypeError, ValueError):
-        return str(value)
