@@ -13,7 +13,11 @@ Floats = NDArray[np.float64]
 
 
 class FeatureField:
-    """Features on a triangulated sphere, read anywhere on it: linear in each triangle, and so are their gradients.
+    """Features on a triangulated sphere, read anywhere on it, with the exact gradients of what is read.
+
+    Where the ray from the centre meets the flat triangle at p = Σ w_k v_k, a feature is Σ w_k (f_k + g_k (p - v_k) / 2)
+    with f_k and g_k its values and gradients at the corners: continuous, exact for quadratic functions of p, and nearly
+    as smooth as the feature, so that Newton's steps and line searches do not end at the edges of triangles.
 
     Args:
         grid: the sphere, N vertices.
@@ -21,7 +25,7 @@ class FeatureField:
     """
 
     def __init__(self, grid: Surface, features: Floats):
-        self._faces, self._features = grid.faces, features
+        self._faces, self._features, self._points = grid.faces, features, grid.vertices
         self._locator = Locator(grid.vertices, grid.faces, device="cpu")
         by_face = _slopes(grid, features)
         weighted = by_face * grid.face_areas[:, None, None]
@@ -33,8 +37,19 @@ class FeatureField:
         """Return features, shape [P, K], and their gradients, [P, 3, K], at unit vectors, [P, 3]."""
         found = self._locator.find(points)
         corners, shares = self._faces[found.faces], found.coordinates
-        values = np.einsum("pk,pkc->pc", shares, self._features[corners])
-        return values, np.einsum("pk,pkdc->pdc", shares, self._gradients[corners])
+        places, slopes = self._points[corners], self._gradients[corners]
+        flat = np.einsum("pk,pkd->pd", shares, places)
+        halves = 0.5 * np.einsum("pkd,pkdc->pkc", flat[:, None] - places, slopes)
+        at_corners = self._features[corners] + halves
+        values = np.einsum("pk,pkc->pc", shares, at_corners)
+        # w_k = n_k x / n x, n_k the cross product of the other corners, n their sum: its slope is (n_k - w_k n) / n x.
+        mean = 0.5 * np.einsum("pk,pkdc->pdc", shares, slopes)
+        factors = at_corners + np.einsum("pkd,pdc->pkc", places, mean)
+        normals = np.stack([np.cross(places[:, k - 2], places[:, k - 1]) for k in range(3)], axis=1)
+        whole = normals.sum(axis=1)
+        change = np.einsum("pkd,pkc->pdc", normals, factors)
+        change -= whole[:, :, None] * np.einsum("pk,pkc->pc", shares, factors)[:, None]
+        return values, change / (whole * points).sum(axis=1)[:, None, None]
 
 
 def _slopes(surface: Surface, values: Floats) -> Floats:

@@ -17,6 +17,9 @@ from omtwarp.solvers.poisson import edge_laplacian
 
 Floats = NDArray[np.float64]
 
+FOLDING_WEIGHTS = {"sulc": 1.0, "curv": 0.5}
+"""Of the two features in registration: curvature, which has most of its detail where folds differ, counts half."""
+
 AREA = 1e5  # mm²
 FLOW_TIME = 160.0  # mm²
 LARGEST_CURVATURE = 3.0  # 1 / mm: sharper corners are faults of the mesh

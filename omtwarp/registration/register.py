@@ -19,7 +19,7 @@ from omtwarp.mesh.arrays import real_number
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics.certificate import Certificate, certify_triangles
 from omtwarp.options import Progress, Record
-from omtwarp.registration.folding import folding_features
+from omtwarp.registration.folding import FOLDING_WEIGHTS, folding_features
 from omtwarp.registration.strain import kept_within, octaves
 from omtwarp.registration.templates import HEMISPHERES, template
 from omtwarp.registration.warp import COARSE, FINE, Warping, feature_grid
@@ -114,18 +114,18 @@ def register(
     features: Mapping[str, ArrayLike] | None = None,
     to_features: Mapping[str, ArrayLike] | None = None,
     feature_weights: Mapping[str, float] | None = None,
-    stiffness: float = 2.2,
-    max_strain: float = 1.5,
+    stiffness: float = 0.45,
+    max_strain: float = 1.1,
     progress: Progress | None = None,
 ) -> Registration:
     """Warp a map's sphere so that features of its surface lie where they lie on another sphere.
 
-    Minimised is the sum over features of weight times mean squared difference, plus ``stiffness`` / 2 times the mean
-    distortion of triangles between the sphere before and after, R + 1/R + D + 1/D - 4, with a barrier that keeps it
-    below what ``max_strain`` allows. It is minimised coarse to fine on grids, from the rotation under which the
-    features agree best; where the next best one agrees nearly as well, the coarse levels are run from several, and that
-    with the least energy is taken. The warp is then carried to the map's own vertices, where flips and strain over
-    the bound are removed.
+    Minimised is the sum over features of weight times mean squared difference on the target, plus ``stiffness`` / 2
+    times the mean distortion of triangles between the sphere before and after, R + 1/R - 2 + 6 (D + 1/D - 2) of the
+    ratios of stretches and areas, with a barrier that keeps it below what ``max_strain`` allows. It is minimised coarse
+    to fine on grids, from the rotation under which the features agree best; where the next best one agrees nearly as
+    well, the coarse levels are run from several, and that with the least energy is taken. The warp is then carried to
+    the map's own vertices, where flips and strain over the bound are removed.
 
     Args:
         moving: a map, with its surface where no features are given (:func:`omtwarp.resampling.as_points` lists the
@@ -135,7 +135,7 @@ def register(
         features: numbers per vertex of the map, by name, shape [V] each; with ``to_features`` of the same names they
             take the place of sulcal depth and curvature of the two surfaces.
         to_features: the same for the target.
-        feature_weights: by name; 1 for those left out.
+        feature_weights: by name; 1 for those left out, 0.5 for the curvature of the surfaces.
         stiffness: λ. More leaves less strain and less agreement.
         max_strain: bound of |log2| of the ratio of areas, and of the ratio of the two stretches, of every triangle.
         progress: called as ``progress("register", step, steps, details)``.
@@ -165,7 +165,8 @@ def register(
     here = as_points(moving, "the map")
     there = template(target) if isinstance(target, str) and target in HEMISPHERES else as_points(target, "the target")
     ours, theirs = _features_of(here, there, features, to_features)
-    weights = _weights_of(ours, feature_weights)
+    usual = {} if features else FOLDING_WEIGHTS
+    weights = _weights_of(ours, {**usual, **(feature_weights or {})})
     steps = 3
     notify = progress or (lambda *_: None)
     rotations = feature_rotations(here, there, ours, theirs, most=STARTS)
@@ -179,7 +180,8 @@ def register(
     notify("register", 1, steps, {})
     grid = feature_grid()
     to_grid = resample(there, (grid.vertices, grid.faces), device="cpu")
-    warping = Warping(_carried(to_grid, theirs), weights, stiffness, max_strain)
+    coarser = min(len(one.grid.points) for one in (here, there))
+    warping = Warping(_carried(to_grid, theirs), weights, stiffness, max_strain, coarser)
     tried = []
     for best in rotations if doubtful else rotations[:1]:
         turned = _moved(here, here.grid.points @ best.rotation.T)
@@ -238,16 +240,16 @@ def _features_of(
     return found[0], found[1]
 
 
-def _weights_of(features: Mapping[str, Floats], given: Mapping[str, float] | None) -> Floats:
+def _weights_of(features: Mapping[str, Floats], given: Mapping[str, float]) -> Floats:
     """Return the weights of the features in their order, shape [K].
 
     Raises:
         OmtwarpError: a name that is no feature's, or a weight that is no number from 0 on.
     """
-    unknown = [name for name in given or {} if name not in features]
+    unknown = [name for name in given if name not in features]
     if unknown:
         raise OmtwarpError(f"there is no feature '{unknown[0]}' to weight: use {', '.join(features)}")
-    weights = [real_number((given or {}).get(name, 1.0), f"the weight of '{name}'", least=0.0) for name in features]
+    weights = [real_number(given.get(name, 1.0), f"the weight of '{name}'", least=0.0) for name in features]
     if not any(weights):
         raise OmtwarpError("all weights of features are 0: nothing determines the registration")
     return np.array(weights)

@@ -163,6 +163,37 @@ def test_the_term_is_what_it_says():
     assert tangent < 0.1 * np.abs(slopes).max()
 
 
+def test_the_gradient_of_a_field_is_that_of_its_values():
+    """By differences, at points anywhere in triangles, so that line searches and Newton's steps agree."""
+    x, y, z = BALL.vertices.T
+    field = FeatureField(BALL, np.column_stack([x * y * z, np.sin(5.0 * x)]))
+    rng = np.random.default_rng(6)
+    points, step = unit(rng.normal(size=(300, 3))), 1e-6
+    along = np.cross(points, rng.normal(size=points.shape))
+    ahead, behind = (field.at(unit(points + t * along))[0] for t in (step, -step))
+    slopes = np.einsum("pdc,pd->pc", field.at(points)[1], along)
+    # A difference across an edge is between two slopes.
+    assert np.median(np.abs((ahead - behind) / (2.0 * step) - slopes)) < 1e-8
+
+
+def test_a_field_follows_functions_of_second_degree():
+    x, y, z = BALL.vertices.T
+    points = unit(np.random.default_rng(7).normal(size=(500, 3)))
+    found = FeatureField(BALL, np.column_stack([x * y + z**2])).at(points)[0][:, 0]
+    linear = np.square(EDGE) / 8.0  # what is lost by linear interpolation of a bend of 1
+    np.testing.assert_allclose(found, points[:, 0] * points[:, 1] + points[:, 2] ** 2, atol=linear / 4.0)
+
+
+def test_features_are_not_read_finer_than_the_meshes():
+    """Two edges of 2,562 vertices are 8.7 degrees: the level of 12 is the last."""
+    surface, truth = folded(BALL), flowed(BALL.vertices, 10.0)
+    found = omtwarp.register(points_of(BALL.vertices, surface), points_of(truth, surface), **FIRM)
+    assert [level["width"] for level in found.levels][-1] == 12.0
+    fine = shapes.icosphere(40)
+    again = omtwarp.register(points_of(fine.vertices, folded(fine), fine), points_of(fine.vertices, folded(fine), fine))
+    assert [level["width"] for level in again.levels][-1] == 5.0
+
+
 def test_strain_is_that_of_the_singular_values():
     moved = flowed(BALL.vertices, 20.0)
     by_area, by_stretch = octaves(BALL.vertices, moved, BALL.faces)
