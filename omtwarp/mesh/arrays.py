@@ -6,9 +6,10 @@ import math
 import operator
 import sys
 from collections.abc import Mapping
+from typing import Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
 
@@ -28,6 +29,19 @@ WELD = 1e-3
 
 Shape = tuple[int | None, ...]
 Layout = Mapping[str, tuple[type[np.generic], tuple[str | int, ...]]]
+
+
+@runtime_checkable
+class HasTriangles(Protocol):
+    """An object with vertices, shape [V, 3], and faces, shape [F, 3], such as a ``trimesh.Trimesh``."""
+
+    @property
+    def vertices(self) -> ArrayLike:
+        """Positions, shape [V, 3]."""
+
+    @property
+    def faces(self) -> ArrayLike:
+        """Vertex indices of the triangles, shape [F, 3]."""
 
 
 def real_numbers(values: object, name: str, shape: Shape | None, *, finite: bool = True) -> NDArray[np.float64]:

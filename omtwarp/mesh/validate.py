@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol, TypeAlias, cast
+from typing import TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,7 +16,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import ROUND_OFF, real_numbers, whole_numbers
+from omtwarp.mesh.arrays import ROUND_OFF, HasTriangles, real_numbers, whole_numbers
 
 REPAIR = "--repair (omtwarp.mesh.repair in Python)"
 """How the remedies name the package's own repair."""
@@ -52,18 +52,6 @@ class Defect:
 
     def __str__(self) -> str:
         return f"{self.message}; {self.remedy}"
-
-
-class HasTriangles(Protocol):
-    """An object with vertices, shape [V, 3], and faces, shape [F, 3], such as a ``trimesh.Trimesh``."""
-
-    @property
-    def vertices(self) -> ArrayLike:
-        """Positions, shape [V, 3]."""
-
-    @property
-    def faces(self) -> ArrayLike:
-        """Vertex indices of the triangles, shape [F, 3]."""
 
 
 MeshLike: TypeAlias = HasTriangles | tuple[ArrayLike, ArrayLike]

@@ -19,6 +19,7 @@ from omtwarp.painting import kernels
 from omtwarp.painting.sheets import PADDING, bake_corners, covered
 from omtwarp.render.colors import colormap_table
 from omtwarp.texturing.materials import Bytes, Floats, Ints
+from omtwarp.texturing.openness import open_shares
 
 BAKES = ("normal", "ao", "curvature", "area")
 RAYS = 64  # from a texel: shades of ambient occlusion in steps of 1/64, with noise of 1/16 at most
@@ -87,24 +88,9 @@ def occlusion(target: Target, vertices: Floats, faces: Ints) -> Bytes:
     normal = rows[known, 3:]
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), TINY)
     # Of the extent: how far off the surface rays begin. Single precision resolves 1e-7 of it.
-    origins = ((rows[known, :3] - low) / scale + 1e-4 * normal).astype(np.float32)
-    where = wp.get_device(target.device)
-    mesh = wp.Mesh(
-        points=wp.array(((vertices - low) / scale).astype(np.float32), dtype=wp.vec3, device=where),
-        indices=wp.array(np.ascontiguousarray(faces.ravel(), dtype=np.int32), dtype=wp.int32, device=where),
-    )
-    start = wp.array(origins, dtype=wp.vec3, device=where)
-    ways = wp.array(normal.astype(np.float32), dtype=wp.vec3, device=where)
-    out = wp.zeros(len(known), dtype=wp.float32, device=where)
-    numbers = wp.array(known.astype(np.int32), dtype=wp.int32, device=where)
-    launch_parts(
-        kernels.cast_open_rays,
-        len(known),
-        lambda part: ([mesh.id, start[part], ways[part], numbers[part], rays], [out[part]]),
-        where,
-    )
+    origins = (rows[known, :3] - low) / scale + 1e-4 * normal
     open_part = np.ones(len(rows), dtype=np.float64)
-    open_part[known] = out.numpy()
+    open_part[known] = open_shares((vertices - low) / scale, faces, origins, normal, known, rays, target.device)
     grey = np.rint(255.0 * open_part).astype(np.uint8).reshape(size[1], size[0])
     if len(known):
         row, column = distance_transform_edt(~inside, return_distances=False, return_indices=True)

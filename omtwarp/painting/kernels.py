@@ -3,7 +3,6 @@
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
 from omtwarp.texturing.kernels import edge_side, sign_of, texels_within
-from omtwarp.texturing.openness_kernels import TURN, open_share
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -119,23 +118,3 @@ def tangent_normals(
         if wp.abs(wp.determinant(frame)) > wp.float64(1.0e-6):
             local = wp.inverse(frame) * fine
         out[i] = wp.normalize(local)
-
-
-@wp.kernel
-def cast_open_rays(
-    mesh: wp.uint64,
-    origins: wp.array[wp.vec3],
-    normals: wp.array[wp.vec3],
-    numbers: wp.array[wp.int32],
-    rays: int,
-    # Data out:
-    openness: wp.array[wp.float32],
-):
-    """Compute the share of cosine-weighted rays from every point that meet no surface.
-
-    ``numbers`` rotate the pattern of rays differently for every point, to avoid visible bands.
-    """
-    i = wp.tid()
-    # Turns, a prime: so many are told apart, and float32 still resolves each to 1e-4
-    turn = float(numbers[i] % 1021) * TURN
-    openness[i] = open_share(mesh, origins[i], normals[i], turn, rays)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import HasTriangles
 from omtwarp.render.scene import SurfaceMaterial, SurfaceView, as_image
 from omtwarp.srgb import to_srgb
 from omtwarp.texturing.image import PictureLike
@@ -29,20 +30,7 @@ if TYPE_CHECKING:  # a picture of triangles loads neither Warp nor SciPy, which 
 
 
 @runtime_checkable
-class Triangles(Protocol):
-    """Vertices and faces under these names, such as a ``trimesh.Trimesh`` or a textured surface."""
-
-    @property
-    def vertices(self) -> ArrayLike:
-        """Positions, shape [V, 3]."""
-
-    @property
-    def faces(self) -> ArrayLike:
-        """Vertex indices of the triangles, shape [F, 3]."""
-
-
-@runtime_checkable
-class FinishedMap(Triangles, Protocol):
+class FinishedMap(HasTriangles, Protocol):
     """A surface with its final and its conformal map, such as a :class:`omtwarp.MapResult`."""
 
     @property
@@ -55,13 +43,13 @@ class FinishedMap(Triangles, Protocol):
 
 
 @runtime_checkable
-class _Textured(Triangles, Protocol):
+class _Textured(HasTriangles, Protocol):
     uv: ArrayLike
     image: Picture
 
 
 Picture: TypeAlias = PictureLike
-Subject: TypeAlias = "str | os.PathLike[str] | Triangles | SurfaceView | tuple[ArrayLike, ArrayLike]"
+Subject: TypeAlias = "str | os.PathLike[str] | HasTriangles | SurfaceView | tuple[ArrayLike, ArrayLike]"
 
 
 def is_torus_map(subject: object) -> TypeGuard[TorusMap]:
@@ -108,7 +96,7 @@ def as_surface_view(subject: Subject, image: Picture | None = None) -> SurfaceVi
         view = SurfaceView(*subject)
     elif isinstance(subject, _Textured):
         view = SurfaceView(subject.vertices, subject.faces, image=read_image(subject.image), uv=subject.uv)
-    elif isinstance(subject, Triangles):
+    elif isinstance(subject, HasTriangles):
         view = SurfaceView(subject.vertices, subject.faces)
     else:
         raise OmtwarpError(

@@ -13,8 +13,8 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.harmonics import check_degree
 from omtwarp.maps.result import MapResult
 from omtwarp.measures import TargetDensity
+from omtwarp.mesh.arrays import HasTriangles
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
-from omtwarp.mesh.validate import HasTriangles
 from omtwarp.moser import moser_map
 from omtwarp.options import Progress
 from omtwarp.resampling import SpherePoints

@@ -1,12 +1,58 @@
+# mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator, misc"
 """Ambient occlusion by ray casting: the openness of the space in front of a surface."""
-
-from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.device.start import wp
-from omtwarp.texturing.openness_kernels import vertex_openness
+from omtwarp.device.start import KERNEL_OPTIONS, wp
+from omtwarp.device.threads import launch_parts
+
+wp.set_module_options(KERNEL_OPTIONS)
+
+
+# Radians, 1 / 1.3247 (the plastic number): turned by it, no two patterns are near.
+TURN = wp.constant(wp.float32(0.7548777))
+
+
+@wp.func
+def open_share(mesh: wp.uint64, origin: wp.vec3, n: wp.vec3, turn: float, rays: int) -> float:
+    """Return the share of cosine-weighted rays from a point that meet no surface, their pattern rotated."""
+    helper = wp.vec3(1.0, 0.0, 0.0)
+    # Of a normal's x: below 1/sqrt(2) the axis is 45 degrees or more from the normal.
+    if wp.abs(n[0]) > wp.float32(0.7):
+        helper = wp.vec3(0.0, 1.0, 0.0)
+    t = wp.normalize(wp.cross(n, helper))
+    b = wp.cross(n, t)
+    free = int(0)
+    for k in range(rays):
+        # A spiral over the disc lifted to the hemisphere: cosine-weighted, and the same for every run.
+        r = wp.sqrt((float(k) + 0.5) / float(rays))
+        # Golden angle, π (3 - sqrt(5)): Vogel's spiral covers a disc evenly
+        angle = float(k) * wp.float32(2.3999632) + turn
+        up = wp.sqrt(wp.max(1.0 - r * r, 0.0))
+        direction = t * (r * wp.cos(angle)) + b * (r * wp.sin(angle)) + n * up
+        query = wp.mesh_query_ray(mesh, origin, direction, 4.0)
+        if not query.result:
+            free += 1
+    return float(free) / float(rays)
+
+
+@wp.kernel
+def cast_open_rays(
+    mesh: wp.uint64,
+    origins: wp.array[wp.vec3],
+    normals: wp.array[wp.vec3],
+    numbers: wp.array[wp.int32],
+    rays: int,
+    # Data out:
+    openness: wp.array[wp.float32],
+):
+    """Compute the share of cosine-weighted rays from points that meet no surface; a number turns the point's rays."""
+    i, _compiled_once = wp.tid()
+    # Turns, a prime: so many are told apart, and float32 still resolves each to 1e-4
+    turn = float(numbers[i] % 1021) * TURN
+    openness[i] = open_share(mesh, origins[i], normals[i], turn, rays)
+
 
 RAYS = 24  # from a vertex: openness in steps of 4 %
 
@@ -25,24 +71,43 @@ def face_openness(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> ND
     # Ray budget: about half a second on one CPU core
     step = max(1, int(np.ceil(len(faces) * RAYS / 400_000)))
     chosen = np.arange(0, len(faces), step)
-    device = wp.get_device("cpu")
-    mesh = wp.Mesh(
-        points=wp.array(x.astype(np.float32), dtype=wp.vec3, device=device),
-        indices=wp.array(np.ascontiguousarray(faces.ravel(), dtype=np.int32), dtype=wp.int32, device=device),
-    )
     # Ray start, of the extent, off the surface: single precision resolves 1e-7 of it
-    origins = (p[chosen].mean(axis=1) + 1e-4 * normal[chosen]).astype(np.float32)
-    out = wp.zeros(len(chosen), dtype=wp.float32, device=device)
-    wp.launch(
-        vertex_openness,
-        dim=len(chosen),
-        inputs=[
-            mesh.id,
-            wp.array(origins, dtype=wp.vec3, device=device),
-            wp.array(normal[chosen].astype(np.float32), dtype=wp.vec3, device=device),
-            RAYS,
-            out,
-        ],
-        device=device,
+    origins = p[chosen].mean(axis=1) + 1e-4 * normal[chosen]
+    shares = open_shares(x, faces, origins, normal[chosen], np.arange(len(chosen)), RAYS, wp.get_device("cpu"))
+    return np.repeat(shares, step)[: len(faces)]
+
+
+def open_shares(
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    origins: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    numbers: NDArray[np.integer],
+    rays: int,
+    where: wp.Device,
+) -> NDArray[np.float64]:
+    """Return the shares of cosine-weighted rays from points that meet no triangle, shape [N].
+
+    Args:
+        vertices, faces: the surface, of an extent near 1.
+        origins: shape [N, 3], off the surface.
+        normals: the middles of the rays, unit vectors, shape [N, 3].
+        numbers: by which the points' rays are turned against each other, shape [N].
+        rays: from each point.
+        where: the device.
+    """
+    mesh = wp.Mesh(
+        points=wp.array(vertices.astype(np.float32), dtype=wp.vec3, device=where),
+        indices=wp.array(np.ascontiguousarray(faces.ravel(), dtype=np.int32), dtype=wp.int32, device=where),
     )
-    return np.repeat(out.numpy().astype(np.float64), step)[: len(faces)]
+    start = wp.array(origins.astype(np.float32), dtype=wp.vec3, device=where)
+    ways = wp.array(normals.astype(np.float32), dtype=wp.vec3, device=where)
+    which = wp.array(numbers.astype(np.int32), dtype=wp.int32, device=where)
+    out = wp.zeros(len(origins), dtype=wp.float32, device=where)
+    launch_parts(
+        cast_open_rays,
+        len(origins),
+        lambda part: ([mesh.id, start[part], ways[part], which[part], rays], [out[part]]),
+        where,
+    )
+    return out.numpy().astype(np.float64)

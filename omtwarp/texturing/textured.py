@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import as_path
-from omtwarp.mesh.arrays import real_number, real_numbers
+from omtwarp.mesh.arrays import HasTriangles, real_number, real_numbers
 from omtwarp.mesh.checks import as_faces, as_unit_vectors
 from omtwarp.mesh.surface import unit_normals, vertex_normals
 from omtwarp.mesh.write import write_mesh
@@ -203,16 +203,8 @@ class TexturesItself(Protocol):
         """Return the surface with a picture that fits the map's domain."""
 
 
-class SphereMap(Protocol):
+class SphereMap(HasTriangles, Protocol):
     """A surface and its map to the sphere, such as a :class:`~omtwarp.MapResult`."""
-
-    @property
-    def vertices(self) -> ArrayLike:
-        """Positions, shape [V, 3]."""
-
-    @property
-    def faces(self) -> ArrayLike:
-        """Vertex indices of the triangles, shape [F, 3]."""
 
     @property
     def sphere(self) -> ArrayLike:
