@@ -92,7 +92,7 @@ def mirror_image(points: SpherePoints) -> SpherePoints:
     faces = np.ascontiguousarray(points.grid.triangles[:, ::-1])
     name, own = f"{points.grid.name}, mirrored", points.grid.own
     grid = SphereGrid(name, points.grid.points @ MIRROR, faces, points.grid.shape, own=own)
-    return SpherePoints(grid, None if points.vertices is None else points.vertices @ MIRROR, points.origin)
+    return SpherePoints(grid, None if points.vertices is None else points.vertices @ MIRROR, points.origins)
 
 
 def align_to_axes(given: PointsLike) -> Alignment:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Unpack, overload
@@ -29,18 +30,19 @@ def read_sound_painted(path: Path, repair: bool) -> tuple[PaintedMesh, Surface]:
     from omtwarp.texturing import read_painted_mesh
 
     mesh = read_painted_mesh(path)
-    notes = list(mesh.notes)
+    notes, origins = list(mesh.notes), None
     if repair:
         from omtwarp.mesh.repair import repair as repair_mesh
 
         repaired = repair_mesh(mesh.vertices, mesh.faces)
         if repaired.actions:
+            origins = dataclasses.replace(repaired.origins, given=len(mesh.vertices))
             mesh = mesh.on(repaired.vertices, repaired.faces, repaired.face_origin)
             notes += repaired.actions
     for note in notes:
         say(f"{path}: {note}")
     surface = Surface(*require_valid(mesh.vertices, mesh.faces, str(path)))
-    surface.checked = True
+    surface.checked, surface.origins = True, origins
     return mesh, surface
 
 

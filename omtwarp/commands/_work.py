@@ -30,11 +30,9 @@ class Input:
     """A mesh that was read, repaired if asked for, and found free of defects.
 
     Attributes:
-        surface: the mesh, examined.
+        surface: the mesh, examined; its origins are those in the file, after repair or after copies were joined.
         sizes: how many vertices and faces the file had.
         notes: what reading and repair did, in words.
-        origins: ``vertex_origin`` [V] and ``face_origin`` [F] (indices in the file, -1 for new faces) after repair,
-            or after copies of vertices along seams were joined.
         vertex_of_file: the vertex that each of the file's is, shape [N], where copies were joined and nothing was
             repaired.
         file_faces: the file's faces, in its own vertices, shape [F, 3], in that case.
@@ -43,7 +41,6 @@ class Input:
     surface: Surface
     sizes: tuple[int, int] = (0, 0)
     notes: list[str] = field(default_factory=list)
-    origins: dict[str, NDArray] = field(default_factory=dict)
     vertex_of_file: NDArray | None = None
     file_faces: NDArray | None = None
 
@@ -72,19 +69,15 @@ def read_sound_mesh(path: Path, repair: bool = False, *, any_surface: bool = Fal
     Raises:
         OmtwarpError: the file cannot be read, or its mesh cannot be mapped.
     """
-    import numpy as np
-
-    from omtwarp.mesh.names import InputNames
     from omtwarp.mesh.seams import read_joined_mesh
     from omtwarp.mesh.surface import Surface
     from omtwarp.mesh.validate import as_arrays, require_valid
 
     mesh = read_joined_mesh(path, together=repair or any_surface)
-    notes, origins, vertex_of_file = [*of_a_map(path), *mesh.notes], {}, mesh.vertex_of_file
+    notes, vertex_of_file = [*of_a_map(path), *mesh.notes], mesh.vertex_of_file
     vertices, faces = mesh.vertices, mesh.faces
     sizes = len(mesh.file.vertices), len(faces)
-    if vertex_of_file is not None:
-        origins = {"vertex_origin": mesh.vertex_origin, "face_origin": np.arange(len(faces))}
+    origins = None if vertex_of_file is None else mesh.origins
     if repair:
         from omtwarp.mesh.repair import repair as repair_mesh
 
@@ -92,11 +85,7 @@ def read_sound_mesh(path: Path, repair: bool = False, *, any_surface: bool = Fal
         if repaired.actions:
             vertices, faces = repaired.vertices, repaired.faces
             notes += repaired.actions
-            origins = {
-                "vertex_origin": composed(repaired.vertex_origin, mesh.vertex_origin),
-                "face_origin": repaired.face_origin,
-            }
-            vertex_of_file = None
+            origins, vertex_of_file = mesh.origins.compose(repaired.origins), None
     for note in notes:
         say(f"{path}: {note}")
     if any_surface:
@@ -104,9 +93,8 @@ def read_sound_mesh(path: Path, repair: bool = False, *, any_surface: bool = Fal
     else:
         surface = Surface(*require_valid(vertices, faces, str(path)))
         surface.checked = True
-    if origins:
-        surface.names = InputNames(origins["vertex_origin"], origins["face_origin"])
-    return Input(surface, sizes, notes, origins, vertex_of_file, mesh.file.faces)
+    surface.origins = origins
+    return Input(surface, sizes, notes, vertex_of_file, mesh.file.faces)
 
 
 def of_a_map(path: Path) -> list[str]:
@@ -116,16 +104,6 @@ def of_a_map(path: Path) -> list[str]:
 
     found = path.suffix.lower() == ".npz" and holds_array(path, *OF_MAPS)
     return ["a map's file, of which only the mesh is read"] if found else []
-
-
-def composed(origin: NDArray | None, before: NDArray) -> NDArray:
-    """Combine the origins of vertices or faces over two steps; -1 marks those that either step made.
-
-    The first step is ``before``.
-    """
-    import numpy as np
-
-    return before if origin is None else np.where(origin >= 0, before[origin], -1)
 
 
 def outputs_of(meshes: Sequence[Path], output: Path | None, suffix: str) -> list[Path | None]:

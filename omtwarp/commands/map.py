@@ -38,7 +38,6 @@ from omtwarp.commands._options import (
     output_option,
 )
 from omtwarp.commands._work import (
-    composed,
     each,
     make_map,
     outputs_of,
@@ -180,7 +179,7 @@ def map_mesh(
             device=device,
         )
         require_bijective(result)
-        result, file_faces = as_in_file(result, sound, any_surface is None)
+        result, file_faces = with_copies(result, sound, any_surface is None)
         assert target is not None
         with staged(target) as file:
             save(result, file, like=mesh, radius=radius, beside=beside, file_faces=file_faces)
@@ -230,10 +229,10 @@ def write_json_report(file: Path, result: MapResult | TorusMap, mesh: Path, note
         place.write_text(report_text(whole), "utf-8")
 
 
-def as_in_file(
+def with_copies(
     result: MapResult | TorusMap, sound: Input, to_sphere: bool
 ) -> tuple[MapResult | TorusMap, NDArray | None]:
-    """Replace the origins of a map's vertices and faces by their numbers in the file.
+    """Note in a map which vertex each of the file's is, where copies along seams were joined and nothing else was done.
 
     Args:
         result: the map.
@@ -245,18 +244,10 @@ def as_in_file(
     """
     from omtwarp.maps.result import MapResult
 
-    file_faces = None
     joined = to_sphere and sound.vertex_of_file is not None
-    if joined and isinstance(result, MapResult) and result.vertex_origin is None:
-        result = replace(result, vertex_of_file=sound.vertex_of_file)
-        file_faces = sound.file_faces
-    if sound.origins:
-        result = replace(
-            result,
-            vertex_origin=composed(result.vertex_origin, sound.origins["vertex_origin"]),
-            face_origin=composed(result.face_origin, sound.origins["face_origin"]),
-        )
-    return result, file_faces
+    if joined and isinstance(result, MapResult) and len(result.vertices) == sound.surface.vertex_count:
+        return replace(result, vertex_of_file=sound.vertex_of_file), sound.file_faces
+    return result, None
 
 
 def weights_of(path: Path, sound: Input, at: WeightsAt) -> tuple[NDArray[np.float64], WeightsAt]:
@@ -278,9 +269,10 @@ def weights_of(path: Path, sound: Input, at: WeightsAt) -> tuple[NDArray[np.floa
 
     weights = read_numbers(path)
     belong = weights_belong_to(weights.shape, *sound.sizes, at)
-    origin = sound.origins.get("vertex_origin" if belong is WeightsAt.VERTICES else "face_origin")
-    if origin is None:
+    origins = sound.surface.origins
+    if origins is None:
         return weights, belong
+    origin = origins.vertex_origin if belong is WeightsAt.VERTICES else origins.face_origin
     added = int((origin < 0).sum())
     if added:
         raise OmtwarpError(f"'{path}' has no weights for the {added} parts that --repair added to the mesh")

@@ -8,7 +8,7 @@ the vertices of the input are numbered.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.geometry import space_order_kernels as kernels
 from omtwarp.mesh.arrays import edge_keys
-from omtwarp.mesh.names import InputNames
+from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.quarter import PARTS, QuarteredSurface
 from omtwarp.mesh.surface import Surface
 
@@ -27,20 +27,16 @@ Places = NDArray[np.int64]
 CORNERS = 3
 
 
-@dataclass(frozen=True)
-class OrderedSurface:
+@dataclass(frozen=True, eq=False)
+class OrderedSurface(Origins):
     """A surface numbered anew, and what its vertices and faces are in the one that it was made from.
 
     Attributes:
         surface: V vertices, F faces.
-        vertices: the given surface's vertex that each vertex is, shape [V].
-        faces: the given surface's face that each face is, shape [F].
         turns: which corner of that face the first corner of each face is, shape [F].
     """
 
     surface: Surface
-    vertices: Places
-    faces: Places
     turns: Places
 
     def of_parts(self, given: QuarteredSurface) -> tuple[Places, Places]:
@@ -55,10 +51,10 @@ class OrderedSurface:
         count = self.surface.vertex_count
         known = edge_keys(given.ends, count)
         order = np.argsort(known)
-        middles = order[np.searchsorted(known, edge_keys(self.vertices[self.surface.edges], count), sorter=order)]
-        parts = np.full((len(self.faces), PARTS), PARTS - 1)
+        middles = order[np.searchsorted(known, edge_keys(self.vertex_origin[self.surface.edges], count), sorter=order)]
+        parts = np.full((len(self.face_origin), PARTS), PARTS - 1)
         parts[:, :CORNERS] = (np.arange(CORNERS) + self.turns[:, None]) % CORNERS
-        return np.r_[self.vertices, count + middles], (PARTS * self.faces[:, None] + parts).ravel()
+        return np.r_[self.vertex_origin, count + middles], (PARTS * self.face_origin[:, None] + parts).ravel()
 
 
 def in_space_order(surface: Surface) -> OrderedSurface:
@@ -77,12 +73,11 @@ def in_space_order(surface: Surface) -> OrderedSurface:
         Surface(42 vertices, 80 faces)
     """
     kept = surface.kept("space order", lambda: _ordered(surface))
-    areas = surface.face_areas[kept.faces] if surface.weighted else None
+    areas = surface.face_areas[kept.face_origin] if surface.weighted else None
     other = kept.surface if areas is None else kept.surface.with_areas(areas)
     other.checked = surface.checked
-    names = surface.names or InputNames(np.arange(surface.vertex_count), np.arange(surface.face_count))
-    other.names = names.of(kept.vertices, kept.faces)
-    return OrderedSurface(other, kept.vertices, kept.faces, kept.turns)
+    other.origins = kept if surface.origins is None else surface.origins.compose(kept)
+    return replace(kept, surface=other)
 
 
 def order_along_curve(points: NDArray[np.float64]) -> Places:
@@ -114,4 +109,4 @@ def _ordered(surface: Surface) -> OrderedSurface:
     turned = np.take_along_axis(renumbered, (turns[:, None] + np.arange(CORNERS)) % CORNERS, axis=1)
     # No two faces of an oriented surface have the same two corners first; those of others keep their order.
     faces = np.argsort(turned[:, 0] * len(vertices) + turned[:, 1], kind="stable")
-    return OrderedSurface(Surface(surface.vertices[vertices], turned[faces]), vertices, faces, turns[faces])
+    return OrderedSurface(vertices, faces, Surface(surface.vertices[vertices], turned[faces]), turns[faces])

@@ -23,7 +23,7 @@ from omtwarp.maps.torus_map import TorusMap
 from omtwarp.measures.weights import face_weights
 from omtwarp.mesh.arrays import edge_keys
 from omtwarp.mesh.checks import MeshLike
-from omtwarp.mesh.names import InputNames
+from omtwarp.mesh.origins import Derived, Origins
 from omtwarp.mesh.quarter import PARTS, quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.mesh.validate import unit_coordinates
@@ -136,7 +136,7 @@ def map_surface(
     domain, fill_area = choose(Domain, domain), choose(FillArea, fill_area)
     along = _loops_to_cut(cut, cut_along)
     vertices, faces = _arrays(mesh)
-    parts = parts_of(vertices, faces)
+    parts, of_file = parts_of(vertices, faces), mesh.origins if isinstance(mesh, Surface) else None
     together = together and len(parts) > 1
     if len(parts) == 1 and parts[0].is_sphere and domain in ("auto", "sphere"):
         return map_to_sphere(mesh, weights=weights, weights_at=weights_at, target=target, progress=progress, **options)
@@ -145,20 +145,30 @@ def map_surface(
     if len(parts) == 1 and parts[0].is_torus and domain in (Domain.AUTO, Domain.TORUS):
         if weights is not None:
             raise OmtwarpError("weights are for the sphere, the hemisphere, the disk and the cap: not for the torus")
-        return _on_torus(parts[0], progress, options)
+        return _in_file(_on_torus(parts[0], progress, options), of_file, len(np.asarray(vertices)))
     _check_domain(domain, parts, components, together, along)
     count, exact = len(np.asarray(vertices)), bool(options.get("exact"))
     shares = None if weights is None else face_weights(weights, np.asarray(faces), count, weights_at)
     given, parts = parts, [numbered_in_space(part) for part in parts]
     if together:
         parts, domain = [_slit(part) for part in parts], Domain.HEMISPHERE
-    names = mesh.names if isinstance(mesh, Surface) else None
-    maps = [_map_part(part, domain, fill_area, along, progress, options, shares, names) for part in parts]
+    maps = [_map_part(part, domain, fill_area, along, progress, options, shares, of_file) for part in parts]
     caps: tuple[Floats, Floats] | None = None
     if together:
         maps, caps = _packed(parts, maps, shares, exact)
     maps = _finished(maps, given, exact)
-    return maps[0] if len(maps) == 1 else joined(maps, count, caps)
+    return _in_file(maps[0] if len(maps) == 1 else joined(maps, count, caps), of_file, count)
+
+
+def _in_file(result: MapResult | TorusMap, of_file: Origins | None, count: int) -> MapResult | TorusMap:
+    """Return a map with origins in the file, where the surface that was mapped was made from that, and its size."""
+    if of_file is not None:
+        own = result.origins or Origins(np.arange(len(result.vertices)), np.arange(len(result.faces)))
+        made = of_file.compose(own)
+        result = result.with_arrays({"vertex_origin": made.vertex_origin, "face_origin": made.face_origin})
+        count = of_file.given or count
+    result.report["mesh"]["input_vertices"] = count
+    return result
 
 
 def _loops_to_cut(cut: bool, cut_along: str) -> CutAlong | None:
@@ -222,10 +232,8 @@ def _slit(part: Part) -> Part:
             break
         except OmtwarpError:
             continue
-    loops = boundary_loops(cut.faces, len(cut.vertices))
-    return replace(
-        part, vertices=cut.vertices, faces=cut.faces, vertex_origin=part.vertex_origin[cut.vertex_origin], loops=loops
-    )
+    loops, origin = boundary_loops(cut.faces, len(cut.vertices)), part.compose(cut).vertex_origin
+    return replace(part, vertices=cut.vertices, faces=cut.faces, vertex_origin=origin, loops=loops)
 
 
 def _mass(part: Part, weights: Floats | None) -> float:
@@ -425,14 +433,11 @@ def _arrays(mesh: MeshLike) -> tuple[ArrayLike, ArrayLike]:
     raise OmtwarpError(f"expected a trimesh.Trimesh or (vertices, faces), got {type(mesh).__name__}")
 
 
-@dataclass(frozen=True)
-class _Opened:
+@dataclass(frozen=True, eq=False)
+class _Opened(Derived):
     """A part prepared for mapping: cut, split, and filled except for the loop that becomes the equator.
 
     Attributes:
-        vertices, faces: of the map to be.
-        vertex_origin, face_origin: where they come from in the part, see :class:`MapResult`.
-        split_edges: see :class:`MapResult`.
         loops: those that are filled.
         small: index of the first loop with a small filling; those of all later ones are small too.
         pairs: the two sides of each cut.
@@ -440,11 +445,6 @@ class _Opened:
         cut_along: the kind of each cut, see :func:`omtwarp.topology.cuts.cut_open`.
     """
 
-    vertices: Floats
-    faces: NDArray[np.int32]
-    vertex_origin: NDArray[np.int64]
-    face_origin: NDArray[np.int64]
-    split_edges: NDArray[np.int64]
     loops: list[NDArray[np.int64]]
     small: int
     pairs: NDArray[np.int64]
@@ -460,14 +460,14 @@ def _map_part(
     progress: Progress | None,
     options: MapKeywords,
     shares: Floats | None,
-    names: InputNames | None,
+    of_file: Origins | None,
 ) -> MapResult:
-    weights = None if shares is None else shares[part.face_origin]
     if domain == "auto":
         domain = "hemisphere" if len(part.loops) == 1 else "sphere"
     opened = _opened(part, fill_area, along or CutAlong.AUTO, to_rim=domain != "sphere")
-    surface = _surface(opened, weights)
-    surface.names = _names(part, opened, names)
+    surface = _surface(opened, shares)
+    names = opened.compose(opened.filled)
+    surface.origins = names if of_file is None else of_file.compose(names)
     if domain == "sphere":
         closed = map_to_sphere(surface, progress=progress, **options)
         if options.get("exact"):
@@ -475,7 +475,7 @@ def _map_part(
         result = _restricted(part, opened, closed, closed.sphere, domain)
     else:
         result = _on_hemisphere(part, opened, surface, domain, progress, options)
-    if weights is None:
+    if shares is None:
         return result
     parts = PARTS if options.get("exact") else 1
     return replace(result, measure=np.repeat(surface.face_areas[: len(opened.faces)] / parts, parts))
@@ -514,7 +514,7 @@ def _quartered(opened: _Opened, closed: MapResult, surface: Surface) -> tuple[_O
         face_origin=np.repeat(opened.face_origin, PARTS),
         split_edges=np.concatenate([opened.split_edges, ends[middles - whole]]),
         loops=loops,
-        filled=FilledSurface(points, faces, np.repeat(opened.filled.patch, PARTS)),
+        filled=replace(opened.filled, vertices=points, faces=faces, patch=np.repeat(opened.filled.patch, PARTS)),
     )
     return cut, closed.with_arrays(closed.rows({"V": order}) | {"faces": faces})
 
@@ -536,29 +536,26 @@ def _or(lines: list[str]) -> str:
 
 def _opened(part: Part, fill_area: str, along: CutAlong, to_rim: bool) -> _Opened:
     cut, kinds = cut_open(part.vertices, part.faces, part.genus, along)
-    vertices, faces, origin = cut.vertices, cut.faces, cut.vertex_origin
-    loops = list(part.loops)
-    face_origin, split_edges = np.arange(len(faces)), np.zeros((0, 2), dtype=np.int64)
+    made: Derived = cut
+    origins, loops = part.compose(cut), list(part.loops)
     if to_rim:
-        longest = int(np.argmax([loop_length(vertices, loop) for loop in loops]))
-        split = split_chords(vertices, faces, loops.pop(longest))
-        vertices, faces = split.vertices, split.faces
-        face_origin, split_edges = split.face_origin, split.split_edges
-        origin = np.concatenate([origin, np.full(len(split_edges), -1)])
+        longest = int(np.argmax([loop_length(cut.vertices, loop) for loop in loops]))
+        made = split_chords(cut.vertices, cut.faces, loops.pop(longest))
+        origins = origins.compose(made)
     small = len(loops) if fill_area == FillArea.NATURAL else 0  # the sides of cuts always
     pairs = len(loops) + np.arange(2 * part.genus).reshape(-1, 2)
     loops += [side for pair in cut.sides for side in pair]
-    filled = fill_holes(vertices, faces, loops)
-    return _Opened(vertices, faces, origin, face_origin, split_edges, loops, small, pairs, filled, kinds)
-
-
-def _names(part: Part, opened: _Opened, given: InputNames | None) -> InputNames:
-    """Return the input's numbers of the vertices and faces of a part that was cut and filled."""
-    vertices, faces = (np.full(len(rows), -1) for rows in (opened.filled.vertices, opened.filled.faces))
-    vertices[: len(opened.vertex_origin)] = opened.vertex_origin
-    faces[: len(opened.face_origin)] = opened.face_origin
-    own = InputNames(part.vertex_origin, part.face_origin)
-    return (own if given is None else given.of(own.vertices, own.faces)).of(vertices, faces)
+    filled = fill_holes(made.vertices, made.faces, loops)
+    return _Opened(
+        **vars(origins),
+        vertices=made.vertices,
+        faces=made.faces,
+        loops=loops,
+        small=small,
+        pairs=pairs,
+        filled=filled,
+        cut_along=kinds,
+    )
 
 
 def _surface(opened: _Opened, weights: Floats | None = None) -> Surface:
@@ -577,7 +574,7 @@ def _surface(opened: _Opened, weights: Floats | None = None) -> Surface:
         return surface
     # Areas and sums of them that are the same, to the bit, in any order of vertices and faces.
     ordered, areas = in_space_order(surface), np.empty(surface.face_count)
-    areas[ordered.faces] = ordered.surface.face_areas
+    areas[ordered.face_origin] = ordered.surface.face_areas
     if weights is not None:
         before = fsum(areas[own])
         areas[own] *= weights[opened.face_origin]
@@ -617,7 +614,6 @@ def _restricted(part: Part, opened: _Opened, closed: MapResult, sphere: Floats, 
     }
     if opened.cut_along:
         about["cut_along"] = opened.cut_along
-    origin = opened.vertex_origin
     whole = slice(len(opened.filled.vertices))
     arrays = closed.rows({"V": slice(count), "F": slice(face_count)}) | {
         "vertices": opened.vertices,
@@ -626,8 +622,8 @@ def _restricted(part: Part, opened: _Opened, closed: MapResult, sphere: Floats, 
         "measure": None,
         "report": closed.report | {"mesh": mesh, "stages": stages, "surface": about},
         "domain": domain,
-        "vertex_origin": np.where(origin >= 0, part.vertex_origin[origin], -1),
-        "face_origin": part.face_origin[opened.face_origin],
+        "vertex_origin": opened.vertex_origin,
+        "face_origin": opened.face_origin,
         "split_edges": opened.split_edges,
     }
     if opened.loops:
@@ -650,9 +646,7 @@ def _on_hemisphere(
     glued = double(opened.filled.vertices, opened.filled.faces)
     areas = np.concatenate([half.face_areas, half.face_areas]) if half.weighted else None
     surface = Surface(glued.vertices, glued.faces, areas)
-    if half.names is not None:
-        own = np.where(glued.copied, glued.mirror, np.arange(len(glued.mirror)))
-        surface.names = half.names.of(own, np.tile(np.arange(half.face_count), 2))
+    surface.origins = glued if half.origins is None else half.origins.compose(glued)
     chosen = MapOptions.parse(**(cast(MapKeywords, vars(MapOptions())) | options))
     closed = map_double(glued, surface, chosen, progress=progress, stacklevel=5)
     if chosen.exact:

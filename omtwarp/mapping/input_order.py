@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from omtwarp.geometry.space_order import CORNERS
 from omtwarp.maps.result import MapResult
 from omtwarp.maps.torus_map import TorusMap
+from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.quarter import PARTS
 from omtwarp.topology.kind import Part
 
@@ -81,11 +82,9 @@ def torus_in_input_order(result: TorusMap, ordered: Part, given: Part) -> TorusM
         ordered: that part, numbered in space.
         given: the same part as it was before.
     """
-    exact = result.face_origin is not None
-    of_vertices = np.arange(len(result.vertices)) if result.vertex_origin is None else result.vertex_origin
-    of_faces = np.arange(len(result.faces)) if result.face_origin is None else result.face_origin
-    of_vertices = np.where(of_vertices >= 0, ordered.vertex_origin[of_vertices], -1)
-    of_faces = ordered.face_origin[of_faces]
+    exact, own = result.origins is not None, Origins(np.arange(len(result.vertices)), np.arange(len(result.faces)))
+    origins = ordered.compose(result.origins or own)
+    of_vertices, of_faces = origins.vertex_origin, origins.face_origin
     order = _order(result.faces, of_vertices, of_faces, given, exact)
     arrays = result.rows({"V": order.vertices, "F": order.faces})
     arrays["faces"] = order.place[order.of_corners(result.faces)].astype(np.int32)

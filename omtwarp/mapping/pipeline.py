@@ -30,7 +30,6 @@ from omtwarp.measures import TargetDensity, weighted_surface
 from omtwarp.measures.target import mass_distortion
 from omtwarp.mesh.arrays import TINY, normalised
 from omtwarp.mesh.checks import MeshLike, as_surface
-from omtwarp.mesh.names import InputNames
 from omtwarp.mesh.quarter import quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.metrics.certificate import Certificate, certify_triangles
@@ -230,7 +229,6 @@ class _Run:
         self.given_up = ""  # what the current stage could not do
         self.repair_given_up = False  # after the work that it may take
         self.origin: dict[str, str] = {}  # of the first map: the route that led to it, and why that one
-        self.origins: dict[str, NDArray[np.int64]] = {}  # of vertices and faces, where the mesh was quartered
         self.first: wp.array | None = None
         self.source: NDArray[np.float64] | None = None
         self.measured: Optimality | None = None  # of the map by Newton's method
@@ -341,8 +339,6 @@ class _Run:
             transported=transported,
             history=self.history,
             report=report,
-            vertex_origin=self.origins.get("vertex_origin"),
-            face_origin=self.origins.get("face_origin"),
             measure=surface.face_areas if surface.weighted else None,
             target=None if self.target is None else self.target.at(self.sphere),
         )
@@ -589,16 +585,11 @@ class _Run:
         give_back()
         assert self.source is not None
         quartered = quarter(self.surface)
-        vertices, faces = (np.arange(count) for count in (self.surface.vertex_count, self.surface.face_count))
-        names = self.surface.names or InputNames(vertices, faces)
+        origins = quartered.origins
+        quartered.surface.origins = origins if self.surface.origins is None else self.surface.origins.compose(origins)
         self.surface = quartered.surface
         if self.mirror is not None:
             self.mirror = quartered_double(self.mirror, quartered)
-        self.origins = {
-            "vertex_origin": quartered.vertex_origin,
-            "face_origin": quartered.parents.astype(np.int64),
-        }
-        self.surface.names = names.of(self.origins["vertex_origin"], self.origins["face_origin"])
         self.source = source = quartered.on_sphere(self.source)
         self.first = vectors(source, resolve_device(self.device))
         # Cutting along great circles keeps a map one to one, except for rounding.
@@ -822,13 +813,18 @@ class _Run:
 
 def _in_order_of(surface: Surface, ordered: OrderedSurface, result: MapResult) -> MapResult:
     """Return the map of a surface, quartered or with edges split, from that of the surface in another order."""
-    vertices, faces = ordered.vertices, ordered.faces
-    arrays: dict[str, NDArray] = {"vertices": surface.vertices, "faces": surface.faces}
+    vertices, faces, made = ordered.vertex_origin, ordered.face_origin, surface
+    origins, split_edges = surface.origins, None
     if result.report.get("exact"):
         quartered = quarter(surface)
         vertices, faces = ordered.of_parts(quartered)
-        arrays = {"vertices": quartered.surface.vertices, "faces": quartered.surface.faces}
-        arrays |= {"vertex_origin": quartered.vertex_origin, "face_origin": quartered.parents}
+        made, of_parts = quartered.surface, quartered.origins
+        origins, split_edges = of_parts if origins is None else origins.compose(of_parts), of_parts.split_edges
+    arrays: dict[str, object] = {"vertices": made.vertices, "faces": made.faces, "split_edges": split_edges}
+    arrays["vertex_origin"] = None if origins is None else origins.vertex_origin
+    arrays["face_origin"] = None if origins is None else origins.face_origin
+    if origins is not None and origins.given is not None:
+        result.report["mesh"]["input_vertices"] = origins.given
     certificate = replace(result.certificate, smallest_face=int(faces[result.certificate.smallest_face]))
     result = renumbered(result, {"V": vertices, "F": faces}, arrays)
     vars(result)["certificate"] = certificate

@@ -12,7 +12,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.limbs import thinnest_ring, vertices_needed
 from omtwarp.maps.result import StageRecord, Warned
 from omtwarp.mesh.arrays import TINY
-from omtwarp.mesh.names import named_face, named_vertex
+from omtwarp.mesh.origins import named_face, named_vertex
 from omtwarp.mesh.quarter import PARTS
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.options import MapOptions, Method, Refinement, Stage
@@ -79,7 +79,7 @@ def foretell(surface: Surface) -> list[Finding]:
     # An equilateral triangle with its corners on the sphere has the largest area, 3 sqrt(3) / 4: this share of 4π. With
     # a share of 0.086 the map of a small sphere is at 2.16.
     if share[worst] > 0.05:
-        number, name = named_face(surface.names, worst)
+        number, name = named_face(surface.origins, worst)
         text = f"{name} {_place_of_face(surface, worst)} has {share[worst]:.1%} of the area"
         found.append(Finding("large-face", number, text, "split large triangles"))
     ring = thinnest_ring(surface)
@@ -88,7 +88,7 @@ def foretell(surface: Surface) -> list[Finding]:
         # Vertices around a limb for those needed. Tubes whose edges were flipped at random reach 2.04 at 1.3, 2.12 at
         # 1.2.
         if ring.around < 1.3 * needed:
-            number, name = named_vertex(surface.names, ring.vertex)
+            number, name = named_vertex(surface.origins, ring.vertex)
             text = (
                 f"about {ring.around:.0f} vertices around a limb with {ring.share:.1%} of the area, at "
                 f"{name} {_place(surface.vertices[ring.vertex])}, where {needed:.1f} are needed"
@@ -102,7 +102,7 @@ def foretell(surface: Surface) -> list[Finding]:
         if not share_long > most:
             continue
         worst = int(np.argmax(np.where(long > limit, share, 0.0)))
-        number, name = named_face(surface.names, worst)
+        number, name = named_face(surface.origins, worst)
         text = (
             f"triangles {limit:.0f} times as long as high have {share_long:.0%} of the area, the largest is "
             f"{name} {_place_of_face(surface, worst)}"
@@ -123,7 +123,7 @@ def _coarse_findings(surface: Surface, long: NDArray[np.float64]) -> list[Findin
     folded = bend < np.cos(np.radians(FOLD))
     if share[folded].sum() > FOLDED_SHARE:
         worst = int(np.argmax(np.where(folded, share, 0.0)))
-        number, name = named_face(surface.names, worst)
+        number, name = named_face(surface.origins, worst)
         text = (
             f"triangles folded by more than {FOLD:.0f} degrees against a neighbour have {share[folded].sum():.0%} of "
             f"the area, the largest is {name} {_place_of_face(surface, worst)}"
@@ -134,7 +134,7 @@ def _coarse_findings(surface: Surface, long: NDArray[np.float64]) -> list[Findin
     # did.
     if surface.face_count <= FEW_FACES and long.max() > 1e3:
         worst = int(np.argmax(long))
-        number, name = named_face(surface.names, worst)
+        number, name = named_face(surface.origins, worst)
         text = f"{name} {_place_of_face(surface, worst)} is {long[worst]:.0e} times as long as high"
         found.append(Finding(NEEDLES, number, text, "flip an edge of the needle, or collapse it"))
     mean_long = float(share @ long)
@@ -221,7 +221,7 @@ def _area_findings(goal: Surface, sphere: NDArray[np.float64], uniform: bool, pa
     mean = float(distortion.sum())
     if not mean < MAX_AREA_DISTORTION:
         worst = int(np.argmax(distortion - 2.0 * wanted / SPHERE_AREA))
-        number, name = named_face(goal.names, parts * worst)
+        number, name = named_face(goal.origins, parts * worst)
         text = (
             f"area distortion {mean:.4g}, where 2 is perfect, most of it in {name} "
             f"{_place_of_face(goal, parts * worst)}, whose image has {ratio[worst]:.3g} times its area"
@@ -233,7 +233,7 @@ def _area_findings(goal: Surface, sphere: NDArray[np.float64], uniform: bool, pa
         worst = int(np.argmax(error))
         off = int((error > MAX_VERTEX_AREA_ERROR).sum())
         if off:
-            number, name = named_vertex(goal.names, worst)
+            number, name = named_vertex(goal.origins, worst)
             text = (
                 f"areas around {off} vertices are off by more than {MAX_VERTEX_AREA_ERROR:.0%}, the most by "
                 f"{error[worst]:.0%} at {name} {_place(goal.vertices[worst])}"

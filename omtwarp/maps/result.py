@@ -19,6 +19,7 @@ from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.files.output import as_path
 from omtwarp.maps.display import Shown
 from omtwarp.mesh.arrays import Layout, fitting_arrays, owned, real_numbers, require_unit_length, whole_numbers
+from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics.certificate import Certificate, certify_triangles
 from omtwarp.metrics.distortion import Distortion, measure_in_plane, measure_triangles
@@ -102,8 +103,9 @@ class Warned(TypedDict, total=False):
 
 
 class MeshReport(TypedDict, total=False):
-    """The size of a mesh: its numbers of vertices and faces, and the sides of its bounding box."""
+    """The size of a mesh: its numbers of vertices and faces, the sides of its bounding box, vertices of the input."""
 
+    input_vertices: int
     vertices: int
     faces: int
     extent: list[float]
@@ -214,6 +216,16 @@ class StoredMap(Shown):
         missing = [name for name in cls.required if arrays.get(name) is None]
         if missing:
             raise OmtwarpError(f"it has no '{missing[0]}'")
+
+    @property
+    def origins(self) -> Origins | None:
+        """What vertices and faces are in the input; None where they are the input's own."""
+        known = vars(self)
+        if known["vertex_origin"] is None or known["face_origin"] is None:
+            return None
+        edges, given = known.get("split_edges"), known["report"].get("mesh", {}).get("input_vertices")
+        origins = Origins(known["vertex_origin"], known["face_origin"], given=given if isinstance(given, int) else None)
+        return origins if edges is None else replace(origins, split_edges=edges)
 
     def with_arrays(self, arrays: Mapping[str, object]) -> Self:
         """Return the map with other arrays, or another domain or report, in place of those of these names."""
@@ -519,7 +531,7 @@ class MapResult(StoredMap):
 
     def stored_arrays(self) -> dict[str, NDArray]:
         """Return the arrays of the file that :meth:`save` writes, the domain and the report among them."""
-        whole = self.domain == Domain.SPHERE and self.split_edges is None
+        whole = self.domain == Domain.SPHERE and self.part is None and self.loops is None
         return super().stored_arrays() | ({} if whole else {"domain": np.array(self.domain)})
 
     @classmethod
@@ -536,7 +548,7 @@ class MapResult(StoredMap):
         return result
 
 
-def renumbered(result: MapResult, numbers: Mapping[str, NDArray[np.int64]], arrays: Mapping[str, NDArray]) -> MapResult:
+def renumbered(result: MapResult, numbers: Mapping[str, NDArray[np.int64]], arrays: Mapping[str, object]) -> MapResult:
     """Return the same map for vertices and faces that are numbered in another way.
 
     Args:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.surface import Surface
 
 PARTS = 4  # of a triangle: one at each corner, and the one in the middle
@@ -39,9 +40,11 @@ class QuarteredSurface:
         return np.repeat(np.arange(len(self.middles), dtype=np.int32), PARTS)
 
     @property
-    def vertex_origin(self) -> NDArray[np.int64]:
-        """The vertex of the mesh that every vertex is, -1 for the new ones, shape [V + E]."""
-        return np.r_[np.arange(self.surface.vertex_count - len(self.ends)), np.full(len(self.ends), -1)]
+    def origins(self) -> Origins:
+        """What vertices and parts are in the mesh; the new vertices are halfway between two."""
+        count = self.surface.vertex_count - len(self.ends)
+        number = np.r_[np.arange(count), np.full(len(self.ends), -1)]
+        return Origins(number, self.parents.astype(np.int64), split_edges=self.ends.astype(np.int64), given=count)
 
     def on_sphere(self, sphere: NDArray[np.float64]) -> NDArray[np.float64]:
         """Extend a map: new vertices go to the midpoints of the images of their edges.

@@ -11,6 +11,7 @@ from scipy.sparse.csgraph import connected_components
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import TINY, WELD, edge_keys
+from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.validate import (
     MeshLike,
     Topology,
@@ -49,6 +50,11 @@ class Repaired(NamedTuple):
     vertex_origin: NDArray[np.int64]
     face_origin: NDArray[np.int64]
     loss: float = 0.0
+
+    @property
+    def origins(self) -> Origins:
+        """What vertices and faces are in the input."""
+        return Origins(self.vertex_origin, self.face_origin)
 
 
 def repair(mesh: MeshLike | ArrayLike, faces: ArrayLike | None = None, *, whole: bool = True) -> Repaired:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.read import MeshFile, read_mesh
 
 Ints = NDArray[np.int64]
@@ -42,11 +43,13 @@ class JoinedMesh:
     notes: tuple[str, ...]
 
     @property
-    def vertex_origin(self) -> Ints:
-        """The file's first vertex that each vertex is, shape [V]."""
-        if self.vertex_of_file is None:
-            return np.arange(len(self.vertices))
-        return np.unique(self.vertex_of_file, return_index=True)[1]
+    def origins(self) -> Origins:
+        """What vertices and faces are in the file: of copies that were joined, the first."""
+        count = len(self.file.vertices)
+        first = (
+            np.arange(count) if self.vertex_of_file is None else np.unique(self.vertex_of_file, return_index=True)[1]
+        )
+        return Origins(first, np.arange(len(self.faces)), given=count)
 
 
 def seam_copies(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> Ints | None:

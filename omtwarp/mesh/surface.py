@@ -14,7 +14,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import in_range, real_numbers, whole_numbers
-from omtwarp.mesh.names import InputNames
+from omtwarp.mesh.origins import Origins
 
 Kind = TypeVar("Kind")
 SPHERE_AREA = 4.0 * np.pi
@@ -38,7 +38,7 @@ class Surface:
         vertices: float64, shape [V, 3], in the units of the input.
         faces: int32, shape [F, 3], counter-clockwise seen from outside.
         checked: whether the mesh was examined and can be mapped.
-        names: what its vertices and faces are called in the input; None where their own numbers are.
+        origins: what its vertices and faces are in the input; None where their numbers are the same.
 
     Raises:
         OmtwarpError: the arrays are not of numbers, a corner is not among the vertices, or ``areas`` is not one
@@ -60,7 +60,7 @@ class Surface:
         self.faces: NDArray[np.int32] = corners.astype(np.int32)
         self.vertices.flags.writeable = self.faces.flags.writeable = False
         self.checked = False
-        self.names: InputNames | None = None
+        self.origins: Origins | None = None
         self._given_areas = None if areas is None else scaled_areas(areas, len(self.faces))
         self._sent: dict[str, dict[str, wp.array]] = {}
         self._kept: dict[str, object] = {}
@@ -82,7 +82,7 @@ class Surface:
             1.0
         """
         other = Surface(self.vertices, self.faces, areas)
-        other.names = self.names
+        other.origins = self.origins
         kept = {name: value for name, value in self.__dict__.items() if name in _UNWEIGHTED}
         other.__dict__.update(kept)
         for device, arrays in self._sent.items():

@@ -14,6 +14,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.operators import corner_cotangents, cotangent_laplacian
 from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.data import read_data
+from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.surface import plane_areas, triangle_areas, vertex_normals
 from omtwarp.painting import kernels
 from omtwarp.painting.sheets import PADDING, bake_corners, covered
@@ -191,7 +192,12 @@ class Scalar:
 
 
 def scalar(
-    what: str | Path, vertices: Floats, faces: Ints, on_map: Floats, parts: NDArray[np.intp] | None = None
+    what: str | Path,
+    vertices: Floats,
+    faces: Ints,
+    on_map: Floats,
+    parts: NDArray[np.intp] | None = None,
+    origins: Origins | None = None,
 ) -> Scalar:
     """Compute or read numbers at the vertices, by the name of a quantity or of a file.
 
@@ -201,6 +207,7 @@ def scalar(
         faces: shape [F, 3].
         on_map: areas of the triangles' images, shape [F].
         parts: the sphere of every triangle where there are several, shape [F].
+        origins: what the vertices are in the input, whose data are taken too.
 
     Raises:
         OmtwarpError: an unknown name, a file that cannot be read, or one with another number of vertices.
@@ -218,9 +225,12 @@ def scalar(
     if not path.suffix:
         raise OmtwarpError(f"cannot bake '{what}': use {', '.join(BAKES)}, or a file of data at the vertices")
     data = read_data(path)
-    if len(data.values) != len(vertices):
-        raise OmtwarpError(f"{path}: {len(data.values)} values for {len(vertices)} vertices")
-    values = data.values[:, 0].astype(np.float64)
+    given = data.values[:, 0]
+    if origins is not None and len(given) != len(vertices):
+        given = origins.prolong(given)
+    if len(given) != len(vertices):
+        raise OmtwarpError(f"{path}: {len(given)} values for {len(vertices)} vertices")
+    values = given.astype(np.float64)
     if not np.isfinite(values).all():
         bad = np.flatnonzero(~np.isfinite(values))
         raise OmtwarpError(f"{path}: {len(bad)} values are not finite, first vertex {bad[0]}")

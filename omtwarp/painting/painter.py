@@ -14,7 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
+from omtwarp.maps.result import StoredMap
 from omtwarp.maps.torus_map import TorusMap
+from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.surface import plane_areas, triangle_areas, vertex_normals
 from omtwarp.options import AtlasLike, CoordinatesLike, KeepLike, PatternLike, ProjectionLike
 from omtwarp.painting import bakes
@@ -140,7 +142,10 @@ def paint(
         parts, on_map = spheres_of(result), triangle_areas(sphere, faces)
     wanted = _Wanted.of(bake, detail, image is not None or pattern is not None or keep is not None)
     own = None if mesh is None else mesh.on(vertices, faces)
-    job = _Job(vertices, faces, sphere, torus, parts, on_map, own, wanted, keep, opacity, resolve_device(device))
+    origins = result.origins if isinstance(result, StoredMap) else None
+    job = _Job(
+        vertices, faces, sphere, torus, parts, on_map, origins, own, wanted, keep, opacity, resolve_device(device)
+    )
     source = image if image is not None else pattern
     if source is None and (keep is not None or not wanted.names):
         source = "circles"
@@ -190,6 +195,7 @@ class _Job:
         torus: its map to a torus, or None.
         parts: the sphere of every triangle where there are several, shape [F].
         on_map: areas of the triangles' images, shape [F].
+        origins: what the surface's vertices are in the input, where they are not its own.
         own: the mesh with the coordinates and materials that it has, or None.
         wanted: the bakes.
         keep, opacity: how the materials are kept.
@@ -202,6 +208,7 @@ class _Job:
     torus: TorusMap | None
     parts: NDArray[np.intp] | None
     on_map: Floats
+    origins: Origins | None
     own: PaintedMesh | None
     wanted: _Wanted
     keep: str | None
@@ -313,7 +320,7 @@ class _Job:
         elif wanted.color == "normal":
             found = replace(material, picture=bakes.object_normals(target), color=WHITE)
         elif wanted.color is not None:
-            number = bakes.scalar(wanted.color, self.vertices, self.faces, self.on_map, self.parts)
+            number = bakes.scalar(wanted.color, self.vertices, self.faces, self.on_map, self.parts, self.origins)
             found = replace(material, picture=number.picture(target, self.faces), color=WHITE)
         elif self.own is None:
             found = replace(material, color=NEUTRAL)

@@ -19,6 +19,7 @@ from omtwarp.maps.result import OF_MAPS, MapResult
 from omtwarp.mesh.arrays import real_numbers, whole_numbers
 from omtwarp.mesh.checks import MeshLike
 from omtwarp.mesh.data import read_data
+from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.options import Domain, Interpolation, InterpolationLike
@@ -35,12 +36,12 @@ class SpherePoints:
     Attributes:
         grid: the points, their triangles or pixels.
         vertices: the surface's vertices, float64, shape [N, 3]; None for a sphere alone.
-        origin: where handles were cut, the vertex of the input that each of the surface's own points is, shape [S].
+        origins: what the surface's own points are in the input, where they are not its vertices.
     """
 
     grid: SphereGrid
     vertices: Floats | None = None
-    origin: NDArray[np.int64] | None = None
+    origins: Origins | None = None
 
     def surface_areas(self) -> Floats:
         """Return the area at every point, shape [N]: a third of the triangles around a vertex, or that of a cell.
@@ -58,11 +59,9 @@ class SpherePoints:
         return replace(self, grid=replace(self.grid, own=None))
 
     def at_own_points(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
-        """Return data at the surface's own points: as given, or those of the input's vertices at copies along cuts."""
-        count = self.grid.own_points
-        if self.origin is None or values.ndim == 0 or len(values) == count or len(values) != self.origin.max() + 1:
-            return values
-        return values[self.origin]
+        """Return data at the surface's own points: as given, or carried there from the vertices of the input."""
+        own = self.origins is None or (values.ndim > 0 and len(values) == self.grid.own_points)
+        return values if own or self.origins is None else self.origins.prolong(values)
 
 
 PointsLike: TypeAlias = SpherePoints | SphereGrid | MapResult | str | os.PathLike[str] | MeshLike
@@ -115,10 +114,9 @@ def _points_of_map(result: MapResult, name: str) -> SpherePoints:
     except OmtwarpError as error:
         raise OmtwarpError(f"{name}: {error}") from None
     if closed is result:
-        return SpherePoints(mesh_grid(result.sphere, result.faces, name), result.vertices)
-    own, origin = (len(result.vertices), len(result.faces)), result.vertex_origin
-    copies = origin is not None and origin.min() >= 0 and origin.max() + 1 < len(origin)
-    return SpherePoints(mesh_grid(closed.sphere, closed.faces, name, own), closed.vertices, origin if copies else None)
+        return SpherePoints(mesh_grid(result.sphere, result.faces, name), result.vertices, result.origins)
+    own = len(result.vertices), len(result.faces)
+    return SpherePoints(mesh_grid(closed.sphere, closed.faces, name, own), closed.vertices, result.origins)
 
 
 def file_points(given: str | os.PathLike[str], surface: Path | None) -> SpherePoints:

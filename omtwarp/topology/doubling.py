@@ -13,28 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.mesh.arrays import edge_keys
+from omtwarp.mesh.origins import Derived
 from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.topology.boundary import boundary_half_edges
 
 
-@dataclass(frozen=True)
-class SplitSurface:
-    """A surface some of whose edges were split at their midpoints.
-
-    Attributes:
-        vertices: the given ones first, then the midpoints, float64, shape [V + K, 3].
-        faces: int32, shape [F', 3].
-        split_edges: the ends of the edge that each midpoint lies on, shape [K, 2].
-        face_origin: the given face that each face is a part of, shape [F'].
-    """
-
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int32]
-    split_edges: NDArray[np.int64]
-    face_origin: NDArray[np.int64]
-
-
-def split_chords(vertices: NDArray[np.float64], faces: NDArray, loop: NDArray[np.int64] | None = None) -> SplitSurface:
+def split_chords(vertices: NDArray[np.float64], faces: NDArray, loop: NDArray[np.int64] | None = None) -> Derived:
     """Split every edge inside the surface whose two ends lie on the boundary, at its midpoint.
 
     Args:
@@ -55,7 +39,7 @@ def split_chords(vertices: NDArray[np.float64], faces: NDArray, loop: NDArray[np
     return split_at(vertices, triangles, np.stack([split // count, split % count], axis=1))
 
 
-def split_at(vertices: NDArray[np.float64], faces: NDArray, edges: NDArray) -> SplitSurface:
+def split_at(vertices: NDArray[np.float64], faces: NDArray, edges: NDArray) -> Derived:
     """Split edges at their midpoints.
 
     Args:
@@ -71,16 +55,19 @@ def split_at(vertices: NDArray[np.float64], faces: NDArray, edges: NDArray) -> S
     number[number == len(split)] = 0
     found = split[number] == keys if len(split) else np.zeros(len(keys), dtype=bool)
     midpoint = np.where(found, count + number, -1)
-    return SplitSurface(
+    cut, face_origin = _subdivided(triangles, midpoint.reshape(-1, 3))
+    return Derived(
+        np.r_[np.arange(count), np.full(len(ends), -1)],
+        face_origin,
         np.concatenate([vertices, 0.5 * vertices[ends[:, 0]] + 0.5 * vertices[ends[:, 1]]]),
-        *_subdivided(triangles, midpoint.reshape(-1, 3), ends),
+        cut,
+        split_edges=ends,
+        given=count,
     )
 
 
-def _subdivided(
-    faces: NDArray[np.int64], midpoint: NDArray[np.int64], edges: NDArray[np.int64]
-) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int64]]:
-    """Return the faces cut through the midpoints of their edges (k, k+1), -1 where an edge stays whole."""
+def _subdivided(faces: NDArray[np.int64], midpoint: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Return the faces cut through midpoints of edges (k, k+1), -1 where one stays whole, and the face each is of."""
     whole = (midpoint < 0).all(axis=1)
     parts, origins = [faces[whole]], [np.flatnonzero(whole)]
     for split_count in (1, 2, 3):
@@ -103,11 +90,11 @@ def _subdivided(
                 origins.append(here)
     origin = np.concatenate(origins)
     order = np.argsort(origin, kind="stable")
-    return np.concatenate(parts)[order].astype(np.int32), edges, origin[order]
+    return np.concatenate(parts)[order].astype(np.int32), origin[order]
 
 
-@dataclass(frozen=True)
-class Double:
+@dataclass(frozen=True, eq=False)
+class Double(Derived):
     """A surface glued to its mirror copy along the boundary.
 
     Attributes:
@@ -118,8 +105,6 @@ class Double:
         copied: which vertices belong to the copy alone, shape [W].
     """
 
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int32]
     mirror: NDArray[np.int64]
     on_boundary: NDArray[np.bool_]
     copied: NDArray[np.bool_]
@@ -145,6 +130,8 @@ def double(vertices: NDArray[np.float64], faces: NDArray) -> Double:
     copy = np.arange(count)
     copy[inside] = count + np.arange(len(inside))
     return Double(
+        np.r_[np.arange(count), inside],
+        np.tile(np.arange(len(faces)), 2),
         np.concatenate([vertices, vertices[inside]]),
         np.concatenate([faces, copy[faces][:, ::-1]]).astype(np.int32),
         np.concatenate([copy, inside]),
@@ -167,7 +154,10 @@ def quartered_double(whole: Double, quartered: QuarteredSurface) -> Double:
     image = order[np.searchsorted(keys, wanted, sorter=order)]
     own = np.zeros(len(ends), dtype=bool)
     own[quartered.middles[: len(quartered.middles) // 2] - count] = True
+    made = whole.compose(quartered.origins)
     return Double(
+        made.vertex_origin,
+        made.face_origin,
         quartered.surface.vertices,
         quartered.surface.faces,
         np.concatenate([whole.mirror, count + image]),

@@ -19,6 +19,7 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from omtwarp.geometry.operators import corner_cotangents
+from omtwarp.mesh.origins import Derived
 
 COARSENING = 0.8  # a ring has at least so many times the vertices of the ring around it
 LEAST_WEIGHT = 1e-3  # of an edge: positive, so that a vertex lies among its neighbours
@@ -126,8 +127,8 @@ def _harmonic(shape: NDArray[np.float64], faces: NDArray[np.int64], loop: NDArra
     return np.concatenate([loop, inner])
 
 
-@dataclass(frozen=True)
-class FilledSurface:
+@dataclass(frozen=True, eq=False)
+class FilledSurface(Derived):
     """A surface whose holes were filled.
 
     Attributes:
@@ -136,8 +137,6 @@ class FilledSurface:
         patch: the loop that each face fills, -1 for the surface's own, shape [G].
     """
 
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int32]
     patch: NDArray[np.int64]
 
 
@@ -159,4 +158,12 @@ def fill_holes(vertices: NDArray[np.float64], faces: NDArray, loops: list[NDArra
         triangles.append(own[patch.faces])
         marks.append(np.full(len(patch.faces), number, dtype=np.int64))
         count += len(patch.vertices)
-    return FilledSurface(np.concatenate(points), np.concatenate(triangles).astype(np.int32), np.concatenate(marks))
+    patches = np.concatenate(marks)
+    return FilledSurface(
+        np.r_[np.arange(len(vertices)), np.full(count - len(vertices), -1)],
+        np.where(patches < 0, np.arange(len(patches)), -1),
+        np.concatenate(points),
+        np.concatenate(triangles).astype(np.int32),
+        patches,
+        given=len(vertices),
+    )

@@ -22,23 +22,20 @@ from scipy.sparse import csgraph
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import edge_keys
+from omtwarp.mesh.origins import Derived
 from omtwarp.topology.boundary import boundary_loops
 
 
-@dataclass(frozen=True)
-class CutSurface:
+@dataclass(frozen=True, eq=False)
+class CutSurface(Derived):
     """A surface cut along loops around its handles.
 
     Attributes:
         vertices: the given ones, then copies of those on the loops, float64, shape [V + K, 3].
         faces: in the given order, int32, shape [F, 3].
-        vertex_origin: the given vertex that each vertex is or is a copy of, shape [V + K].
         sides: the two boundary loops that each cut makes.
     """
 
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int32]
-    vertex_origin: NDArray[np.int64]
     sides: list[tuple[NDArray[np.int64], NDArray[np.int64]]]
 
 
@@ -77,7 +74,7 @@ def cut_handles(
         copies = set(range(len(points) - len(copied), len(points)))
         own += [side for side in boundary_loops(triangles, len(points)) if copies & set(side.tolist())]
         sides.append((own[0], own[1]))
-    return CutSurface(points, triangles.astype(np.int32), origin, sides)
+    return CutSurface(origin, np.arange(len(faces)), points, triangles.astype(np.int32), sides, given=len(vertices))
 
 
 def slit_open(vertices: NDArray[np.float64], faces: NDArray, share: float = 1.0) -> CutSurface:
@@ -112,7 +109,7 @@ def slit_open(vertices: NDArray[np.float64], faces: NDArray, share: float = 1.0)
     kept = path[: max(3, round(share * len(path)))]
     opened, copied = _cut_along(triangles, np.array(kept), count, closed=False)
     origin = np.concatenate([np.arange(count), copied])
-    return CutSurface(vertices[origin], opened.astype(np.int32), origin, [])
+    return CutSurface(origin, np.arange(len(faces)), vertices[origin], opened.astype(np.int32), [], given=count)
 
 
 def shortest_handle_loop(

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.space_order import in_space_order, order_along_curve
 from omtwarp.mesh.arrays import in_range
+from omtwarp.mesh.origins import Derived
 from omtwarp.mesh.surface import Surface
 from omtwarp.mesh.validate import Topology, as_arrays, check, describe, number
 from omtwarp.topology.boundary import boundary_loops
@@ -18,23 +19,15 @@ MAPPABLE = ("open-boundary", "several-components", "genus")
 """Defects of :func:`omtwarp.mesh.validate.check` that only say that a surface is no sphere."""
 
 
-@dataclass(frozen=True)
-class Part:
+@dataclass(frozen=True, eq=False)
+class Part(Derived):
     """A connected piece of a surface with vertices numbered anew.
 
     Attributes:
-        vertices: float64, shape [V, 3].
-        faces: int32, shape [F, 3].
-        vertex_origin: index of every vertex in the whole mesh, shape [V].
-        face_origin: index of every face in the whole mesh, shape [F].
         loops: boundary loops, see :func:`omtwarp.topology.boundary.boundary_loops`.
         genus: number of handles, holes counted as filled.
     """
 
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int32]
-    vertex_origin: NDArray[np.int64]
-    face_origin: NDArray[np.int64]
     loops: list[NDArray[np.int64]]
     genus: int
 
@@ -73,7 +66,8 @@ def parts_of(vertices: ArrayLike, faces: ArrayLike, name: str = "") -> list[Part
         numbered = numbered.reshape(-1, 3)
         topology = Topology(numbered.astype(np.int64), len(used))
         loops = boundary_loops(numbered, len(used)) if (topology.edge_face_count == 1).any() else []
-        parts.append(Part(points[used], np.asarray(numbered, dtype=np.int32), used, own, loops, topology.genus))
+        faces_of_part = np.asarray(numbered, dtype=np.int32)
+        parts.append(Part(used, own, points[used], faces_of_part, loops, topology.genus, given=len(points)))
     return parts
 
 
@@ -83,13 +77,13 @@ def numbered_in_space(part: Part) -> Part:
     What is computed from it is the same, to the bit, however the input is numbered. Its origins say where it is there.
     """
     ordered = in_space_order(Surface(part.vertices, part.faces))
-    surface = ordered.surface
+    surface, origins = ordered.surface, part.compose(ordered)
     return replace(
         part,
         vertices=surface.vertices,
         faces=surface.faces,
-        vertex_origin=part.vertex_origin[ordered.vertices],
-        face_origin=part.face_origin[ordered.faces],
+        vertex_origin=origins.vertex_origin,
+        face_origin=origins.face_origin,
         loops=boundary_loops(surface.faces, surface.vertex_count) if part.loops else [],
     )
 

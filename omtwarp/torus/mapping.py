@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.maps.result import StageReport
 from omtwarp.maps.torus_map import TorusMap
+from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.quarter import quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.options import AreaMatch, Progress, Record, continued
@@ -71,7 +72,7 @@ class _Run:
     def __init__(self, surface: Surface, progress: Progress | None):
         self.surface, self.progress = surface, progress
         self.clock = self.begin = time.perf_counter()
-        self.origins: dict[str, NDArray[np.int64]] = {}
+        self.origins: Origins | None = None
         self.history: list[Record] = []
         self.stages: list[StageReport] = []
         self.shape_weight = 0.0  # of the last stage
@@ -110,10 +111,7 @@ class _Run:
         wraps, (x, y) = quartered_torus(quartered, self.surface.faces, self.conformal.wraps, *maps)
         lattice = self.conformal.lattice
         self.surface = quartered.surface
-        self.origins = {
-            "vertex_origin": quartered.vertex_origin,
-            "face_origin": quartered.parents.astype(np.int64),
-        }
+        self.origins = quartered.origins
         self.conformal, self.torus = FlatTorus(x, wraps, lattice), FlatTorus(y, wraps, lattice)
         energy = TorusCellEnergy(quartered, self.conformal, x @ lattice, self.shape_weight)
         found = exact_on_torus(energy, y @ lattice, progress=self.notify("exact"))
@@ -164,8 +162,8 @@ class _Run:
             lattice=torus.lattice * np.sqrt(area / SPHERE_AREA),
             conformal=self.conformal.coordinates,
             history=self.history,
-            vertex_origin=self.origins.get("vertex_origin"),
-            face_origin=self.origins.get("face_origin"),
+            vertex_origin=None if self.origins is None else self.origins.vertex_origin,
+            face_origin=None if self.origins is None else self.origins.face_origin,
         )
 
     def result(self, strict: bool) -> TorusMap:

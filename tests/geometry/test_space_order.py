@@ -49,12 +49,12 @@ def test_order_holds_the_same_surface():
     surface = shapes.blob(seed=5, sphere=500)
     weighted = surface.with_areas(np.linspace(1.0, 2.0, surface.face_count))
     ordered = in_space_order(weighted)
-    again = np.take_along_axis(surface.faces[ordered.faces], (np.arange(3) + ordered.turns[:, None]) % 3, axis=1)
-    assert np.array_equal(ordered.surface.vertices, surface.vertices[ordered.vertices])
-    assert np.array_equal(ordered.vertices[ordered.surface.faces], again)
-    np.testing.assert_allclose(ordered.surface.face_areas, weighted.face_areas[ordered.faces], rtol=1e-15)
-    assert np.array_equal(ordered.surface.names.vertices, ordered.vertices)
-    assert np.shares_memory(in_space_order(surface).vertices, ordered.vertices)  # kept, whatever the measure
+    again = np.take_along_axis(surface.faces[ordered.face_origin], (np.arange(3) + ordered.turns[:, None]) % 3, axis=1)
+    assert np.array_equal(ordered.surface.vertices, surface.vertices[ordered.vertex_origin])
+    assert np.array_equal(ordered.vertex_origin[ordered.surface.faces], again)
+    np.testing.assert_allclose(ordered.surface.face_areas, weighted.face_areas[ordered.face_origin], rtol=1e-15)
+    assert np.array_equal(ordered.surface.origins.vertex_origin, ordered.vertex_origin)
+    assert np.shares_memory(in_space_order(surface).vertex_origin, ordered.vertex_origin)  # kept, whatever the measure
 
 
 def test_neighbours_have_near_numbers():

@@ -16,7 +16,7 @@ from omtwarp.mapping.any_surface import map_surface
 from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mapping.verdict import foretell
 from omtwarp.mesh import shapes
-from omtwarp.mesh.names import InputNames, named_face, named_vertex
+from omtwarp.mesh.origins import Origins, named_face, named_vertex
 from omtwarp.mesh.surface import Surface
 from omtwarp.mesh.validate import check
 
@@ -117,7 +117,7 @@ def test_warnings_of_open_surfaces_name_what_the_input_has(domain):
 
 def test_names_are_kept_from_step_to_step():
     """Numbers lead back to the input after a face was cut in two, one was added, and all were mirrored."""
-    names = InputNames(np.array([4, -1, 7]), np.array([5, 5, -1]))
+    names = Origins(np.array([4, -1, 7]), np.array([5, 5, -1]))
     both = names.of(np.array([0, 1, 2, 0, -1]), np.array([0, 1, 2, 0, 1, 2]))
     assert both.vertices.tolist() == [4, -1, 7, 4, -1] and both.faces.tolist() == [5, 5, -1, 5, 5, -1]
     assert named_face(both, 4) == (5, "face 5") and named_face(both, 2) == (-1, "an added face")
