@@ -17,8 +17,6 @@ from omtwarp.mesh.surface import Surface
 
 SHAPES = ("blob", "creature", "sphere")
 
-AMPLITUDE = 0.3  # of the blob's bumps, in radii: a plain convention, which all published times were taken with
-
 
 def made(shape: str, face_count: int) -> Surface:
     """Return a generated shape with about so many faces: ``blob`` (a potato), ``creature`` (the demo's) or ``sphere``.
@@ -27,7 +25,8 @@ def made(shape: str, face_count: int) -> Surface:
         OmtwarpError: an unknown shape.
     """
     if shape == "blob":
-        return shapes.blob(seed=1, amplitude=AMPLITUDE, sphere=face_count)
+        # Amplitude, of the blob's bumps, in radii: a plain convention, which all published times were taken with
+        return shapes.blob(seed=1, amplitude=0.3, sphere=face_count)
     if shape == "creature":
         return shapes.demo_shape(face_count)
     if shape == "sphere":

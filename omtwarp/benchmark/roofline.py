@@ -24,8 +24,6 @@ from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mesh.surface import Surface
 from omtwarp.transport.flow import CURL_TOLERANCE, _Flow
 
-PER_THREAD = 16  # elements of an array that a thread is taken to touch at most: a vertex has six neighbours on average
-MANY_THREADS = 1024  # launches of fewer threads may go through whole arrays in a loop: these are counted whole
 # Kernels that work through a list whose length only the device knows: next to nothing, and counted as nothing.
 LISTED = ("omtwarp.flips.guard_kernels.find_bad_around", "omtwarp.flips.guard_kernels.shorten_steps")
 
@@ -122,7 +120,10 @@ def moved_bytes(threads: int, arguments: Sequence[object]) -> int:
         if not isinstance(argument, wp.array) or argument.ptr in seen:
             continue
         seen.add(argument.ptr)
-        elements = min(argument.size, PER_THREAD * threads) if threads >= MANY_THREADS else argument.size
+        # Per thread, elements of an array that a thread is taken to touch at most: a vertex has six neighbours on
+        # average
+        # Many threads, launches of fewer threads may go through whole arrays in a loop: these are counted whole
+        elements = min(argument.size, 16 * threads) if threads >= 1024 else argument.size
         total += elements * wp.types.type_size_in_bytes(argument.dtype)
     return total
 

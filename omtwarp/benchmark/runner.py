@@ -29,9 +29,6 @@ SIZES = (5_000, 20_000, 80_000)  # faces, each four times the one before, as a s
 LARGEST_REFERENCE = 500_000
 # Growth is measured from here on, where there are two sizes: below, fixed costs flatten it.
 ASYMPTOTIC = 20_000
-FORMAT = 1  # of the file of results; to be raised when a field changes its meaning
-
-WARM_UP_FACES = 2000  # of the map that is made first, so that every kernel is loaded before times are taken
 
 
 def run(
@@ -81,15 +78,17 @@ def run(
         raise OmtwarpError("nothing to measure: give sizes and shapes, or meshes")
     names = tuple(str(resolve_device(device)) for device in devices)
     notify = progress or (lambda text: None)
+    # Format, of the file of results; to be raised when a field changes its meaning
     result: Benchmark = {
-        "format": FORMAT,
+        "format": 1,
         "machine": machine(names),
         "settings": {"repeats": repeats, "refine": refine, "largest_reference": largest_reference},
         "meshes": [],
     }
     for name in names:
         notify(f"warming up {name}")
-        measure_map(made("blob", WARM_UP_FACES), name, refine)
+        # Warm up faces, of the map that is made first, so that every kernel is loaded before times are taken
+        measure_map(made("blob", 2000), name, refine)
     largest: Surface | None = None
     for family, label, surface in all_meshes(tuple(shapes), tuple(sizes), tuple(meshes), subdivisions):
         result["meshes"].append(measure_mesh(family, label, surface, names, repeats, refine, largest_reference, notify))
