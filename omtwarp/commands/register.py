@@ -16,6 +16,8 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from omtwarp.registration import Registration
 
 
@@ -55,6 +57,19 @@ def register_map(
         list[Path] | None,
         typer.Option(metavar="FILE", help="The same data at TARGET's vertices, in this order."),
     ] = None,
+    feature_weight: Annotated[
+        list[float] | None,
+        typer.Option(
+            metavar="NUMBER",
+            help="What a feature counts, in their order (sulcal depth, curvature if none are given): repeat for all.",
+        ),
+    ] = None,
+    strain: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Also write the strain at MOVING's vertices: log2 of ratios of areas and of stretches."
+        ),
+    ] = None,
     stiffness: Annotated[
         float, typer.Option(metavar="NUMBER", help="Weight of distortion against differences of features.")
     ] = 2.2,
@@ -73,6 +88,7 @@ def register_map(
     which they agree best, flips no triangle, and strains none more than --max-strain. Where the next best rotation
     agrees nearly as well the start is doubtful: several are tried, and the output says so.
     """
+    from omtwarp.mesh.data import DATA_SUFFIXES
     from omtwarp.mesh.neuro import require_same_structure
     from omtwarp.mesh.write import SUFFIXES, write_mesh
     from omtwarp.registration import register
@@ -81,6 +97,8 @@ def register_map(
     from omtwarp.spheres import is_named
 
     check_output(output, (".npz", *SUFFIXES), source, surface)
+    if strain is not None:
+        check_output(strain, DATA_SUFFIXES, source, surface)
     if output.suffix.lower() == ".npz" and source.suffix.lower() != ".npz":
         raise OmtwarpError(f"cannot write '{output}': a whole map needs a map (.npz) as input")
     other = None if is_named(to) or to in HEMISPHERES else Path(to)
@@ -91,11 +109,13 @@ def register_map(
         moving = file_points(source, surface)
         fixed = template(to) if to in HEMISPHERES else file_points(to, to_surface)
         mine, others = read_features(feature or [], to_feature or [])
+        weights = None if feature_weight is None else _named_weights(list(mine) or ["sulc", "curv"], feature_weight)
         found = register(
             moving,
             fixed,
             features=mine or None,
             to_features=others or None,
+            feature_weights=weights,
             stiffness=stiffness,
             max_strain=max_strain,
             progress=progress,
@@ -104,10 +124,38 @@ def register_map(
         found.registered(load_map(source)).save(output)
     else:
         write_mesh(output, radius * found.sphere, moving.grid.own_triangles, spherical=True, like=source)
+    if strain is not None:
+        _write_strain(strain, found, moving.grid.own_triangles, source if surface is None else surface)
     if as_json:
         print(report_text({"output": str(output), **found.to_dict()}), end="")
     elif not quiet:
         print(f"{output}: {_line(found)}")
+
+
+def _named_weights(names: list[str], weights: list[float]) -> dict[str, float]:
+    """Return the weights of features by name.
+
+    Raises:
+        OmtwarpError: there are more or fewer weights than features.
+    """
+    if len(weights) != len(names):
+        raise OmtwarpError(f"{len(weights)} times --feature-weight for {len(names)} features: give one for each")
+    return dict(zip(names, weights, strict=True))
+
+
+def _write_strain(file: Path, found: Registration, faces: NDArray, like: Path) -> None:
+    """Write both strains at the vertices, with the structure of the surface."""
+    import numpy as np
+
+    from omtwarp.mesh.data import VertexData, write_data
+    from omtwarp.mesh.neuro import structure_of
+    from omtwarp.registration.strain import strain_at_vertices
+
+    columns = [
+        strain_at_vertices(found.start.sphere, faces, values) for values in (found.area_strain, found.stretch_strain)
+    ]
+    data = VertexData(np.column_stack(columns), ("area_log2", "stretch_log2"), structure=structure_of(like))
+    write_data(file, data, (found.sphere, faces))
 
 
 def _line(found: Registration) -> str:

@@ -9,7 +9,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.patches import grow
-from omtwarp.mesh.surface import Surface
+from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.refine.energy import DistortionEnergy
 from omtwarp.refine.relaxation import relax
 from omtwarp.untangling.untangle import untangle
@@ -35,6 +35,19 @@ def octaves(before: Floats, after: Floats, faces: NDArray[np.int32]) -> tuple[Fl
     total = (qq * uu - 2.0 * pq * uv + pp * vv) / square
     half = np.maximum(total / (2.0 * areas), 1.0)  # of R + 1/R
     return np.log2(areas), np.log2(half + np.sqrt(half**2 - 1.0))
+
+
+def strain_at_vertices(before: Floats, faces: NDArray[np.int32], strain: Floats) -> Floats:
+    """Return the mean strain of the triangles around every vertex, weighted by their areas before, shape [V].
+
+    Args:
+        before: positions of the vertices, shape [V, 3].
+        faces: triangles, shape [F, 3].
+        strain: of the triangles, one of :func:`octaves`, shape [F].
+    """
+    areas = triangle_areas(before, faces)
+    sums = [np.bincount(faces.ravel(), np.repeat(x, 3), len(before)) for x in (areas * strain, areas)]
+    return np.asarray(sums[0] / np.maximum(sums[1], TINY))
 
 
 def kept_within(surface: Surface, sphere: Floats, bound: float) -> Floats:

@@ -16,6 +16,7 @@ from sphere_truths import random_rotation
 from omtwarp.commands._cli import main
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
+from omtwarp.mesh.data import read_data
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.write import write_mesh
 
@@ -72,6 +73,19 @@ def test_register_to_another_map(desk, capsys):
     assert run(*sphere, "--radius", "100", "--max-strain", "0.5") == 0
     assert "0 flips, degree 1" in capsys.readouterr().out
     np.testing.assert_allclose(read_mesh("lh.reg.ply").vertices, 100.0 * found.sphere, atol=2.0)
+
+
+def test_register_writes_strain_and_weights_features(desk, capsys):
+    words = ["register", "lh.npz", "--to", "template.npz", "-o", "out.npz", "-q"]
+    assert run(*words, "--strain", "lh.strain.csv", "--feature-weight", "1", "--feature-weight", "0") == 0
+    strain = read_data(Path("lh.strain.csv"))
+    assert strain.names == ("area_log2", "stretch_log2") and strain.values.shape == (COUNT, 2)
+    assert 0.0 <= strain.values[:, 1].min() and np.abs(strain.values).max() < 0.1
+    depth = MapResult.load("out.npz").report["registration"]["levels"][-1]["energy"]
+    assert run(*words, "--feature-weight", "2", "--feature-weight", "0") == 0
+    assert MapResult.load("out.npz").report["registration"]["levels"][-1]["energy"] != depth
+    assert run(*words, "--feature-weight", "2") == 1
+    assert "1 times --feature-weight for 2 features" in capsys.readouterr().err
 
 
 def test_align_by_axes_writes_a_sphere_of_radius_100(desk, capsys):

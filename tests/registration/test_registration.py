@@ -10,12 +10,13 @@ import omtwarp
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.harmonics import real_harmonics
+from omtwarp.location import Locator
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import Surface
 from omtwarp.registration.feature_term import FeatureField, FeatureTerm
 from omtwarp.registration.folding import HeatFlow, folding_features
-from omtwarp.registration.strain import kept_within, octaves
+from omtwarp.registration.strain import kept_within, octaves, strain_at_vertices
 from omtwarp.registration.templates import template
 from omtwarp.resampling import SpherePoints
 from omtwarp.spheres import mesh_grid
@@ -71,6 +72,20 @@ def test_a_known_warp_is_found_again(degrees):
     assert rms(found.sphere, truth) < EDGE < rms(found.start.sphere, truth)
     for values in found.correlations.values():
         assert values["after"] > max(0.95, values["before"])
+
+
+def test_there_and_back_is_where_it_was():
+    """Two surfaces registered to each other both ways: a triangle's size is what neither way may leave."""
+    surface, truth = folded(BALL), flowed(BALL.vertices, 10.0)
+    here, there = points_of(BALL.vertices, surface), points_of(truth, surface)
+    forth, back = omtwarp.register(here, there, **FIRM), omtwarp.register(there, here, **FIRM)
+    returned = Locator(truth, BALL.faces, device="cpu").find(forth.sphere).on_sphere(BALL.faces, back.sphere)
+    assert rms(returned, BALL.vertices) < EDGE
+
+
+def test_strain_at_vertices_is_that_of_their_triangles():
+    by_area, _ = octaves(BALL.vertices, 2.0 * BALL.vertices, BALL.faces)
+    np.testing.assert_allclose(strain_at_vertices(BALL.vertices, BALL.faces, by_area), 2.0, atol=1e-12)
 
 
 def test_the_bound_of_strain_is_kept_where_the_truth_is_beyond_it():
