@@ -40,7 +40,8 @@ def build(source: Path, target: Path) -> None:
     The pages are built in the checkout, as notebooks leave what they executed beside the folder of the pages.
     """
     pages = source / "site" / "html"
-    command = [sys.executable, "-m", "sphinx", "--fail-on-warning", "-b", "html", str(source / "docs"), str(pages)]
+    command = [sys.executable, "-m", "sphinx", "--fail-on-warning", "-b", "html", "-A", "versions=1"]
+    command += [str(source / "docs"), str(pages)]
     subprocess.run(command, check=True)
     if target.exists():
         shutil.rmtree(target)

@@ -237,13 +237,33 @@ def test_site_builds_without_a_warning(tmp_path):
     for page in (tmp_path / "html").rglob("*.html"):
         fetched = re.findall(r'<(?:script|link|img|iframe)[^>]+(?:src|href)="(https?:[^"]+)"', page.read_text("utf-8"))
         assert not fetched, f"{page.name} fetches {fetched[0]}"
-    assert 'class="versions"' in index and "versions.js" in index
+    assert 'class="versions"' not in index  # one version has none to choose from, and asks for no versions.json
     choosing = (tmp_path / "html" / "choosing.html").read_text("utf-8")
     assert choosing.count("_images/") >= 2 and "ScalarField" not in choosing  # pictures, without what draws them
     notebook = (tmp_path / "html" / "notebooks.html").read_text("utf-8")
     assert "srcdoc=" in notebook and "MapResult(" in notebook and "data:image/" in notebook  # its cells were run
     if sys.platform != "win32":
         assert wider_than_a_phone(tmp_path / "html", tmp_path / "profile") == []
+
+
+def test_only_a_site_of_several_versions_has_a_list_of_them(tmp_path, monkeypatch):
+    jinja2 = pytest.importorskip("jinja2")
+    text = (ROOT / "docs" / "_templates" / "versions.html").read_text("utf-8")
+    alone, beside = (
+        jinja2.Template(text).render(pathto=lambda _: "index.html", root_doc="index", **known)
+        for known in ({}, {"versions": "1"})
+    )
+    assert 'class="versions"' in beside
+    assert not alone.strip()
+    commands = []
+
+    def ran(command, **_):
+        commands.append(command)
+        (tmp_path / "site" / "html").mkdir(parents=True)
+
+    monkeypatch.setattr(subprocess, "run", ran)
+    runpy.run_path(str(ROOT / "docs" / "versions.py"))["build"](tmp_path, tmp_path / "built")
+    assert "versions=1" in commands[0]
 
 
 def test_versions_are_listed_with_the_newest_first(tmp_path):

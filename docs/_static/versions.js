@@ -1,5 +1,5 @@
-// Fills the list of versions in the sidebar. Where there is no versions.json above this version's folder, as in a site that was
-// built by itself or is read from files, the list stays hidden.
+// Fills the list of versions in the sidebar, which a site that was built by itself does not have. Where there is no
+// versions.json above this version's folder, or pages are read from files, the list stays hidden.
 "use strict";
 
 addEventListener("DOMContentLoaded", async () => {

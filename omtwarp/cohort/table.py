@@ -6,9 +6,11 @@ import csv
 from collections.abc import Sequence
 from pathlib import Path
 
-from omtwarp.cohort.item import NUMBERS, WHOLE, Row
+from omtwarp.cohort.item import NUMBERS, OK, WHOLE, Row
+from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import staged
 
+TABLES = "table.parquet", "table.csv"
 ORDER = ("id", "path", "status", *WHOLE[:3], *NUMBERS, "memory", "version", "message", "key")
 
 
@@ -61,3 +63,26 @@ def read_table(path: Path) -> list[Row]:
             }
             for row in csv.DictReader(stream)
         ]
+
+
+def table_of_cohort(source: Path) -> tuple[Path, list[Row]] | None:
+    """Return the folder of a cohort and its mapped rows, or None where the source is neither folder nor table of one.
+
+    Args:
+        source: the folder of a cohort's results, or the table in it.
+
+    Raises:
+        OmtwarpError: the table cannot be read, or has columns that no cohort writes.
+    """
+    folder = source if source.is_dir() else source.parent
+    tables = [folder / name for name in TABLES if (folder / name).is_file()]
+    if not (folder / "maps").is_dir() or not tables or source not in (folder, *tables):
+        return None
+    table = source if source in tables else tables[0]
+    try:
+        rows = read_table(table)
+        return folder, [row for row in rows if row["status"] == OK]
+    except ImportError as error:
+        raise OmtwarpError(f"'{table}' needs the package pyarrow: pip install 'omtwarp[tables]'") from error
+    except (OSError, ValueError, KeyError) as error:
+        raise OmtwarpError(f"'{table}' cannot be read as a cohort's table: {error}") from None

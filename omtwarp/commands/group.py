@@ -21,7 +21,7 @@ def group(
         list[str],
         typer.Argument(
             metavar="MANIFEST|MAPS",
-            help="A table with the columns 'path' and 'group' (- is standard input), or maps (.npz).",
+            help="A table with the columns 'path' and 'group' (- is standard input), a cohort's folder, or maps.",
         ),
     ],
     output: Annotated[Path, output_option("Folder of the results.", metavar="DIR")],
@@ -102,9 +102,20 @@ def group(
 
 
 def _members(sources: list[str]) -> tuple[list[str], list[Path], list[str] | None]:
-    """Return the name, file and group of every member; groups come from a table's column ``group``."""
-    from omtwarp.cohort.manifest import read_manifest
+    """Return the name, file and group of every member; groups come from a table's column ``group``.
 
+    Members of a cohort are those that it mapped, by the maps in its folder.
+    """
+    from omtwarp.cohort.manifest import read_manifest
+    from omtwarp.cohort.table import table_of_cohort
+
+    rows = table_of_cohort(Path(sources[0])) if len(sources) == 1 and sources[0] != str(STREAM) else None
+    if rows is not None:
+        folder, done = rows
+        groups = [str(row["group"]) for row in done if row.get("group") is not None]
+        if groups and len(groups) < len(done):
+            raise OmtwarpError(f"{len(done) - len(groups)} of {len(done)} maps in '{sources[0]}' have no group")
+        return [str(row["id"]) for row in done], [folder / "maps" / f"{row['id']}.npz" for row in done], groups or None
     if len(sources) == 1 and (sources[0] == str(STREAM) or Path(sources[0]).suffix.lower() in (".csv", ".tsv")):
         items = read_manifest(input_table(sources[0]))
         labels = [item.fields["group"] for item in items] if "group" in items[0].fields else None

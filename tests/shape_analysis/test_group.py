@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import sys
 import time
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from sphere_truths import pushed_north, random_rotation
 
 import omtwarp
+from omtwarp.cohort.table import write_table
 from omtwarp.commands._cli import main
 from omtwarp.measures import TargetDensity
 from omtwarp.mesh.shapes import hippocampus, icosphere
@@ -207,6 +209,32 @@ def test_commands_write_what_they_say(tmp_path, monkeypatch, capsys, pair):
     between = json.loads(capsys.readouterr().out)
     assert between["coefficients"] > 0.01
     assert float(apart[0]["m1"]) == pytest.approx(between["transport"])
+
+
+@pytest.mark.parametrize("parquet", [True, False], ids=["parquet", "csv"])
+def test_group_reads_what_a_cohort_wrote(tmp_path, monkeypatch, capsys, pair, parquet):
+    monkeypatch.chdir(tmp_path)
+    if parquet:
+        pytest.importorskip("pyarrow.parquet")
+    else:
+        monkeypatch.setitem(sys.modules, "pyarrow", None)
+    (tmp_path / "done" / "maps").mkdir(parents=True)
+    rows = []
+    for k in range(6):
+        pair[k % 2].save(f"done/maps/s{k}.npz")
+        rows.append({"id": f"s{k}", "path": f"elsewhere/s{k}.ply", "status": "ok", "group": "ab"[k % 2]})
+    failed = {"id": "s4", "path": "elsewhere/s4.ply", "status": "error", "group": "a"}
+    table = write_table([*rows, failed], tmp_path / "done")
+    assert table.suffix == (".parquet" if parquet else ".csv")
+    options = ["--grid", "ico2", "--degree", "6", "--components", "1", "--permutations", "20", "--json"]
+    for source in ("done", str(table.relative_to(tmp_path))):
+        assert run("group", source, "-o", "study", *options) == 0
+        assert json.loads(capsys.readouterr().out)["shapes"] == 6
+    listed = list(csv.DictReader((tmp_path / "study" / "table.csv").open()))
+    assert [(row["id"], row["group"]) for row in listed] == [(row["id"], row["group"]) for row in rows]
+    table.write_bytes(b"PAR1\ntorn")
+    assert run("group", str(table), "-o", "study", *options) != 0
+    assert "cannot be read as a cohort's table" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
