@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Literal, NotRequired, TypeAlias, TypedDict
+from typing import Literal, NotRequired, TypeAlias, TypedDict, Unpack
 
 from omtwarp.device.names import Solver, parse_device
 from omtwarp.errors import OmtwarpError, choose, shown
@@ -182,6 +182,7 @@ SolverLike: TypeAlias = Solver | Literal["auto", "scipy", "cholesky", "cudss"]
 BackendLike: TypeAlias = Backend | Literal["auto", "pyrender", "warp"]
 InterpolationLike: TypeAlias = Interpolation | Literal["barycentric", "nearest", "adaptive", "conservative"]
 DomainLike: TypeAlias = Domain | Literal["auto", "sphere", "hemisphere", "disk", "cap", "torus"]
+WeightsAtLike: TypeAlias = WeightsAt | Literal["auto", "vertices", "triangles"]
 FillAreaLike: TypeAlias = FillArea | Literal["natural", "small"]
 CutAlongLike: TypeAlias = CutAlong | Literal["auto", "handles", "holes"]
 PatternLike: TypeAlias = PatternName | Literal["circles", "puzzle", "globe", "checker"]
@@ -305,36 +306,23 @@ class MapOptions:
     strict: bool = False
 
     @classmethod
-    def parse(
-        cls,
-        *,
-        method: str,
-        until: str,
-        cost: str,
-        scheme: str,
-        refine: str | float | AreaMatch | None,
-        exact: bool = False,
-        optimality: bool,
-        device: str | None,
-        solver: str,
-        strict: bool = False,
-    ) -> MapOptions:
-        """Read options as users write them.
+    def parse(cls, **given: Unpack[MapKeywords]) -> MapOptions:
+        """Read options as users write them; those that are left out have their defaults.
 
         Raises:
             OmtwarpError: an option has no such value.
         """
         options = cls(
-            method=choose(Method, method),
-            until=choose(Stage, until),
-            cost=choose(Cost, cost),
-            scheme=choose(Scheme, scheme),
-            refine=parse_refinement(refine),
-            exact=bool(exact),
-            optimality=bool(optimality),
-            device=parse_device(device),
-            solver=choose(Solver, solver),
-            strict=bool(strict),
+            method=choose(Method, given.get("method", cls.method)),
+            until=choose(Stage, given.get("until", cls.until)),
+            cost=choose(Cost, given.get("cost", cls.cost)),
+            scheme=choose(Scheme, given.get("scheme", cls.scheme)),
+            refine=parse_refinement(given.get("refine", cls.refine)),
+            exact=bool(given.get("exact", cls.exact)),
+            optimality=bool(given.get("optimality", cls.optimality)),
+            device=parse_device(given.get("device", cls.device)),
+            solver=choose(Solver, given.get("solver", cls.solver)),
+            strict=bool(given.get("strict", cls.strict)),
         )
         optimal = options.method is Method.OMT and Stage.OMT in options.stages and options.refine is None
         if options.exact and not (optimal and options.scheme is Scheme.DEFAULT):

@@ -12,7 +12,7 @@ from typing import cast
 import numpy as np
 
 from omtwarp.cohort.item import ERROR, MEMORY, OK, Job, Row, locked, read_record, write_record
-from omtwarp.errors import OmtwarpError, OmtwarpWarning, unexpected
+from omtwarp.errors import OmtwarpError, OmtwarpWarning, choose, unexpected
 from omtwarp.mapping.any_surface import map_surface
 from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.maps.result import MapResult
@@ -20,7 +20,7 @@ from omtwarp.mesh.checks import MeshLike
 from omtwarp.mesh.repair import NOTED_LOSS, repair
 from omtwarp.mesh.seams import read_joined_mesh
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
-from omtwarp.options import Domain, MapKeywords
+from omtwarp.options import Domain, FillArea, MapKeywords
 
 
 def run_item(job: Job) -> Row:
@@ -67,7 +67,7 @@ def mapped(mesh: MeshLike, asked: Mapping[str, object]) -> MapResult:
     options = cast(MapKeywords, {name: value for name, value in asked.items() if name not in ("repair", "fill_area")})
     if "fill_area" not in asked:
         return map_to_sphere(mesh, **options)
-    area = str(asked["fill_area"])
+    area = choose(FillArea, asked["fill_area"])
     result = map_surface(mesh, domain=Domain.SPHERE, fill_area=area, components=False, cut=False, **options)
     return cast(MapResult, result)  # as the domain is no torus
 

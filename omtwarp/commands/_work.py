@@ -291,7 +291,7 @@ def make_map(
     quiet: bool,
     any_surface: None = None,
     weights: ArrayLike | None = None,
-    weights_at: str = WeightsAt.AUTO,
+    weights_at: WeightsAt = WeightsAt.AUTO,
     target: TargetDensity | None = None,
     **options: Unpack[MapKeywords],
 ) -> MapResult: ...
@@ -302,7 +302,7 @@ def make_map(
     quiet: bool,
     any_surface: SurfaceKeywords | None,
     weights: ArrayLike | None = None,
-    weights_at: str = WeightsAt.AUTO,
+    weights_at: WeightsAt = WeightsAt.AUTO,
     target: TargetDensity | None = None,
     **options: Unpack[MapKeywords],
 ) -> MapResult | TorusMap: ...
@@ -312,7 +312,7 @@ def make_map(
     quiet: bool,
     any_surface: SurfaceKeywords | None = None,
     weights: ArrayLike | None = None,
-    weights_at: str = WeightsAt.AUTO,
+    weights_at: WeightsAt = WeightsAt.AUTO,
     target: TargetDensity | None = None,
     **options: Unpack[MapKeywords],
 ) -> MapResult | TorusMap:

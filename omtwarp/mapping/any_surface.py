@@ -41,14 +41,18 @@ from omtwarp.optimal.refinement import refinement_weight
 from omtwarp.options import (
     AreaMatch,
     CutAlong,
+    CutAlongLike,
     Domain,
+    DomainLike,
     FillArea,
+    FillAreaLike,
     MapKeywords,
     MapOptions,
     Progress,
     Solver,
     Stage,
     WeightsAt,
+    WeightsAtLike,
     choose,
     parse_refinement,
 )
@@ -73,15 +77,15 @@ Floats = NDArray[np.float64]
 def map_surface(
     mesh: MeshLike,
     *,
-    domain: str = Domain.AUTO,
-    fill_area: str = FillArea.NATURAL,
+    domain: DomainLike = Domain.AUTO,
+    fill_area: FillAreaLike = FillArea.NATURAL,
     components: bool = True,
     together: bool = False,
     cut: bool = True,
-    cut_along: str = CutAlong.AUTO,
+    cut_along: CutAlongLike = CutAlong.AUTO,
     progress: Progress | None = None,
     weights: ArrayLike | None = None,
-    weights_at: str = WeightsAt.AUTO,
+    weights_at: WeightsAtLike = WeightsAt.AUTO,
     target: TargetLike | None = None,
     **options: Unpack[MapKeywords],
 ) -> MapResult | TorusMap:
@@ -647,7 +651,7 @@ def _on_hemisphere(
     areas = np.concatenate([half.face_areas, half.face_areas]) if half.weighted else None
     surface = Surface(glued.vertices, glued.faces, areas)
     surface.origins = glued if half.origins is None else half.origins.compose(glued)
-    chosen = MapOptions.parse(**(cast(MapKeywords, vars(MapOptions())) | options))
+    chosen = MapOptions.parse(**options)
     closed = map_double(glued, surface, chosen, progress=progress, stacklevel=5)
     if chosen.exact:
         cut = quartered_double(glued, quarter(surface))

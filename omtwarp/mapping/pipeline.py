@@ -42,7 +42,24 @@ from omtwarp.optimal import OptimalMap, optimal_map
 from omtwarp.optimal.cells import exact_map
 from omtwarp.optimal.nested import EMBEDDED, NESTED, embedded_start, minimised, nested_start, shape_term
 from omtwarp.optimal.refinement import refine_map, refinement_weight
-from omtwarp.options import AreaMatch, Cost, MapOptions, Method, Progress, Record, Scheme, Stage, WeightsAt, continued
+from omtwarp.options import (
+    AreaMatch,
+    Cost,
+    CostLike,
+    MapOptions,
+    Method,
+    MethodLike,
+    Progress,
+    Record,
+    Scheme,
+    SchemeLike,
+    SolverLike,
+    Stage,
+    StageLike,
+    WeightsAt,
+    WeightsAtLike,
+    continued,
+)
 from omtwarp.solvers.mesh_factor import begin_saddle_order
 from omtwarp.start.choice import bijective_start
 from omtwarp.texturing.density import TargetLike, as_target
@@ -78,18 +95,18 @@ GAP_ASCENT_STEPS, GAP_ASCENT_VERTICES = (3, 20), 8_000
 def map_to_sphere(
     mesh: MeshLike,
     *,
-    method: str = MapOptions.method,
-    until: str = MapOptions.until,
-    cost: str = MapOptions.cost,
-    scheme: str = MapOptions.scheme,
+    method: MethodLike = MapOptions.method,
+    until: StageLike = MapOptions.until,
+    cost: CostLike = MapOptions.cost,
+    scheme: SchemeLike = MapOptions.scheme,
     refine: str | float | AreaMatch | None = MapOptions.refine,
     exact: bool = MapOptions.exact,
     optimality: bool = MapOptions.optimality,
     weights: ArrayLike | None = None,
-    weights_at: str = WeightsAt.AUTO,
+    weights_at: WeightsAtLike = WeightsAt.AUTO,
     target: TargetLike | None = None,
     device: str | None = MapOptions.device,
-    solver: str = MapOptions.solver,
+    solver: SolverLike = MapOptions.solver,
     strict: bool = MapOptions.strict,
     progress: Progress | None = None,
 ) -> MapResult:

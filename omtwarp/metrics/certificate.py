@@ -11,7 +11,7 @@ from omtwarp.device.arrays import triangles, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.flips.rings import Examined, examine
-from omtwarp.mesh.arrays import real_numbers
+from omtwarp.mesh.arrays import real_numbers, require_unit_length
 from omtwarp.mesh.checks import MeshLike, as_faces, as_triangles
 from omtwarp.mesh.surface import SPHERE_AREA, triangle_areas
 from omtwarp.metrics.kernels import count_crossings
@@ -74,15 +74,15 @@ def certify(surface: MeshLike, sphere: ArrayLike, *, device: str | None = "auto"
 
     Args:
         surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes, V vertices; only its faces count.
-        sphere: points of any length, float64, shape [V, 3]; triangles with one that is not finite count as flipped.
+        sphere: unit vectors, float64, shape [V, 3]; triangles with one that is not finite count as flipped.
         device: where floating point is tried, and rays are cast.
 
     Returns:
         What was found; ``bijective`` says whether the map is one to one and onto.
 
     Raises:
-        OmtwarpError: no mesh, arrays that are not of numbers or do not fit together, or a corner that is not among the
-            vertices.
+        OmtwarpError: no mesh, arrays that are not of numbers or do not fit together, points that are not of unit
+            length, or a corner that is not among the vertices.
 
     Example:
         >>> import omtwarp
@@ -94,7 +94,9 @@ def certify(surface: MeshLike, sphere: ArrayLike, *, device: str | None = "auto"
         False
     """
     vertices, faces = as_triangles(surface)
-    return certify_triangles(faces, real_numbers(sphere, "the map", (len(vertices), 3), finite=False), device=device)
+    points = real_numbers(sphere, "the map", (len(vertices), 3), finite=False)
+    require_unit_length(points[np.isfinite(points).all(axis=1)], "the map")
+    return certify_triangles(faces, points, device=device)
 
 
 def certify_triangles(

@@ -21,7 +21,7 @@ from omtwarp.device.arrays import triangles, vectors
 from omtwarp.device.policy import resolve_device, shares_host_memory
 from omtwarp.device.start import wp
 from omtwarp.device.sums import DeviceSum, RowSums
-from omtwarp.mesh.arrays import in_range, real_numbers
+from omtwarp.mesh.arrays import in_range, real_numbers, require_unit_length
 from omtwarp.mesh.checks import MeshLike, as_faces, as_triangles
 from omtwarp.metrics.kernels import not_finite, pick_values, triangle_distortion, weighted_distortions
 
@@ -67,6 +67,9 @@ class Distortion:
     area_ratio: NDArray[np.float64]
     triple: NDArray[np.float64]
 
+    def __repr__(self) -> str:
+        return f"Distortion({self}, {len(self.triple)} faces)"
+
     def to_dict(self) -> Aggregates:
         """Return the aggregates as plain numbers, ready for JSON."""
         return {
@@ -91,15 +94,15 @@ def distortion(surface: MeshLike, sphere: ArrayLike | wp.array, *, device: str |
     Args:
         surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes, V vertices, any unit; it may have
             defects that keep it from being mapped.
-        sphere: the images of the vertices, shape [V, 3]; normalised here. Or a Warp array of vec3d.
+        sphere: the images of the vertices, unit vectors, shape [V, 3]. Or a Warp array of vec3d.
         device: where the per-triangle kernel runs.
 
     Returns:
         The distortion, section 6 of the paper, in all three weightings.
 
     Raises:
-        OmtwarpError: no mesh, arrays that are not of numbers or do not fit together, or a corner that is not among the
-            vertices.
+        OmtwarpError: no mesh, arrays that are not of numbers or do not fit together, points that are not of unit
+            length, or a corner that is not among the vertices.
 
     Example:
         >>> import omtwarp
@@ -108,7 +111,11 @@ def distortion(surface: MeshLike, sphere: ArrayLike | wp.array, *, device: str |
         >>> measured.flips, round(measured.area["mean"], 9), round(measured.angle["mean"], 9)  # a similarity
         (0, 2.0, 2.0)
     """
-    return measure_triangles(*as_triangles(surface), sphere, device=device)
+    vertices, faces = as_triangles(surface)
+    if not isinstance(sphere, wp.array):
+        sphere = real_numbers(sphere, "the map", (len(vertices), 3), finite=False)
+        require_unit_length(sphere[np.isfinite(sphere).all(axis=1)], "the map")
+    return measure_triangles(vertices, faces, sphere, device=device)
 
 
 def measure_triangles(

@@ -223,7 +223,8 @@ def map_optimality(
         >>> bool(omtwarp.map_optimality(result).gap < 0.1)
         True
     """
-    if hasattr(result, "domain"):
+    partly = any(getattr(result, name, None) is not None for name in ("part", "filled_faces"))
+    if partly or getattr(result, "domain", "sphere") != "sphere":
         raise OmtwarpError(
             "this measure is for closed surfaces of genus 0: of others see report['optimality'], of parts "
             "report['parts']"

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sphere_truths import judge, pushed_north, random_rotation, turned, twisted
 
+import omtwarp
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.mesh.shapes import blob, fibonacci_sphere, icosphere, noisy, random_sphere
@@ -178,3 +179,18 @@ def test_aggregates_say_when_a_map_is_not_finite(device):
         assert found["area"] == pytest.approx(expected["area"], rel=1e-12)
     broken = aggregates(triangle_quantities(sphere, surface.faces, surface.vertices, where), vectors(sphere, where))
     assert all(np.isnan(broken[name][key]) for name in ("area", "angle") for key in broken[name])
+
+
+def test_a_measured_distortion_prints_in_a_line():
+    ball = icosphere(4)
+    text = repr(omtwarp.distortion(ball, ball.vertices, device="cpu"))
+    assert "\n" not in text and len(text) < 120 and "area 2.0" in text and "320 faces" in text
+
+
+@pytest.mark.parametrize("measure", [omtwarp.certify, omtwarp.distortion])
+def test_points_that_are_not_of_unit_length_are_refused(measure):
+    ball = icosphere(4)
+    points = ball.vertices.copy()
+    points[7] *= 1.001
+    with pytest.raises(omtwarp.OmtwarpError, match="1 points of the map are not on the unit sphere, first vertex 7"):
+        measure(ball, points, device="cpu")
