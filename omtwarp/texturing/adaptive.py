@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import launch_parts
-from omtwarp.texturing import adaptive_kernels as kernels
+from omtwarp.texturing import kernels
 from omtwarp.texturing.atlas import Equirectangular, check_size
 from omtwarp.texturing.baking import SAMPLES_AT_ONCE, PatternSource, Source, ValueSource, source_of
 from omtwarp.texturing.bending import Look

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from omtwarp.device.start import wp
 from omtwarp.device.threads import launch_parts
 from omtwarp.mesh.surface import face_neighbours
-from omtwarp.texturing import kernels, smooth_kernels
+from omtwarp.texturing import kernels
 from omtwarp.texturing.atlas import Atlas
 from omtwarp.texturing.baking import GROW, NOBODY, claimed
 from omtwarp.texturing.seams import Unwrapped
@@ -134,7 +134,7 @@ class BentLook(Look):
         # Hint reach: blocks past the borders of charts to which the hints go, which is more than a gutter
         part = np.where(part == NOBODY, claimed(corners, across, down, 1.0, where), part)
         hints = np.where(part == NOBODY, -1, cut.source_face[np.minimum(part, len(cut.source_face) - 1)])
-        self._kernel = smooth_kernels.bent_sample_directions
+        self._kernel = kernels.bent_sample_directions
         self._tables = [HINT_BLOCK, across]
         self._tables += [
             wp.array(np.ascontiguousarray(table), dtype=kind, device=where)

@@ -1,10 +1,12 @@
 # mypy: ignore-errors
-"""Kernels between texels and directions: directions of texels, values of pictures, and the owners of texels."""
+"""Kernels between texels and directions: directions of texels, values of pictures, owners of texels, calm blocks."""
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, PI, TWO, ZERO, wp
 from omtwarp.geometry.spherical import TINY
+from omtwarp.location.kernels import clamped, spherical_coordinates
 
 wp.set_module_options(KERNEL_OPTIONS)
+
 
 FOUR = wp.constant(wp.float64(4.0))
 
@@ -477,3 +479,221 @@ def dilate_texels(
                         if known[r * width + q] == wp.uint8(1):
                             total = total + picture[r * width + q, c]
                 out[i, c] = total / wp.float32(count)
+
+
+# Points of a block's lattice along a side, one more than parts of the block.
+LATTICE = wp.constant(5)
+
+
+@wp.func
+def as_byte(value: wp.float64):
+    return wp.uint8(int(wp.clamp(value * wp.float64(255.0) + wp.float64(0.5), wp.float64(0.0), wp.float64(255.0))))
+
+
+@wp.kernel
+def fill_calm(
+    corners: wp.array[wp.int32],
+    step: int,
+    width: int,
+    height: int,
+    gradient: wp.float64,
+    directions: wp.array[wp.vec3d],
+    reach: wp.array[wp.float64],
+    colours: wp.array2d[wp.float64],
+    # Data out:
+    picture: wp.array2d[wp.uint8],
+    busy: wp.array2d[wp.uint8],
+):
+    """Fill the parts of blocks that no edge of the pattern touches by interpolation between their corners.
+
+    ``corners`` are the numbers of the blocks' first texels. Directions, reach and colours are given at the lattice of
+    middles of texels that are ``step`` apart, all of the first block before those of the second. Parts in which there
+    may be an edge, or colours that differ by more than ``gradient``, are left alone and marked in ``busy`` by a 1.
+    """
+    i, _compiled_once = wp.tid()
+    first_x = corners[i] % width
+    first_y = corners[i] // width
+    parts = LATTICE - 1
+    base = i * LATTICE * LATTICE
+    for part in range(parts * parts):
+        column = part % parts
+        row = part // parts
+        x0 = first_x + column * step
+        y0 = first_y + row * step
+        busy[i, part] = wp.uint8(0)
+        if x0 < width and y0 < height:
+            k = base + row * LATTICE + column
+            m = k + LATTICE
+            across = wp.max(wp.length(directions[m + 1] - directions[k]), wp.length(directions[k + 1] - directions[m]))
+            least = wp.min(wp.min(reach[k], reach[k + 1]), wp.min(reach[m], reach[m + 1]))
+            # A point of a part of a block is no farther from one of its corners than half of its diagonal; a fifth more
+            # leaves room for directions that are not quite linear in between.
+            calm = least > wp.float64(0.6) * across
+            for c in range(3):
+                low = wp.min(wp.min(colours[k, c], colours[k + 1, c]), wp.min(colours[m, c], colours[m + 1, c]))
+                high = wp.max(wp.max(colours[k, c], colours[k + 1, c]), wp.max(colours[m, c], colours[m + 1, c]))
+                if high - low > gradient:
+                    calm = False
+            if calm:
+                columns = wp.float64(wp.max(wp.min(x0 + step, width - 1) - x0, 1))
+                rows = wp.float64(wp.max(wp.min(y0 + step, height - 1) - y0, 1))
+                for y in range(y0, wp.min(y0 + step, height)):
+                    t = wp.float64(y - y0) / rows
+                    for c in range(3):
+                        left = colours[k, c] + t * (colours[m, c] - colours[k, c])
+                        right = colours[k + 1, c] + t * (colours[m + 1, c] - colours[k + 1, c])
+                        for x in range(x0, wp.min(x0 + step, width)):
+                            value = left + wp.float64(x - x0) / columns * (right - left)
+                            picture[y * width + x, c] = as_byte(value)
+            else:
+                busy[i, part] = wp.uint8(1)
+
+
+@wp.kernel
+def average_to_bytes(
+    values: wp.array2d[wp.float64],
+    samples: int,
+    texels: wp.array[wp.int32],
+    # Data out:
+    picture: wp.array2d[wp.uint8],
+):
+    """Write the mean of the samples of every texel, rounded, to the texel's place."""
+    i, _compiled_once = wp.tid()
+    per_texel = samples * samples
+    for c in range(values.shape[1]):
+        picture[texels[i], c] = as_byte(mean_sample(values, i * per_texel, per_texel, c))
+
+
+@wp.kernel
+def flag_edges(
+    picture: wp.array2d[wp.uint8],
+    texels: wp.array[wp.int32],
+    width: int,
+    height: int,
+    threshold: int,
+    # Data out:
+    flags: wp.array[wp.uint8],
+):
+    """Mark with 1 where a texel differs from one of its four neighbours by more than a threshold in some channel."""
+    i, _compiled_once = wp.tid()
+    number = texels[i]
+    row = number // width
+    column = number % width
+    flag = wp.uint8(0)
+    for way in range(4):
+        r = row
+        q = column
+        if way == 0:
+            q = (column + 1) % width
+        elif way == 1:
+            q = (column + width - 1) % width
+        elif way == 2:
+            r = wp.min(row + 1, height - 1)
+        else:
+            r = wp.max(row - 1, 0)
+        for c in range(picture.shape[1]):
+            if wp.abs(int(picture[r * width + q, c]) - int(picture[number, c])) > threshold:
+                flag = wp.uint8(1)
+    flags[i] = flag
+
+
+# From the triangle that holds the middle of a block of texels to that of a sample: the meshes of most surfaces have
+# fewer triangles across a block than this.
+MOST_STEPS = wp.constant(64)
+# How far outside of its triangle, in shares of it, a point may lie where the walk ends: ten times round-off's part of
+# the least triangle that a texel shows.
+SLACK = wp.constant(wp.float64(-1.0e-9))
+
+
+@wp.func
+def grid_place(bary: wp.vec3d, parts: int, first: int, grid: wp.array[wp.int32], points: wp.array[wp.vec3d]):
+    """Return the point of a divided triangle at barycentric coordinates."""
+    n = wp.float64(parts)
+    x = wp.clamp(bary[1], ZERO, ONE) * n
+    y = wp.clamp(bary[2], ZERO, ONE) * n
+    a = wp.clamp(int(wp.floor(x)), 0, parts - 1)
+    b = wp.clamp(int(wp.floor(y)), 0, parts - 1 - a)
+    s = x - wp.float64(a)
+    t = y - wp.float64(b)
+    here = first + a * (2 * parts + 3 - a) // 2 + b
+    after = first + (a + 1) * (2 * parts + 2 - a) // 2 + b  # one step towards corner 1
+    if s + t <= ONE or a + b == parts - 1:
+        return (ONE - s - t) * points[grid[here]] + s * points[grid[after]] + t * points[grid[here + 1]]
+    return (
+        (s + t - ONE) * points[grid[after + 1]] + (ONE - t) * points[grid[after]] + (ONE - s) * points[grid[here + 1]]
+    )
+
+
+@wp.kernel
+def bent_sample_directions(
+    kind: int,
+    width: int,
+    height: int,
+    offset: wp.float64,
+    gutter: wp.float64,
+    texels: wp.array[wp.int32],
+    samples: int,
+    block: int,
+    blocks_across: int,
+    hints: wp.array[wp.int32],
+    faces: wp.array[wp.vec3i],
+    neighbours: wp.array[wp.vec3i],
+    sphere: wp.array[wp.vec3d],
+    first: wp.array[wp.int32],
+    divided: wp.array[wp.int32],
+    grid: wp.array[wp.int32],
+    points: wp.array[wp.vec3d],
+    # Data out:
+    directions: wp.array[wp.vec3d],
+):
+    """Compute the directions of texels' samples, moved by the difference of the smooth map from the linear one.
+
+    ``hints`` names a triangle of the mesh near every block of texels, -1 where there is none. ``divided`` says into how
+    many parts the edges of a triangle are divided, 0 where the smooth map is the linear one; ``first`` where its points
+    begin in the grid.
+    """
+    i, _compiled_once = wp.tid()
+    number = texels[i]
+    row = number // width
+    column = number % width
+    # All samples are moved as the middle is: across a texel that changes by a small part of one.
+    d = picture_direction(kind, wp.float64(column) + HALF, wp.float64(row) + HALF, width, height, offset, gutter)
+    f = hints[row // block * blocks_across + column // block]
+    if f < 0:  # in a gutter, which shows what lies elsewhere on the picture
+        place = picture_point(kind, d, width, height, offset, gutter)
+        column_there = wp.clamp(int(wp.floor(place[0])), 0, width - 1)
+        row_there = wp.clamp(int(wp.floor(place[1])), 0, height - 1)
+        f = hints[row_there // block * blocks_across + column_there // block]
+    weights = wp.vec3d()
+    found = bool(False)
+    steps = int(0)
+    while f >= 0 and steps < MOST_STEPS and not found:
+        face = faces[f]
+        weights = spherical_coordinates(sphere[face[0]], sphere[face[1]], sphere[face[2]], d)
+        total = weights[0] + weights[1] + weights[2]
+        worst = int(0)
+        if weights[1] < weights[worst]:
+            worst = int(1)
+        if weights[2] < weights[worst]:
+            worst = int(2)
+        if weights[worst] >= SLACK * total and total > ZERO:
+            found = True
+        else:
+            f = neighbours[f][(worst + 1) % 3]  # corner k is opposite to the edge from corner k + 1
+            steps = steps + 1
+    move = wp.vec3d(ZERO, ZERO, ZERO)
+    if found:
+        parts = divided[f]
+        if parts > 0:
+            bary = clamped(weights)
+            face = faces[f]
+            linear = bary[0] * sphere[face[0]] + bary[1] * sphere[face[1]] + bary[2] * sphere[face[2]]
+            smooth = grid_place(bary, parts, first[f], grid, points)
+            move = wp.normalize(smooth) - wp.normalize(linear)
+    if samples == 1:
+        directions[i] = wp.normalize(d + move)
+        return
+    for k in range(samples * samples):
+        x, y = sample_place(number, width, k, samples)
+        sample = picture_direction(kind, x, y, width, height, offset, gutter)
+        directions[i * samples * samples + k] = wp.normalize(sample + move)
