@@ -24,7 +24,6 @@ from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh import shapes
 from omtwarp.reporting import report_page, scene, write_report
 from omtwarp.reporting.stages import REPORT
-from omtwarp.reporting.torus_page import FIGURES
 from omtwarp.shape_analysis import study_group
 from omtwarp.shape_analysis.group_report import write_group_report
 
@@ -143,10 +142,10 @@ def torus_page(folder, words):
     """The page of a map to a torus whose report, read from its file, has the words in every field."""
     ring = trimesh.creation.torus(1.0, 0.4, major_sections=8, minor_sections=5)
     count = len(ring.vertices)
-    stage = {name: words for name, *_ in FIGURES} | {"name": words, "area": {"surface": words}, "angle": words}
+    report = filled(REPORT, words) | {words: words, "certificate": {words: words}}
     made = TorusMap(
         ring.vertices, ring.faces, np.zeros((count, 2)), np.zeros((len(ring.faces), 3, 2), int), np.eye(2),
-        np.zeros((count, 2)), report={"stages": [stage], words: words, "certificate": {words: words}},
+        np.zeros((count, 2)), report=report,
     )  # fmt: skip
     made.save(folder / "torus.npz")
     return write_report(TorusMap.load(folder / "torus.npz"), folder / "page.html", title=words)
