@@ -1,14 +1,41 @@
-"""Data at vertices as features of two spheres, as the commands that compare them take them."""
+"""Two spheres, their surfaces and data at their vertices as features, as the commands that compare them take them."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+import typer
+
+from omtwarp.commands._options import output_option
+from omtwarp.commands._streams import input_file
 from omtwarp.errors import OmtwarpError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+MovingArgument = Annotated[
+    Path,
+    typer.Argument(
+        metavar="MOVING", callback=input_file, help="A map (.npz), or a sphere as a mesh; - is standard input."
+    ),
+]
+MovedOption = Annotated[
+    Path, output_option(".npz for the whole map, or a mesh suffix for the sphere; - is standard output.", ".npz")
+]
+SurfaceOption = Annotated[
+    Path | None, typer.Option(metavar="MESH", help="The surface of MOVING, where MOVING is a sphere without one.")
+]
+ToSurfaceOption = Annotated[
+    Path | None, typer.Option(metavar="MESH", help="The surface of the other sphere, where that is no .npz.")
+]
+FeatureOption = Annotated[
+    list[Path] | None,
+    typer.Option(metavar="FILE", help="Compare by these data at MOVING's vertices; repeat for more features."),
+]
+ToFeatureOption = Annotated[
+    list[Path] | None, typer.Option(metavar="FILE", help="The same data at the other sphere's vertices, in this order.")
+]
 
 
 def read_features(ours: list[Path], theirs: list[Path]) -> tuple[dict[str, NDArray], dict[str, NDArray]]:

@@ -7,8 +7,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from omtwarp.commands._features import read_features
-from omtwarp.commands._options import JsonOption, QuietOption, RadiusOption, VerboseOption, output_option
+from omtwarp.commands._features import (
+    FeatureOption,
+    MovedOption,
+    MovingArgument,
+    SurfaceOption,
+    ToFeatureOption,
+    ToSurfaceOption,
+    read_features,
+)
+from omtwarp.commands._options import JsonOption, QuietOption, RadiusOption, VerboseOption
 from omtwarp.commands._progress import progress_bar, steps
 from omtwarp.commands._streams import input_file
 from omtwarp.commands._work import load_map, report_text
@@ -21,16 +29,8 @@ if TYPE_CHECKING:
 
 
 def align_map(
-    source: Annotated[
-        Path,
-        typer.Argument(
-            metavar="MAP", callback=input_file, help="A map (.npz), or a sphere as a mesh; - is standard input."
-        ),
-    ],
-    output: Annotated[
-        Path,
-        output_option(".npz for the whole map, or a mesh suffix for the sphere; - is standard output.", ".npz"),
-    ],
+    source: MovingArgument,
+    output: MovedOption,
     to: Annotated[
         str,
         typer.Option(
@@ -39,20 +39,10 @@ def align_map(
             help="The shape's own axes, another map or sphere (- is standard input), or a grid such as fsaverage5.",
         ),
     ] = "axes",
-    surface: Annotated[
-        Path | None, typer.Option(metavar="MESH", help="The surface of MAP, where MAP is a sphere without one.")
-    ] = None,
-    to_surface: Annotated[
-        Path | None, typer.Option(metavar="MESH", help="The surface of the other sphere, where that is no .npz.")
-    ] = None,
-    feature: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="FILE", help="Align by these data at MAP's vertices; repeat for more features."),
-    ] = None,
-    to_feature: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="FILE", help="The same data at the other sphere's vertices, in this order."),
-    ] = None,
+    surface: SurfaceOption = None,
+    to_surface: ToSurfaceOption = None,
+    feature: FeatureOption = None,
+    to_feature: ToFeatureOption = None,
     by: Annotated[
         AlignBy,
         typer.Option(help="What to compare; vertices needs equal faces; auto takes it for two maps of one surface."),

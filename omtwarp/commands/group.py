@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -111,11 +112,7 @@ def _members(sources: list[str]) -> tuple[list[str], list[Path], list[str] | Non
 
     rows = table_of_cohort(Path(sources[0])) if len(sources) == 1 and sources[0] != str(STREAM) else None
     if rows is not None:
-        folder, done = rows
-        groups = [str(row["group"]) for row in done if row.get("group") is not None]
-        if groups and len(groups) < len(done):
-            raise OmtwarpError(f"{len(done) - len(groups)} of {len(done)} maps in '{sources[0]}' have no group")
-        return [str(row["id"]) for row in done], [folder / "maps" / f"{row['id']}.npz" for row in done], groups or None
+        return _mapped_members(sources[0], *rows)
     if len(sources) == 1 and (sources[0] == str(STREAM) or Path(sources[0]).suffix.lower() in (".csv", ".tsv")):
         items = read_manifest(input_table(sources[0]))
         labels = [item.fields["group"] for item in items] if "group" in items[0].fields else None
@@ -123,3 +120,13 @@ def _members(sources: list[str]) -> tuple[list[str], list[Path], list[str] | Non
     paths = [Path(str(input_file(text))) for text in sources]
     stems = [path.stem for path in paths]
     return (stems if len(set(stems)) == len(stems) else [str(path) for path in paths]), paths, None
+
+
+def _mapped_members(
+    source: str, folder: Path, done: Sequence[Mapping[str, object]]
+) -> tuple[list[str], list[Path], list[str] | None]:
+    """Return name, file and group of every member that a cohort mapped, from the rows of its table."""
+    groups = [str(row["group"]) for row in done if row.get("group") is not None]
+    if groups and len(groups) < len(done):
+        raise OmtwarpError(f"{len(done) - len(groups)} of {len(done)} maps in '{source}' have no group")
+    return [str(row["id"]) for row in done], [folder / "maps" / f"{row['id']}.npz" for row in done], groups or None

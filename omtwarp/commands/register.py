@@ -7,8 +7,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from omtwarp.commands._features import read_features
-from omtwarp.commands._options import JsonOption, QuietOption, RadiusOption, VerboseOption, output_option
+from omtwarp.commands._features import (
+    FeatureOption,
+    MovedOption,
+    MovingArgument,
+    SurfaceOption,
+    ToFeatureOption,
+    ToSurfaceOption,
+    read_features,
+)
+from omtwarp.commands._options import JsonOption, QuietOption, RadiusOption, VerboseOption
 from omtwarp.commands._progress import progress_bar
 from omtwarp.commands._streams import input_file
 from omtwarp.commands._work import load_map, report_text
@@ -22,12 +30,7 @@ if TYPE_CHECKING:
 
 
 def register_map(
-    source: Annotated[
-        Path,
-        typer.Argument(
-            metavar="MOVING", callback=input_file, help="A map (.npz), or a sphere as a mesh; - is standard input."
-        ),
-    ],
+    source: MovingArgument,
     to: Annotated[
         str,
         typer.Option(
@@ -36,27 +39,11 @@ def register_map(
             help="A map, a sphere with --to-surface or --to-feature, fsaverage5-left or -right; - is standard input.",
         ),
     ],
-    output: Annotated[
-        Path,
-        output_option(".npz for the whole map, or a mesh suffix for the sphere; - is standard output.", ".npz"),
-    ],
-    surface: Annotated[
-        Path | None, typer.Option(metavar="MESH", help="The surface of MOVING, where MOVING is a sphere without one.")
-    ] = None,
-    to_surface: Annotated[
-        Path | None, typer.Option(metavar="MESH", help="The surface of TARGET, where that is no .npz.")
-    ] = None,
-    feature: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="FILE",
-            help="Register by these data at MOVING's vertices, not by sulcal depth and curvature; repeat for more.",
-        ),
-    ] = None,
-    to_feature: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="FILE", help="The same data at TARGET's vertices, in this order."),
-    ] = None,
+    output: MovedOption,
+    surface: SurfaceOption = None,
+    to_surface: ToSurfaceOption = None,
+    feature: FeatureOption = None,
+    to_feature: ToFeatureOption = None,
     feature_weight: Annotated[
         list[float] | None,
         typer.Option(
@@ -66,9 +53,7 @@ def register_map(
     ] = None,
     strain: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE", help="Also write the strain at MOVING's vertices: log2 of ratios of areas and of stretches."
-        ),
+        typer.Option(metavar="FILE", help="Write log2 of ratios of areas and of stretches at MOVING's vertices too."),
     ] = None,
     stiffness: Annotated[
         float, typer.Option(metavar="NUMBER", help="Weight of distortion against differences of features.")

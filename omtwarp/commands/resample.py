@@ -86,8 +86,7 @@ def resample_map(
     _check_outputs(output, sphere, matrix, data, [here, there, surface])
     require_same_structure(here if surface is None else surface, there)
     given = None if data is None else _read(data, there)
-    as_labels = labels or (given is not None and given.is_labels)
-    chosen = method or (Interpolation.CONSERVATIVE if as_labels else Interpolation.BARYCENTRIC)
+    chosen, as_labels = _kind(method, labels, given)
     start_device(device)
     with progress_bar(quiet, verbose) as progress:
         notify = steps(progress, "resample", 3)
@@ -127,6 +126,12 @@ def _check_outputs(
     for extra, suffixes in ((sphere, SUFFIXES), (matrix, (".npz",))):
         if extra is not None:
             check_output(extra, suffixes, *inputs)
+
+
+def _kind(method: Interpolation | None, labels: bool, given: VertexData | None) -> tuple[Interpolation, bool]:
+    """Return how data are carried, and whether they are labels, of which the one of largest overlap is taken."""
+    as_labels = labels or (given is not None and given.is_labels)
+    return method or (Interpolation.CONSERVATIVE if as_labels else Interpolation.BARYCENTRIC), as_labels
 
 
 def _read(data: Path, target: Path | None) -> VertexData:

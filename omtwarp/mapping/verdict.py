@@ -190,18 +190,21 @@ def judge(
     if any(record.name == "exact" and record.details.get("converged") for record in records):
         unfinished = []  # the optimal map of the mesh as it was is only where the one of its quarters began
     if found or unfinished:
-        causes = foretell(goal)
-        remedy = causes[0].remedy if causes else "remesh with more triangles, evenly shaped"
-        if causes:
-            remedy += f" ({causes[0].message})"
-        elif options.refine is None and uniform:
-            remedy += ", or use refine='area'"
+        remedy = _remedy(goal, options.refine is None and uniform)
     for record in unfinished:
         text = f"the stage {record.name} did not converge: {record.details.get('ended') or 'most steps taken'}"
         if record.details.get("gave_up"):
             text += f", {record.details['gave_up']}"
         found.append(Finding("not-converged", -1, text, ""))
     return [Finding(each.kind, each.where, each.message, remedy) for each in found]
+
+
+def _remedy(goal: Surface, refinable: bool) -> str:
+    """Return what would help a map that is not as good as it should be; a refinement where that was not made."""
+    causes = foretell(goal)
+    if causes:
+        return f"{causes[0].remedy} ({causes[0].message})"
+    return "remesh with more triangles, evenly shaped" + (", or use refine='area'" if refinable else "")
 
 
 def refusal(found: Sequence[Finding]) -> OmtwarpError:
