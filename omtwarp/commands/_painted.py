@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal, Unpack, overload
 from omtwarp.commands._streams import say
 from omtwarp.commands._work import load_map, make_map, require_bijective, require_whole, say_made, start_device
 from omtwarp.errors import OmtwarpError
+from omtwarp.options import Domain
 
 if TYPE_CHECKING:
     from omtwarp.maps.result import MapResult
@@ -129,6 +130,46 @@ def painted_maps(
     for number, (mesh, surface) in sound.items():
         finished[number] = mesh, _mapped(surface, files[number][0], quiet=quiet, device=device, verbose=verbose)
     return [finished[number] for number in range(len(files))]
+
+
+def standing(
+    result: MapResult | TorusMap, source: Path | None, up: str | None, front: str | None
+) -> MapResult | TorusMap:
+    """Turn a map so that pictures on its sphere stand upright on the surface, with their middle in front.
+
+    The sphere is turned as near as it can be to the directions that points have from the surface's centre, with the
+    upward axis at the north pole, where the upper border of a picture is, and the front axis at longitude 0.
+
+    Args:
+        result: a map; one that is not to a single whole sphere is returned as it is.
+        source: the file of the mesh, or of the map: this keeps its poles, which may be aligned, unless axes are given.
+        up: the axis upwards, guessed from the shape by default.
+        front: the axis towards the viewer, guessed in the same way.
+
+    Raises:
+        OmtwarpError: an axis has another name, the two are parallel, or axes are given for another domain.
+    """
+    import numpy as np
+
+    from omtwarp.geometry.axes import rotation_onto_axes
+    from omtwarp.maps.result import MapResult
+    from omtwarp.mesh.surface import Surface
+    from omtwarp.render.camera import Camera, camera_axes
+    from omtwarp.render.scene import SurfaceView
+    from omtwarp.render.upright import posed
+
+    given = up is not None or front is not None
+    if source is not None and source.suffix.lower() == ".npz" and not given:
+        return result
+    if not isinstance(result, MapResult) or result.domain != Domain.SPHERE or result.part is not None:
+        if given:
+            raise OmtwarpError("--up and --front are for maps of one surface to the whole sphere: leave them out")
+        return result
+    pose = posed(SurfaceView(result.vertices, result.faces), up, front)
+    right, above, ahead = camera_axes(Camera(azimuth=0.0, elevation=0.0), pose.up or "y", pose.front).T
+    surface = Surface(result.vertices, result.faces)
+    turn, certain = rotation_onto_axes(surface, result.sphere, np.stack([ahead, right, above]))
+    return result.with_arrays({"sphere": result.sphere @ turn.T}) if certain else result
 
 
 def _mapped(

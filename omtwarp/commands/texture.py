@@ -12,6 +12,7 @@ from omtwarp.commands._facts import sizes
 from omtwarp.commands._options import (
     CostOption,
     DeviceOption,
+    FrontOption,
     ImageOption,
     JsonOption,
     MapOption,
@@ -23,10 +24,11 @@ from omtwarp.commands._options import (
     SchemeOption,
     SolverOption,
     UntilOption,
+    UpOption,
     VerboseOption,
     output_option,
 )
-from omtwarp.commands._painted import painted_map
+from omtwarp.commands._painted import painted_map, standing
 from omtwarp.commands._progress import step_times
 from omtwarp.commands._streams import say
 from omtwarp.commands._work import map_from, require_bijective, show_each, start_device, targets_of, with_files
@@ -128,6 +130,8 @@ def texture_mesh(
         TextureFormat,
         typer.Option(help="Encoding of the pictures of a .glb; webp is smaller, and fewer viewers read it."),
     ] = TextureFormat.PNG,
+    up: UpOption = None,
+    front: FrontOption = None,
     method: MethodOption = MapOptions.method,
     until: UntilOption = MapOptions.until,
     cost: CostOption = MapOptions.cost,
@@ -195,6 +199,8 @@ def texture_mesh(
                 quiet,
                 verbose,
                 mapping,
+                up=up,
+                front=front,
                 image=image,
                 uv=uv,
                 keep=keep_materials,
@@ -220,6 +226,7 @@ def texture_mesh(
             mesh, finished, repair=repair, quiet=quiet, device=device, torus=True, verbose=verbose, **mapping
         )
         require_bijective(result, finished)
+        result = standing(result, finished or mesh, up, front)
         with step_times(verbose) as done:
             inputs = mesh, finished, image
             made = _texture(result, target, inputs, picture, looks, size, cut, texture_format, device)
@@ -337,6 +344,8 @@ def _paint(
     verbose: bool,
     mapping: MapChoices,
     *,
+    up: str | None,
+    front: str | None,
     image: Path | None,
     device: str,
     texture_format: TextureFormat,
@@ -373,6 +382,7 @@ def _paint(
             mesh, finished, repair=repair, quiet=quiet, device=device, torus=True, verbose=verbose, **mapping
         )
         require_bijective(result, finished)
+    result = standing(result, finished or mesh, up, front)
     with step_times(verbose) as done, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", OmtwarpWarning)
         made = paint(result, painted, picture, detail=fine, device=device, **options)

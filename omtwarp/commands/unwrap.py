@@ -9,15 +9,18 @@ import typer
 
 from omtwarp.commands._options import (
     DeviceOption,
+    FrontOption,
     JsonOption,
     MapOption,
     OptionalMeshes,
     QuietOption,
     RefineOption,
     RepairOption,
+    UpOption,
     VerboseOption,
     output_option,
 )
+from omtwarp.commands._painted import standing
 from omtwarp.commands._work import map_from, require_bijective, show_each, start_device, targets_of, with_files
 from omtwarp.files.output import check_output
 from omtwarp.options import MapOptions, Refinement
@@ -36,6 +39,8 @@ def unwrap_mesh(
     margin: Annotated[
         float, typer.Option(min=0.0, max=0.1, help="Margin around each chart, in heights of the picture.")
     ] = 1.0 / 128.0,
+    up: UpOption = None,
+    front: FrontOption = None,
     refine: RefineOption = str(Refinement.NONE),
     repair: RepairOption = False,
     device: DeviceOption = MapOptions.device,
@@ -57,6 +62,7 @@ def unwrap_mesh(
             mesh, finished, repair=repair, quiet=quiet, device=device, torus=True, refine=refine, verbose=verbose
         )
         require_bijective(result, finished)
+        result = standing(result, finished or mesh, up, front)
         made, charts = laid_out(result, aspect=aspect, margin=margin)
         files = made.export(target, keep=(mesh, finished))
         facts = {"output": str(target), "files": [str(file) for file in files], "vertices": len(made.vertices)}

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from test_cli_commands import run
 
 import omtwarp
@@ -121,3 +122,59 @@ def test_json_is_all_there_is_on_standard_output(desk, capsys, words, expected):
         made = read_painted_mesh(facts["output"])
         shown = [material.picture.shape[:2] for material in made.materials if material.picture is not None]
         assert shown == [(one["height"], one["width"]) for one in facts["pictures"]]
+
+
+def middle_of_the_coloured(file):
+    """Return the mean place, by area, of triangles whose middle is white in the picture of a textured mesh."""
+    mesh = read_painted_mesh(file)
+    picture, corners = np.asarray(mesh.materials[0].picture), mesh.vertices[mesh.faces]
+    columns, rows = (mesh.uv.mean(axis=1) * (picture.shape[1], -picture.shape[0])).astype(int).T
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    white = np.where(picture[rows - 1, columns, 0] > 127, area, 0.0)
+    return white @ corners.mean(axis=1) / white.sum()
+
+
+@pytest.mark.parametrize(
+    ("options", "axis", "sign"), [("", 1, 1), ("--up z", 2, 1), ("--up -y", 1, -1), ("--up x --front y", 0, 1)]
+)
+def test_a_picture_stands_upright_on_a_body_that_lies_along_another_axis(
+    tmp_path, monkeypatch, capsys, options, axis, sign
+):
+    monkeypatch.chdir(tmp_path)
+    body = omtwarp.shapes.ellipsoid((1.0, 0.6, 0.8), 1280)
+    write_mesh("body.ply", body.vertices, body.faces)
+    picture = np.zeros((32, 64, 3), dtype=np.uint8)
+    picture[:16] = 255
+    Image.fromarray(picture).save("north.png")
+    words = "texture body.ply -o body.glb --until conformal --image north.png --size 256 --device cpu --quiet"
+    status, _, err = run(capsys, *words.split(), *options.split())
+    assert status == 0, err
+    middle = middle_of_the_coloured("body.glb")
+    assert int(np.abs(middle).argmax()) == axis and middle[axis] * sign > 0.2
+    assert np.abs(np.delete(middle, axis)).max() < 0.1
+
+
+def test_the_front_is_in_the_middle_of_a_picture(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    body = omtwarp.shapes.ellipsoid((1.0, 0.6, 0.8), 1280)
+    write_mesh("body.ply", body.vertices, body.faces)
+    picture = np.zeros((32, 64, 3), dtype=np.uint8)
+    picture[:, 16:48] = 255
+    Image.fromarray(picture).save("middle.png")
+    words = "texture body.ply -o body.glb --until conformal --image middle.png --size 256 --device cpu --quiet"
+    assert run(capsys, *words.split(), "--up", "z", "--front", "-x")[0] == 0
+    middle = middle_of_the_coloured("body.glb")
+    assert middle[0] < -0.2 and np.abs(middle[1:]).max() < 0.1
+    status, _, err = run(capsys, *words.split(), "--up", "z", "--front", "-z")
+    assert status == 1 and "must be different axes" in err and "Traceback" not in err
+
+
+def test_a_finished_map_keeps_its_poles_unless_an_axis_is_given(desk, capsys):
+    def uv_of(words):
+        assert run(capsys, *words.split(), "--device", "cpu", "--quiet")[0] == 0
+        return read_painted_mesh("out.glb").uv
+
+    kept = omtwarp.unwrap_uv(omtwarp.MapResult.load("two.npz"))
+    np.testing.assert_allclose(uv_of("unwrap --map two.npz -o out.glb"), kept.uv, atol=1e-6)
+    turned = uv_of("unwrap --map two.npz -o out.glb --up -z")
+    assert np.abs(turned - kept.uv).max() > 0.1
