@@ -57,11 +57,11 @@ def register_map(
     ] = None,
     stiffness: Annotated[
         float, typer.Option(metavar="NUMBER", help="Weight of distortion against differences of features.")
-    ] = 2.2,
+    ] = 0.4,
     max_strain: Annotated[
         float,
         typer.Option(metavar="NUMBER", help="Bound of |log2| of ratios of areas, and of stretches, of every triangle."),
-    ] = 1.5,
+    ] = 1.1,
     radius: RadiusOption = 1.0,
     as_json: JsonOption = False,
     verbose: VerboseOption = False,

@@ -1,8 +1,9 @@
 """Features of folded surfaces by one recipe for every mesh: sulcal depth and curvature.
 
 Both are of the surface scaled to a total area of :data:`AREA`, that of a human hemisphere in square millimetres, so
-that they do not depend on its unit. Depth is how far a vertex moves along its normal while the surface flows by its
-mean curvature for :data:`FLOW_TIME` in one implicit step: 0.978 is its correlation with FreeSurfer's on fsaverage5.
+that they do not depend on its unit. Depth is how far a vertex moves while the surface flows by its mean curvature
+for :data:`FLOW_TIME` in one implicit step, along the normal of the surface that it ends on: 0.976 is its correlation
+with FreeSurfer's on fsaverage5.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from omtwarp.solvers.poisson import edge_laplacian
 
 Floats = NDArray[np.float64]
 
-FOLDING_WEIGHTS = {"sulc": 1.0, "curv": 0.5}
-"""Of the two features in registration: curvature, which has most of its detail where folds differ, counts half."""
+FOLDING_WEIGHTS = {"sulc": 1.0, "curv": 0.55}
+"""Of the two features in registration: curvature, with most of its detail where folds differ, counts about half."""
 
 AREA = 1e5  # mm²
 FLOW_TIME = 160.0  # mm²
@@ -76,7 +77,7 @@ def folding_features(vertices: Floats, faces: NDArray[np.int32]) -> dict[str, Fl
     curvature = 0.5 * np.einsum("ij,ij->i", bend, normals) / np.maximum(areas, LEAST_AREA * areas.mean())
     curvature = np.clip(curvature, -LARGEST_CURVATURE, LARGEST_CURVATURE)
     moved = HeatFlow(surface, points, FLOW_TIME).step(points)
-    depth = np.einsum("ij,ij->i", moved - points, normals)
+    depth = np.einsum("ij,ij->i", moved - points, vertex_normals(moved, surface.faces))
     # Curvature fwhm: mm, of the kernel that curvature is smoothed with
     return {
         "sulc": depth - np.average(depth, weights=areas),

@@ -114,7 +114,7 @@ def register(
     features: Mapping[str, ArrayLike] | None = None,
     to_features: Mapping[str, ArrayLike] | None = None,
     feature_weights: Mapping[str, float] | None = None,
-    stiffness: float = 0.45,
+    stiffness: float = 0.4,
     max_strain: float = 1.1,
     progress: Progress | None = None,
 ) -> Registration:
@@ -135,7 +135,7 @@ def register(
         features: numbers per vertex of the map, by name, shape [V] each; with ``to_features`` of the same names they
             take the place of sulcal depth and curvature of the two surfaces.
         to_features: the same for the target.
-        feature_weights: by name; 1 for those left out, 0.5 for the curvature of the surfaces.
+        feature_weights: by name; 1 for those left out, 0.55 for the curvature of the surfaces.
         stiffness: λ. More leaves less strain and less agreement.
         max_strain: bound of |log2| of the ratio of areas, and of the ratio of the two stretches, of every triangle.
         progress: called as ``progress("register", step, steps, details)``.

@@ -26,7 +26,7 @@ FEATURE_GRID = 32  # frequency of the icosphere that features are read from: its
 # that is stiff until the detail comes takes no detours.
 COARSE = ((8, 40.0, 16.0), (8, 40.0, 4.0), (8, 40.0, 2.0), (16, 20.0, 1.6))
 FINE = ((16, 12.0, 1.6), (32, 7.0, 1.3), (40, 5.0, 1.0))
-ITERATIONS = 40  # at a level
+ITERATIONS = 28  # at a level
 TOLERANCE = 1e-4  # of the mean distortion
 
 

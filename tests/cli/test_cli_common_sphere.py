@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import inspect
 import io
 import json
 import sys
@@ -13,7 +14,9 @@ import pytest
 from scipy import sparse
 from sphere_truths import random_rotation
 
+import omtwarp
 from omtwarp.commands._cli import main
+from omtwarp.commands.register import register_map
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
 from omtwarp.mesh.data import read_data
@@ -73,6 +76,12 @@ def test_register_to_another_map(desk, capsys):
     assert run(*sphere, "--radius", "100", "--max-strain", "0.5") == 0
     assert "0 flips, degree 1" in capsys.readouterr().out
     np.testing.assert_allclose(read_mesh("lh.reg.ply").vertices, 100.0 * found.sphere, atol=2.0)
+
+
+def test_register_has_the_defaults_of_the_function():
+    here, there = (inspect.signature(one).parameters for one in (register_map, omtwarp.register))
+    for name in ("stiffness", "max_strain"):
+        assert here[name].default == there[name].default
 
 
 def test_register_writes_strain_and_weights_features(desk, capsys):

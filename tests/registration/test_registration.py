@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from sphere_truths import random_rotation
@@ -13,7 +15,8 @@ from omtwarp.harmonics import real_harmonics
 from omtwarp.location import Locator
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
-from omtwarp.mesh.surface import Surface
+from omtwarp.mesh.data import read_data
+from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.registration.feature_term import FeatureField, FeatureTerm
 from omtwarp.registration.folding import HeatFlow, folding_features
 from omtwarp.registration.strain import kept_within, octaves, strain_at_vertices
@@ -144,6 +147,17 @@ def test_folding_does_not_depend_on_size_place_or_order():
     radius = np.linalg.norm(vertices, axis=1)
     assert np.corrcoef(found["sulc"], radius)[0, 1] < -0.5  # deep is near to the centre
     assert np.corrcoef(found["curv"], found["sulc"])[0, 1] < -0.5  # gyri are convex
+
+
+def test_depth_is_that_of_freesurfer_on_its_average():
+    datasets = pytest.importorskip("nilearn.datasets")
+    files = datasets.fetch_surf_fsaverage("fsaverage5")
+    white = omtwarp.read_mesh(files["white_left"])
+    theirs = read_data(Path(files["sulc_left"])).values[:, 0]
+    depth = folding_features(white.vertices, white.faces)["sulc"]
+    areas = np.bincount(white.faces.ravel(), np.repeat(triangle_areas(white.vertices, white.faces), 3))
+    a, b = (x - np.average(x, weights=areas) for x in (depth, theirs))
+    assert (areas * a) @ b / np.sqrt(((areas * a) @ a) * ((areas * b) @ b)) > 0.97
 
 
 def test_heat_damps_harmonics_as_the_sphere_does():
