@@ -82,6 +82,9 @@ INSTEAD = {
     "register --to-surface": "register ball.npz --to sphere.ply -o register.npz",
     "register --to-feature": "register ball.npz --to other.npz --feature numbers.npy -o register.npz",
     "register --feature": "register ball.npz --to other.npz --to-feature numbers.npy -o register.npz",
+    "register --feature-weight": (
+        "register ball.npz --to other.npz --feature numbers.npy --to-feature numbers.npy -o register.npz"
+    ),
     "register --radius": "register ball.npz --to other.npz -o register.ply",
     "resample --to": "resample ball.npz --data numbers.npy -o resample.npy --device cpu",
     "resample --data": "resample ball.npz --to ico1 -o resample.npy --device cpu",
@@ -102,7 +105,9 @@ VALUES = {
     "--matrix": ["matrix.npz"], "--reconstruction": ["smooth.ply"], "--grid": ["ico0"],
     "--components": ["1"], "--permutations": ["3"], "--seed": ["7"], "--workers": ["2"], "--shard": ["1/2"],
     "--time-limit": ["100"], "--memory-limit": ["2"], "--aspect": ["2"], "--margin": ["0.01"], "--subdivide": ["1"],
-    "--stiffness": ["2"], "--max-strain": ["1.5"], "--sizes": [], "--shape": [], "--repeats": ["1"], "--faces": [],
+    "--feature-weight": ["2"], "--strain": ["strain.npy"],
+    "--stiffness": ["2"], "--max-strain": ["1.5"], "--sizes": [], "--shape": [],
+    "--repeats": ["1"], "--faces": [],
     "map --output": ["o.ply", "o.obj", "o.off", "o.stl", "o.glb", "o.vtk"],
     "texture --output": ["o.obj", "o.ply"],
     "texture --size": ["64x64"],
