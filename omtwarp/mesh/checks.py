@@ -94,18 +94,17 @@ def as_unit_vectors(points: ArrayLike, count: int | None = None, name: str = "ma
     return given
 
 
-def as_faces(faces: ArrayLike, count: int, name: str = "faces") -> NDArray[np.int32]:
+def as_faces(faces: ArrayLike, count: int) -> NDArray[np.int32]:
     """Check triangles whose corners are among a number of vertices.
 
     Args:
         faces: shape [F, 3], at least one.
         count: how many vertices there are.
-        name: what to call them in a message.
 
     Raises:
         OmtwarpError: the faces are empty or of another shape or type, or a corner is out of range.
     """
-    corners = whole_numbers(faces, name, (None, 3), below=count)
+    corners = whole_numbers(faces, "faces", (None, 3), below=count)
     if len(corners) == 0:
-        raise OmtwarpError(f"{name}: there are none")
+        raise OmtwarpError("faces: there are none")
     return corners.astype(np.int32)

@@ -61,16 +61,7 @@ class TorusOptimality:
 
 
 @blas_threads(1)
-def torus_optimality(
-    surface: Surface,
-    x: Floats,
-    y: Floats,
-    shift: Floats,
-    lattice: Floats,
-    *,
-    potential: Floats | None = None,
-    ascent_steps: int = ASCENT_STEPS,
-) -> TorusOptimality:
+def torus_optimality(surface: Surface, x: Floats, y: Floats, shift: Floats, lattice: Floats) -> TorusOptimality:
     """Measure how far a map to a torus of area 4π is from optimal.
 
     Args:
@@ -79,18 +70,12 @@ def torus_optimality(
         y: their images in the universal cover, shape [V, 2].
         shift: what is added at the corners of triangles, shape [F, 3, 2].
         lattice: vectors that the torus repeats along, as rows, shape [2, 2].
-        potential: ψ at the images, shape [V], where it is known; the fitted one where that gives a better bound.
-        ascent_steps: at most this many improvements of the potential; none once the gap is below 1e-4.
     """
     moved = y - x
     cost = float(surface.vertex_areas @ (moved**2).sum(axis=1))
     curl = _relative_curl(surface, y[surface.faces] + shift, moved)
     dual = _Dual(surface, x, y, shift, lattice)
-    best = dual.bound(dual.fitted())
-    if potential is not None:
-        given = dual.bound(potential)
-        best = given if given.excess < best.excess else best
-    best, taken = ascend(dual, best, ascent_steps, 0.5 * GOOD_ENOUGH * cost)
+    best, taken = ascend(dual, dual.bound(dual.fitted()), ASCENT_STEPS, 0.5 * GOOD_ENOUGH * cost)
     lower = max(cost - 2.0 * best.excess, 0.0)
     gap = cost / lower - 1.0 if lower > 0.0 else (0.0 if cost == 0.0 else float("inf"))
     steps = np.array([(i, j) for i in range(-2, 3) for j in range(-2, 3) if (i, j) != (0, 0)]) @ lattice
