@@ -58,8 +58,9 @@ class _Shown:
     def send(self, data: bytes) -> None:
         """Write bytes after the text."""
         self.flush()
-        self.tried(lambda: self._stream.buffer.write(data))
-        self.tried(self._stream.buffer.flush)
+        if data:  # a stream of text alone has no buffer
+            self.tried(lambda: self._stream.buffer.write(data))
+            self.tried(self._stream.buffer.flush)
 
     def tried(self, write: Callable[[], int | None]) -> int | None:
         """Write, and note where that fails.

@@ -319,3 +319,12 @@ def test_plain_options_need_no_checker_of_types(folder):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0 and done.stderr.splitlines()[-1] == "False"
+
+
+def test_a_command_prints_to_a_stream_of_text_alone(folder, monkeypatch):
+    """Standard output may be a text in memory, as in notebooks."""
+    text = io.StringIO()
+    monkeypatch.setattr(sys, "stdout", text)
+    with pytest.raises(SystemExit) as ended:
+        main(["check", "ball.ply"])
+    assert not ended.value.code and text.getvalue().startswith("ball.ply: 42 vertices")
