@@ -7,11 +7,13 @@ import copy
 import gc
 import os
 import sys
+from collections.abc import Callable
 
 import typer
 
 import omtwarp
 from omtwarp.commands._command import Command, Group
+from omtwarp.commands._options import with_force
 from omtwarp.commands._streams import say, standard_streams
 from omtwarp.commands.align import align_map
 from omtwarp.commands.benchmark import benchmark
@@ -114,23 +116,28 @@ app = typer.Typer(
     context_settings={"help_option_names": ["--help", "-h"]},
 )
 
-app.command("map", cls=Command, short_help=SUMMARIES["map"], epilog=EXAMPLES["map"])(map_mesh)
-app.command("texture", cls=Command, short_help=SUMMARIES["texture"], epilog=EXAMPLES["texture"])(texture_mesh)
-app.command("transfer", cls=Command, short_help=SUMMARIES["transfer"], epilog=EXAMPLES["transfer"])(transfer)
-app.command("unwrap", cls=Command, short_help=SUMMARIES["unwrap"], epilog=EXAMPLES["unwrap"])(unwrap_mesh)
-app.command("preview", cls=Command, short_help=SUMMARIES["preview"], epilog=EXAMPLES["preview"])(preview_mesh)
-app.command("film", cls=Command, short_help=SUMMARIES["film"], epilog=EXAMPLES["film"])(film_map)
-app.command("report", cls=Command, short_help=SUMMARIES["report"], epilog=EXAMPLES["report"])(report_on_map)
-app.command("align", cls=Command, short_help=SUMMARIES["align"], epilog=EXAMPLES["align"])(align_map)
-app.command("register", cls=Command, short_help=SUMMARIES["register"], epilog=EXAMPLES["register"])(register_map)
-app.command("resample", cls=Command, short_help=SUMMARIES["resample"], epilog=EXAMPLES["resample"])(resample_map)
-app.command("check", cls=Command, short_help=SUMMARIES["check"], epilog=EXAMPLES["check"])(check_mesh)
-app.command("cohort", cls=Command, short_help=SUMMARIES["cohort"], epilog=EXAMPLES["cohort"])(cohort)
-app.command("spharm", cls=Command, short_help=SUMMARIES["spharm"], epilog=EXAMPLES["spharm"])(spharm)
-app.command("distance", cls=Command, short_help=SUMMARIES["distance"], epilog=EXAMPLES["distance"])(distance)
-app.command("group", cls=Command, short_help=SUMMARIES["group"], epilog=EXAMPLES["group"])(group)
-app.command("demo", cls=Command, short_help=SUMMARIES["demo"], epilog=EXAMPLES["demo"])(demo)
-app.command("benchmark", cls=Command, short_help=SUMMARIES["benchmark"], epilog=EXAMPLES["benchmark"])(benchmark)
+COMMANDS: dict[str, Callable[..., None]] = {
+    "map": map_mesh,
+    "texture": texture_mesh,
+    "transfer": transfer,
+    "unwrap": unwrap_mesh,
+    "preview": preview_mesh,
+    "film": film_map,
+    "report": report_on_map,
+    "align": align_map,
+    "register": register_map,
+    "resample": resample_map,
+    "check": check_mesh,
+    "cohort": cohort,
+    "spharm": spharm,
+    "distance": distance,
+    "group": group,
+    "demo": demo,
+    "benchmark": benchmark,
+}
+for _name, _run in COMMANDS.items():
+    _register = app.command(_name, cls=Command, short_help=SUMMARIES[_name], epilog=EXAMPLES[_name])
+    _register(with_force(_run))
 
 
 def _show_version(wanted: bool) -> None:

@@ -20,7 +20,7 @@ GROUPS = {
     ),
     "Output": (
         "output", "report", "json_output", "as_json", "quiet", "verbose", "title", "beside", "radius", "sphere",
-        "matrix", "reconstruction",
+        "matrix", "reconstruction", "force",
     ),
     "Map": (
         "method", "until", "cost", "scheme", "refine", "exact", "weights", "weights_at", "density", "target_floor",
@@ -122,7 +122,8 @@ class Command(typer.core.TyperCommand):
     def invoke(self, ctx: object) -> object:
         """Run the command, which replaces nothing that it reads."""
         given = cast(typer.Context, ctx).params
-        with keeping(path for name, value in given.items() if name not in OUTPUTS for path in _named_files(value)):
+        inputs = (path for name, value in given.items() if name not in OUTPUTS for path in _named_files(value))
+        with keeping(inputs, force=bool(given.get("force"))):
             return super().invoke(cast(typer.Context, ctx))
 
     def collect_usage_pieces(self, ctx: object) -> list[str]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import inspect
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +12,7 @@ from typing import Annotated, TypeVar
 import typer
 from typer.models import OptionInfo
 
+from omtwarp.commands._command import OUTPUTS
 from omtwarp.commands._streams import input_file, output_file
 from omtwarp.errors import Kind, OmtwarpError, choose
 from omtwarp.options import (
@@ -57,6 +60,22 @@ def output_option(help: str, suffix: str | None = None, *, metavar: str = "FILE"
     return typer.Option("--output", "-o", metavar=metavar, callback=callback, help=help)
 
 
+def with_force(run: Callable[..., None]) -> Callable[..., None]:
+    """Give a command that writes files the option --force, which :class:`Command` reads; leave another as it is."""
+    signature = inspect.signature(run, eval_str=True)
+    if not any(name in signature.parameters for name in OUTPUTS):
+        return run
+
+    @functools.wraps(run)
+    def command(*, force: bool, **given: object) -> None:
+        run(**given)
+
+    option = inspect.Parameter("force", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=ForceOption)
+    vars(command)["__signature__"] = signature.replace(parameters=[*signature.parameters.values(), option])
+    command.__annotations__ = run.__annotations__ | {"force": ForceOption}
+    return command
+
+
 def refine_weight(text: str) -> str:
     """Check the value of --refine: a name, a positive number, or an area to match; return it unchanged."""
     usage(parse_refinement)(text)
@@ -79,6 +98,10 @@ def as_size(text: str) -> tuple[int, int]:
     return int(width), int(height or width)
 
 
+ForceOption = Annotated[
+    bool,
+    typer.Option("--force", help="Also replace companions and results that omtwarp did not write; never an input."),
+]
 MeshArguments = Annotated[
     list[Path],
     typer.Argument(

@@ -3,8 +3,8 @@
 Every file that the package writes for a user goes through :func:`staged`, from Python and from the command line alike:
 links are followed and kept, an existing file's mode is kept, directories, devices, pipes and read-only files are
 refused, and so are inputs of the command. What is not named by the user, companions of a named file and the files in a
-folder of results, replaces only what the package wrote there before and nobody changed: a record in the folder
-(:data:`RECORD`) has the digests of these.
+folder of results, replaces only what :func:`_may_replace` allows: what the package wrote there before and nobody
+changed, of which a record in the folder (:data:`RECORD`) has the digests, or any file with ``force``.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ STALE_UNKNOWN_SECONDS = 86400.0  # the same where it is unknown whether a proces
 _places: dict[Path, Path] = {}  # staging directories of this process, and the files that they are for
 _kept: list[Path] = []  # inputs of the command, which nothing replaces
 _noting = False  # whether files that are read become such inputs
+_forced = False  # whether files of others are replaced too
 _results: list[Path] = []  # folders of results, all of whose files are the package's own
 
 
@@ -142,16 +143,21 @@ def _require_no_input(given: Path, target: Path, inputs: Iterable[Path | None] =
 
 
 @contextlib.contextmanager
-def keeping(inputs: Iterable[Path]) -> Iterator[None]:
-    """Keep files, and all that are read in the meantime, from being replaced by what is written in the meantime."""
-    global _noting
-    before, noting = list(_kept), _noting
+def keeping(inputs: Iterable[Path], *, force: bool = False) -> Iterator[None]:
+    """Keep files, and all that are read in the meantime, from being replaced by what is written in the meantime.
+
+    Args:
+        inputs: the files.
+        force: whether companions and results replace files that the package did not write, except those kept.
+    """
+    global _noting, _forced
+    before = list(_kept), _noting, _forced
     _kept.extend(inputs)
-    _noting = True
+    _noting, _forced = True, force
     try:
         yield
     finally:
-        _kept[:], _noting = before, noting
+        _kept[:], _noting, _forced = before
 
 
 def note_input(path: str | os.PathLike[str]) -> None:
@@ -182,11 +188,23 @@ def folder_of_results(folder: Path, *names: str) -> Iterator[None]:
 
 
 def _require_own(given: Path, target: Path) -> None:
-    if os.path.lexists(target) and not written_by_omtwarp(target):
+    if not _may_replace(target):
         raise OmtwarpError(
-            f"cannot write '{given}': omtwarp did not write what is there, or it was changed; move it away or choose "
-            "another directory"
+            f"cannot write '{given}': omtwarp did not write what is there, or it was changed; move it away, choose "
+            "another directory, or use --force"
         )
+
+
+def _may_replace(target: Path, keep: Iterable[Path | None] = ()) -> bool:
+    """Return whether a file that the user did not name may be written: one that is free, the package's, or forced.
+
+    Raises:
+        OSError: the system does not tell what is there.
+    """
+    if not os.path.lexists(target):
+        return True
+    forced = _forced and target.is_file() and not target.is_symlink()
+    return (forced or written_by_omtwarp(target)) and not _is_one_of(target, (*keep, *_kept))
 
 
 def _cannot_write(path: Path, error: OSError) -> OmtwarpError:
@@ -276,7 +294,7 @@ def companion(path: Path, suffix: str, keep: Iterable[Path | None] = ()) -> Path
         while True:
             ending = ("", "-texture")[number] if number < 2 else f"-texture-{number}"
             there = folder / f"{stem}{ending}{suffix}"
-            if not os.path.lexists(there) or (written_by_omtwarp(there) and not _is_one_of(there, (*kept, *_kept))):
+            if _may_replace(there, kept):
                 return path.with_name(there.name)
             number += 1
     except OSError as error:
@@ -341,11 +359,9 @@ def _move(folder: Path, target: Path, given: Path, keep: tuple[Path | None, ...]
     written = [file for file in folder.iterdir() if file.name != MARKER]
     for file in sorted(written, key=lambda file: file.name == target.name):
         place = target.parent / file.name
-        if place != target:
-            foreign = os.path.lexists(place) and (not written_by_omtwarp(place) or _is_one_of(place, (*keep, *_kept)))
-            if foreign:
-                name = given.with_name(place.name)
-                raise OmtwarpError(f"cannot write '{given}': '{name}' would be replaced, which omtwarp did not write")
+        if place != target and not _may_replace(place, keep):
+            name = given.with_name(place.name)
+            raise OmtwarpError(f"cannot write '{given}': '{name}' would be replaced, which omtwarp did not write")
         moves.append((file, place))
     for file, place in moves:
         with contextlib.suppress(FileNotFoundError):

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from omtwarp.cohort import read_manifest, run_cohort
-from omtwarp.commands._cli import main
+from omtwarp.commands._cli import SUMMARIES, main
 from omtwarp.errors import OmtwarpError
 from omtwarp.files import output as files
 from omtwarp.maps.result import MapResult
@@ -139,3 +139,43 @@ def test_a_pipe_as_record_or_marker_is_not_waited_for(tmp_path):
     assert not files.written_by_omtwarp(tmp_path / "nothing")
     write_mesh(tmp_path / "ball.ply", BALL.vertices, BALL.faces)
     assert folder.exists()
+
+
+def test_force_replaces_companions_and_results_of_others(place, capsys):
+    """With --force a companion has its first name, and a group its folder; inputs are kept all the same."""
+    (place / "o.mtl").write_text("# notes\n", "utf-8")
+    assert ended(capsys, "texture --map a.npz -o o.obj --size 16 --force")[0] == 0
+    assert "mtllib o.mtl" in (place / "o.obj").read_text("utf-8") and not list(place.glob("o-texture*"))
+    (place / "study").mkdir()
+    (place / "study" / "table.csv").write_text("of another\n", "utf-8")
+    line = "group a.npz b.npz -o study --grid ico1 --degree 2 --permutations 3"
+    assert ended(capsys, line)[0] == 1
+    assert ended(capsys, line + " --force")[0] == 0
+    assert "of another" not in (place / "study" / "table.csv").read_text("utf-8")
+    skin = (place / "skin.png").read_bytes()
+    own = "texture mesh.obj --map a.npz --uv own --keep-materials over -o skin.obj --size 16"
+    for line in ("preview mesh.obj -o skin.png --size 16 --backend warp", own):
+        ended(capsys, line + " --force")
+        assert (place / "skin.png").read_bytes() == skin
+    assert ended(capsys, "align a.npz --to b.npz -o b.npz --force")[0] == 1
+
+
+@pytest.mark.parametrize("kind", ["directory", "link"])
+def test_force_replaces_files_alone(place, capsys, kind):
+    """A folder or a link where a result goes is never replaced."""
+    (place / "study").mkdir()
+    there = place / "study" / "table.csv"
+    if kind == "directory":
+        there.mkdir()
+    else:
+        there.symlink_to(place / "a.npz")
+    before = (place / "a.npz").read_bytes()
+    status, _ = ended(capsys, "group a.npz b.npz -o study --grid ico1 --degree 2 --permutations 3 --force")
+    assert status == 1 and (place / "a.npz").read_bytes() == before and os.path.lexists(there)
+
+
+def test_every_command_that_writes_has_the_option(capsys):
+    for command in SUMMARIES:
+        with pytest.raises(SystemExit):
+            main([command, "--help"])
+        assert ("--force" in capsys.readouterr().out) == (command != "distance")
