@@ -20,7 +20,7 @@ GROUPS = {
     ),
     "Output": (
         "output", "report", "json_output", "as_json", "quiet", "verbose", "title", "beside", "radius", "sphere",
-        "matrix", "reconstruction", "force",
+        "matrix", "reconstruction", "strain", "force",
     ),
     "Map": (
         "method", "until", "cost", "scheme", "refine", "exact", "weights", "weights_at", "density", "target_floor",
@@ -49,7 +49,7 @@ GROUPS = {
 """Options by the heading that help shows them under; others are shown last."""
 
 
-OUTPUTS = ("output", "report", "sphere", "matrix", "reconstruction", "json_output", "title")
+OUTPUTS = ("output", "report", "sphere", "matrix", "reconstruction", "strain", "json_output", "title")
 """Options that name no input; a title may be the name of a file."""
 
 _USUAL = object()  # in place of a value that typer is to read
