@@ -87,10 +87,12 @@ def fill_page(template: str, **values: object) -> str:
 
 
 STYLE = Markup("""
-body { font: 16px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 72rem; padding: 0 1rem; color: #222 }
-table { border-collapse: collapse; margin: 1rem 0 } th, td { padding: .2rem .8rem .2rem 0; text-align: left }
+body { font: 16px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 72rem; padding: 0 1rem; color: #222;
+  overflow-wrap: anywhere }
+table { border-collapse: collapse; margin: 1rem 0; display: block; overflow-x: auto }
+th, td { padding: .2rem .8rem .2rem 0; text-align: left; overflow-wrap: normal }
 td.n { text-align: right; font-variant-numeric: tabular-nums } th { border-bottom: 1px solid #999 }
-.pictures { display: grid; grid-template-columns: repeat(auto-fill, minmax(20rem, 1fr)); gap: 1rem }
+.pictures { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(20rem, 100%), 1fr)); gap: 1rem }
 figure { margin: 0 } figure img { width: 100% } figcaption { font-size: .9rem }
 """)
 
@@ -105,6 +107,7 @@ def write_plain_page(path: Path, title: str, body: Sequence[str]) -> Path:
     """
     page = html(
         '<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{}</title>'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
         '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; img-src data:; '
         "style-src 'unsafe-inline'\"><style>{}</style></head><body>{}</body></html>",
         title,
