@@ -153,9 +153,7 @@ def nested_start(surface: Surface, start: Numbers, *, device: str | None = "auto
     found = optimal_map(
         coarse, first, start=points, shape_weight=term.weight, area_weight=term.area, iterations=STEPS, device=device
     )
-    sphere = carried(found.sphere)
-    whole = repaired(surface, sphere, device=device)
-    return sphere if whole is sphere else smoothed(surface, whole, device=device)
+    return repaired(surface, carried(found.sphere), device=device)
 
 
 def embedded_start(
@@ -179,13 +177,23 @@ def embedded_start(
     sphere = turned if is_bijective(turned, surface.faces, device=device) else sphere
     for _ in range(MOSER_PASSES):
         try:
-            sphere = repaired(surface, moser_map(surface, sphere, device=device).sphere, device=device)
+            sphere = untangled(surface, moser_map(surface, sphere, device=device).sphere, device=device)
         except OmtwarpError:
             break  # the flow flips more than can be repaired: the map before stays
     return smoothed(surface, sphere, device=device)
 
 
 def repaired(surface: Surface, sphere: Numbers, *, device: str | None = "auto") -> Numbers:
+    """Return a map without flipped triangles and without the slivers of repair: the array given where it has none.
+
+    Raises:
+        OmtwarpError: repair failed.
+    """
+    whole = untangled(surface, sphere, device=device)
+    return sphere if whole is sphere else smoothed(surface, whole, device=device)
+
+
+def untangled(surface: Surface, sphere: Numbers, *, device: str | None = "auto") -> Numbers:
     """Return a map without flipped triangles: the very array given where it has none.
 
     Raises:

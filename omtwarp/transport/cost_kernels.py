@@ -1,4 +1,4 @@
-"""Kernels of the transport cost and the area error of a map; few, as every map measures both."""
+"""The area error of a map, and the centres of triangles."""
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, wp
 
@@ -8,20 +8,6 @@ wp.set_module_options(KERNEL_OPTIONS)
 @wp.func
 def centre(points: wp.array[wp.vec3d], face: wp.vec3i):
     return wp.normalize(points[face[0]] + points[face[1]] + points[face[2]])
-
-
-@wp.kernel
-def centre_distance(
-    start: wp.array[wp.vec3d],
-    points: wp.array[wp.vec3d],
-    faces: wp.array[wp.vec3i],
-    # Data out:
-    distance: wp.array[wp.float64],
-):
-    """Compute how far every triangle's centre has moved, in radians."""
-    f = wp.tid()
-    x, y = centre(start, faces[f]), centre(points, faces[f])
-    distance[f] = wp.atan2(wp.length(wp.cross(x, y)), wp.dot(x, y))
 
 
 @wp.func

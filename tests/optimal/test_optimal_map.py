@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from scipy.integrate import cumulative_trapezoid
 
+import omtwarp
 from omtwarp import OmtwarpError
 from omtwarp.conformal import conformal_map
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.flips.rings import is_bijective
 from omtwarp.mesh.shapes import blob, ellipsoid, icosphere, noisy
-from omtwarp.mesh.surface import Surface
+from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.metrics.optimality import optimality, relative_curl
 from omtwarp.moser import moser_map
 from omtwarp.optimal import optimal_map
@@ -231,3 +232,20 @@ def test_an_unknown_cost_is_refused():
     surface = icosphere(4)
     with pytest.raises(OmtwarpError, match="unknown cost 'cubed'"):
         optimal_map(surface, surface.vertices, start=surface.vertices, cost="cubed", device="cpu")
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_no_exchange_of_vertex_masses_costs_less(seed):
+    """POT's exact plan takes every vertex's mass at x to its own y; all costs that are shown are its cost."""
+    ot = pytest.importorskip("ot")
+    surface = blob(seed=seed, amplitude=0.3, sphere=1280)
+    result = omtwarp.map_to_sphere(surface, device="cpu")
+    mass = surface.vertex_areas / surface.vertex_areas.sum()
+    square = np.arccos(np.clip(result.conformal @ result.sphere.T, -1.0, 1.0)) ** 2
+    plan = ot.emd(mass, mass, square, numItermax=1_000_000)
+    np.testing.assert_allclose(plan, np.diag(mass), atol=1e-12)
+    least = SPHERE_AREA * float((plan * square).sum())
+    report = result.report
+    shown = [report["optimality"]["cost"], report["stages"][-2]["transport_cost"]]
+    shown.append(omtwarp.transport_cost(surface, result.sphere, start=result.conformal))
+    np.testing.assert_allclose(shown, least, rtol=1e-6)
