@@ -326,10 +326,11 @@ def obj_files(
     library = ["# omtwarp"]
     for k, part in enumerate(parts):
         red, green, blue, opacity = part.material.color
-        library += [f"newmtl {names[k]}", f"Kd {red:.6f} {green:.6f} {blue:.6f}", "Ks 0.000 0.000 0.000"]
+        library += [f"newmtl {names[k]}", f"Kd {red:.6f} {green:.6f} {blue:.6f}"]
+        phong = {"Ks": (0.0, 0.0, 0.0), "illum": (1.0,)} | dict(part.material.phong)
+        library += [" ".join((word, *(f"{number:.9g}" for number in numbers))) for word, numbers in phong.items()]
         library += [
             f"d {opacity:.6f}",
-            "illum 1",
             f"Pr {part.material.roughness:.4f}",
             f"Pm {part.material.metallic:.4f}",
         ]

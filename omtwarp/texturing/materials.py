@@ -40,6 +40,8 @@ class Material:
         emission_picture: the light that is sent out, glTF's ``emissiveTexture``.
         own_tangents: whether ``normal_picture`` belongs to the tangents that a file is written with, rather than to
             those that a reader computes.
+        phong: statements of an OBJ library that glTF has no terms for, by their names, such as ``("Ns", (250.0,))``;
+            an OBJ is written with them again.
 
     Example:
         >>> import omtwarp
@@ -59,6 +61,7 @@ class Material:
     roughness_picture: Bytes | None = None
     emission_picture: Bytes | None = None
     own_tangents: bool = False
+    phong: tuple[tuple[str, tuple[float, ...]], ...] = ()
 
     @property
     def plain(self) -> bool:

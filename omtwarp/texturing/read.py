@@ -89,6 +89,9 @@ def _statements(text: bytes) -> _Statements:
     return found
 
 
+_PHONG = {name.lower(): name for name in ("Ns", "Ka", "Ks", "Ke", "Ni", "Tf", "illum")}
+
+
 def read_mtl(text: str, picture: Callable[[str], Bytes | None]) -> dict[str, Material]:
     """Read the materials of a library by name.
 
@@ -137,6 +140,9 @@ def _with(material: Material, key: str, values: list[str], picture: Callable[[st
         return replace(material, roughness=first)
     if key == "pm":
         return replace(material, metallic=first)
+    if key in _PHONG:
+        kept = dict(material.phong) | {_PHONG[key]: tuple(numbers)}
+        return replace(material, phong=tuple(kept.items()))
     return material
 
 

@@ -178,3 +178,18 @@ def test_a_finished_map_keeps_its_poles_unless_an_axis_is_given(desk, capsys):
     np.testing.assert_allclose(uv_of("unwrap --map two.npz -o out.glb"), kept.uv, atol=1e-6)
     turned = uv_of("unwrap --map two.npz -o out.glb --up -z")
     assert np.abs(turned - kept.uv).max() > 0.1
+
+
+def test_an_obj_keeps_what_its_library_says_of_highlights(desk, capsys):
+    library = desk / "two.mtl"
+    said = {"Ns": "250.5", "Ks": "0.5 0.25 0.125", "Ka": "0.1 0.2 0.3", "Ni": "1.45", "illum": "2"}
+    lines = "".join(f"{word} {numbers}\n" for word, numbers in said.items())
+    text = library.read_text()
+    first = text.index("newmtl")
+    end = text.index("\n", first) + 1
+    library.write_text(text[:end] + lines + text[end:])
+    words = "texture two.obj --map two.npz -o kept.obj --uv own --keep-materials under --size 64 --device cpu"
+    assert run(capsys, *words.split())[0] == 0
+    given, made = (dict(read_painted_mesh(name).materials[0].phong) for name in ("two.obj", "kept.obj"))
+    assert made == given
+    assert given["Ns"] == (250.5,) and given["Ks"] == (0.5, 0.25, 0.125) and given["illum"] == (2.0,)
