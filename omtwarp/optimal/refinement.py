@@ -13,6 +13,7 @@ weight ``area``, whose promise is area, then gives them more: 30, 100 or 300 in 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -176,7 +177,10 @@ class _Refinement:
         return found
 
     def match(self, sphere: NDArray[np.float64], area: float) -> RefineResult:
-        """Find the weight whose refined map has the wanted area distortion, or the map nearest above where none has."""
+        """Find the weight whose refined map has the wanted area distortion, or the nearest map where none has.
+
+        The nearest map is not converged.
+        """
         refine: Callable[[NDArray[np.float64], float], RefineResult] = self.run
         least = LEAST_WEIGHT
         best = refine(sphere, MOST_WEIGHT)
@@ -184,8 +188,8 @@ class _Refinement:
             refine, least = self.by_triangles, TRIANGLE_WEIGHT
             best = refine(best.sphere, MOST_WEIGHT)
             if self.area(best) > area:
-                return best
-        return match_area(
+                return replace(best, converged=False)
+        best = match_area(
             best,
             area,
             lambda found, weight: refine(found.sphere, weight),
@@ -194,6 +198,8 @@ class _Refinement:
             trials=MATCH_TRIALS,
             least=least,
         )[0]
+        missed = self.area(best) < area - max(self.tolerance, MATCH_TOLERANCE)  # maps are known to the first
+        return replace(best, converged=False) if missed else best
 
     def area(self, refined: RefineResult) -> float:
         """Return the mean area distortion of the triangles of a refined map."""

@@ -63,8 +63,15 @@ def test_an_area_distortion_is_matched(area):
     surface = blob(7, amplitude=0.5, sphere=800)
     result = refine_map(surface, start_map(surface), weight=f"match:{area}", device="cpu")
     judged = measure_triangles(surface.vertices, surface.faces, result.sphere)
-    assert judged.flips == 0
+    assert judged.flips == 0 and result.converged
     assert area - 2e-3 <= judged.area["surface"] <= area
+
+
+@pytest.mark.parametrize("area", [5.0, 2.0000001])
+def test_an_area_distortion_out_of_reach_is_not_converged(area):
+    surface = blob(7, amplitude=0.5, sphere=320)
+    result = refine_map(surface, start_map(surface), weight=f"match:{area}", device="cpu")
+    assert not result.converged and not flipped_faces(result.sphere, surface.faces).any()
 
 
 def test_an_area_beyond_what_rings_reach_is_matched_by_triangles():
