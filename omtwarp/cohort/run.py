@@ -13,7 +13,7 @@ from typing import Unpack, cast
 from omtwarp.cohort.executors import executor_for, make_folders
 from omtwarp.cohort.item import OK, Job, Row, complete_journal, forget_failure, key_of, read_record
 from omtwarp.cohort.manifest import Item
-from omtwarp.cohort.table import write_table
+from omtwarp.cohort.table import ORDER, write_table
 from omtwarp.device.cores import core_count
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.output import folder_of_results
@@ -103,6 +103,9 @@ def run_cohort(
             f"the time limit must be above 0 and at most {LONGEST:.0e} seconds, the memory limit from 0 to "
             f"{LARGEST_LIMIT:.0e} GiB"
         )
+    taken = next((name for item in items for name in item.fields if name in ORDER), None)
+    if taken is not None:
+        raise OmtwarpError(f"the table of results has a column '{taken}' of its own: rename that of the list of items")
     workers = core_count() if workers is None else workers
     if workers < 1:
         raise OmtwarpError(f"{workers} workers: there must be one at least")

@@ -63,6 +63,14 @@ def test_a_record_with_wrong_types_is_none(place, change):
     assert read_record(job) is None
 
 
+@pytest.mark.parametrize("column", ["area", "flips", "status", "key"])
+def test_a_column_that_would_pass_for_a_result_is_refused(place, column):
+    (place / "table.csv").write_text(f"path,{column}\na.ply,2\n", "utf-8")
+    with pytest.raises(OmtwarpError, match=f"a column '{column}' of its own"):
+        run_cohort(read_manifest("table.csv"), "out", collect=True)
+    assert not (place / "out").exists()
+
+
 def test_a_journal_with_wrong_types_is_read_without_them(place):
     lines = [{"id": [], "key": "k", "status": "ok"}, 3, {"id": "a", "key": "k", "status": "ok"}, {"id": "a"}]
     (place / "journal.jsonl").write_text("\n".join(map(json.dumps, lines)), "utf-8")
