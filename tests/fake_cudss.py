@@ -75,7 +75,7 @@ class FakeCudss:
         return self._new(kind="matrix", size=rows, entries=entries, starts=starts, indices=indices, values=values)
 
     def matrix_create_dn(self, rows, columns, leading, values, kind, layout) -> int:
-        assert (leading, kind, layout) == (rows, 1, 0)
+        assert (leading, kind, layout, columns) == (rows, 1, 0, 1)
         return self._new(kind="vectors", rows=rows, columns=columns, values=values)
 
     def execute(self, handle: int, phase: int, config: int, data: int, matrix: int, solution: int, right: int) -> None:

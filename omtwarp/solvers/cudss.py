@@ -67,7 +67,7 @@ class CudssFactor:
         self._values = wp.empty(len(columns), dtype=wp.float64, device=device)
         self._order = np.repeat(block * dissection.order, block).reshape(-1, block) + np.arange(block)
         self._order = np.ascontiguousarray(self._order.ravel(), dtype=np.int32)
-        self._vectors: dict[int, tuple[wp.array, wp.array, int, int]] = {}
+        self._given, self._solution = (wp.zeros(size, dtype=wp.float64, device=device) for _ in range(2))
         self._analysed = False
         self._library = library = load_library()
         with wp.ScopedDevice(device):
@@ -84,7 +84,11 @@ class CudssFactor:
             shape = (library.MatrixType.SYMMETRIC, library.MatrixViewType.UPPER, library.IndexBase.ZERO)
             pointers = (self._offsets.ptr, 0, self._columns.ptr, self._values.ptr)
             self._matrix = library.matrix_create_csr(size, size, len(columns), *pointers, *kinds, *shape)
-        held = (self._handle, self._config, self._data, self._matrix, self._vectors)
+            layout = (library.DataType.R_64F, library.Layout.COL_MAJOR)
+            self._x, self._b = (
+                library.matrix_create_dn(size, 1, size, array.ptr, *layout) for array in (self._solution, self._given)
+            )
+        held = (self._handle, self._config, self._data, self._matrix, self._x, self._b)
         weakref.finalize(self, _release, library, *held)
 
     def _set(self, name: int, value: int) -> None:
@@ -102,11 +106,10 @@ class CudssFactor:
         inputs = [given, self._source]
         wp.launch(gather_entries, dim=len(self._values), inputs=inputs, outputs=[self._values], device=self.device)
         phase = self._library.Phase
-        _, _, x, b = self._right_hand_sides(1)
         if not self._analysed:
-            self._run(phase.ANALYSIS, x, b)
+            self._run(phase.ANALYSIS)
             self._analysed = True
-        self._run(phase.FACTORIZATION, x, b)
+        self._run(phase.FACTORIZATION)
         inertia = self._read(self._library.DataParam.INERTIA, 2)
         if inertia.tolist() != [self._size - self._negative, self._negative]:
             raise NotPositiveDefinite(
@@ -115,31 +118,23 @@ class CudssFactor:
             )
 
     def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Solve for right-hand sides, shape [V, b] or [V, b, K]; [V] or [V, K] for one unknown per vertex."""
-        columns = np.asarray(right, dtype=np.float64).reshape(self._size, -1).T
-        given, solution, x, b = self._right_hand_sides(len(columns))
-        wp.copy(given, wp.array(np.ascontiguousarray(columns).ravel(), dtype=wp.float64, device="cpu", copy=False))
-        self._run(self._library.Phase.SOLVE, x, b)
-        solved: NDArray[np.float64] = solution.numpy().reshape(-1, self._size).T
-        return np.ascontiguousarray(solved).reshape(np.shape(right))
+        """Solve for right-hand sides, shape [V, b] or [V, b, K]; [V] or [V, K] for one unknown per vertex.
 
-    def _right_hand_sides(self, count: int) -> tuple[wp.array, wp.array, int, int]:
-        """Return arrays for so many right-hand sides and solutions, and cuDSS's names for solutions and sides."""
-        if count not in self._vectors:
-            library, size = self._library, self._size
-            given, solution = (wp.zeros(size * count, dtype=wp.float64, device=self.device) for _ in range(2))
-            x, b = (
-                library.matrix_create_dn(size, count, size, array.ptr, library.DataType.R_64F, library.Layout.COL_MAJOR)
-                for array in (solution, given)
-            )
-            self._vectors[count] = (given, solution, x, b)
-        return self._vectors[count]
+        One after another, as cuDSS's deterministic mode takes no more at once.
+        """
+        columns = np.ascontiguousarray(np.asarray(right, dtype=np.float64).reshape(self._size, -1).T)
+        solved = np.empty_like(columns)
+        for column, out in zip(columns, solved, strict=True):
+            wp.copy(self._given, wp.array(column, dtype=wp.float64, device="cpu", copy=False))
+            self._run(self._library.Phase.SOLVE)
+            out[:] = self._solution.numpy()
+        return np.ascontiguousarray(solved.T).reshape(np.shape(right))
 
-    def _run(self, phase: int, x: int, b: int) -> None:
+    def _run(self, phase: int) -> None:
         library = self._library
         with wp.ScopedDevice(self.device):
             library.set_stream(self._handle, self.device.stream.cuda_stream or 0)
-            library.execute(self._handle, phase, self._config, self._data, self._matrix, x, b)
+            library.execute(self._handle, phase, self._config, self._data, self._matrix, self._x, self._b)
 
     def _read(self, name: int, count: int) -> NDArray[np.int32]:
         """Return some whole numbers about the factorisation, when it is finished."""
@@ -149,19 +144,10 @@ class CudssFactor:
         return numbers
 
 
-def _release(
-    library: ModuleType,
-    handle: int,
-    config: int,
-    data: int,
-    matrix: int,
-    vectors: dict[int, tuple[wp.array, wp.array, int, int]],
-) -> None:
+def _release(library: ModuleType, handle: int, config: int, data: int, *matrices: int) -> None:
     """Free what cuDSS holds for a factorisation."""
-    for _, _, x, b in vectors.values():
-        library.matrix_destroy(x)
-        library.matrix_destroy(b)
-    library.matrix_destroy(matrix)
+    for matrix in matrices:
+        library.matrix_destroy(matrix)
     library.data_destroy(handle, data)
     library.config_destroy(config)
     library.destroy(handle)
