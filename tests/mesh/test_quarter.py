@@ -28,7 +28,7 @@ def test_parts_make_up_their_triangles(seed, faces):
     normals = np.cross(b - a, c - a)[cut.parents]
     a, b, c = (cut.surface.vertices[cut.surface.faces[:, k]] for k in range(3))
     np.testing.assert_allclose(4 * np.cross(b - a, c - a), normals, atol=1e-12 * np.abs(normals).max())
-    old = cut.vertex_origin >= 0
+    old = cut.origins.vertex_origin >= 0
     np.testing.assert_array_equal(cut.surface.vertices[old], surface.vertices)
     np.testing.assert_allclose(cut.surface.vertices[~old], surface.vertices[cut.ends].mean(axis=1), atol=1e-15)
     other = trimesh.Trimesh(surface.vertices, surface.faces, process=False).subdivide()
