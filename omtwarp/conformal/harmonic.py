@@ -103,7 +103,8 @@ def harmonic_points(
     for number in range(1, STEPS + 1):
         if progress is not None:
             progress("conformal", number - 1, STEPS, history[-1])
-        slope = energy.gradient(sphere)
+        pull = energy.pull(sphere)
+        slope = _tangent(sphere, pull)
         steepest = energy.preconditioned(sphere, slope)
         gain = float((slope * steepest).sum())
         if gain <= GAIN * value:
@@ -114,7 +115,7 @@ def harmonic_points(
             turned = max(float((steepest * (slope - before[1])).sum()) / before[2], 0.0)
             conjugate = direction + turned * _tangent(sphere, before[0])
             direction = conjugate if float((conjugate * slope).sum()) < 0.0 else direction
-        curvature = energy.curvature(sphere, direction)
+        curvature = energy.curvature(sphere, pull, direction)
         length = -float((direction * slope).sum()) / curvature if curvature > 0.0 else 1.0
         shortest, moved = SHORTEST * length, None
         while length >= shortest:
@@ -150,13 +151,13 @@ class _DirichletEnergy:
         i, j = self._ends.T
         return 0.5 * float(self._weights @ ((sphere[i] - sphere[j]) ** 2).sum(axis=1))
 
-    def gradient(self, sphere: Numbers) -> Numbers:
-        """Return the gradient L y, less its part normal to the sphere, shape [V, 3]."""
-        return _tangent(sphere, self._laplacian @ sphere)
+    def pull(self, sphere: Numbers) -> Numbers:
+        """Return L y, shape [V, 3]; its tangent part is the gradient."""
+        return np.asarray(self._laplacian @ sphere)
 
-    def curvature(self, sphere: Numbers, direction: Numbers) -> float:
-        """Return the second derivative d · (L - y · L y) d along a tangent direction d."""
-        normal = (sphere * (self._laplacian @ sphere)).sum(axis=1)
+    def curvature(self, sphere: Numbers, pull: Numbers, direction: Numbers) -> float:
+        """Return the second derivative d · (L - y · L y) d along a tangent direction d, from L y."""
+        normal = (sphere * pull).sum(axis=1)
         return float((direction * (self._laplacian @ direction - normal[:, None] * direction)).sum())
 
     def preconditioned(self, sphere: Numbers, slope: Numbers) -> Numbers:

@@ -65,13 +65,3 @@ def finish_sum(
     total: wp.array[wp.float64],
 ):
     total[0] = column_sum(rows, 0)
-
-
-@wp.kernel
-def remove_mean(
-    total: wp.array[wp.float64],
-    # Data in and out:
-    values: wp.array[wp.float64],
-):
-    i = wp.tid()
-    values[i] = values[i] - total[0] / wp.float64(values.shape[0])

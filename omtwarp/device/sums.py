@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from omtwarp.device.policy import is_cuda
 from omtwarp.device.start import wp
-from omtwarp.device.sum_kernels import GROUP, LANES, finish_sum, remove_mean, sum_products, sum_rows
+from omtwarp.device.sum_kernels import GROUP, LANES, finish_sum, sum_products, sum_rows
 
 # Partial sums are reduced to at most this many rows; the thread that needs the total adds those.
 MAX_PARTIAL_ROWS = 64
@@ -43,35 +43,23 @@ class DeviceSum:
 
     Args:
         device: a Warp device.
-        length: of arrays that will be summed while a graph is recorded: memory cannot be allocated then.
     """
 
-    def __init__(self, device: wp.Device, length: int | None = None):
+    def __init__(self, device: wp.Device):
         self.device = device
         self._workspace: dict[int, tuple[wp.array, RowSums, RowSums]] = {}
-        if length is not None:
-            self._workspace_for(length)
-
-    def products(self, a: wp.array, b: wp.array) -> wp.array:
-        """Return at most MAX_PARTIAL_ROWS partial sums of a · b; the kernels that need the total add them."""
-        partial, _, sums = self._workspace_for(a.size)
-        wp.launch(sum_products, dim=len(partial), inputs=[a, b], outputs=[partial], device=self.device)
-        return sums(partial)
 
     def dot(self, a: wp.array, b: wp.array, out: wp.array) -> None:
         """Write a · b to the first element of ``out``."""
-        wp.launch(finish_sum, dim=1, inputs=[self.products(a, b)], outputs=[out], device=self.device)
+        partial, _, sums = self._workspace_for(a.size)
+        wp.launch(sum_products, dim=len(partial), inputs=[a, b], outputs=[partial], device=self.device)
+        wp.launch(finish_sum, dim=1, inputs=[sums(partial)], outputs=[out], device=self.device)
 
     def total(self, a: wp.array, out: wp.array) -> None:
         """Write the sum of all elements to the first element of ``out``."""
         _, sums, _ = self._workspace_for(a.size)
         inputs = [sums(a.reshape((a.size, 1)))]
         wp.launch(finish_sum, dim=1, inputs=inputs, outputs=[out], device=self.device)
-
-    def remove_mean(self, a: wp.array, total: wp.array) -> None:
-        """Subtract the mean from every element of ``a``; ``total`` is a workspace of one element."""
-        self.total(a, total)
-        wp.launch(remove_mean, dim=a.size, inputs=[total], outputs=[a], device=self.device)
 
     def _workspace_for(self, length: int) -> tuple[wp.array, RowSums, RowSums]:
         """Return the workspace of a length: an array of partial products, and the sums of values and of products."""

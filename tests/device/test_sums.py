@@ -44,14 +44,6 @@ def test_sums_of_numbers_and_products(device, count):
         assert total == pytest.approx(a.sum(), abs=1e-12 * np.abs(a).sum())
 
 
-@pytest.mark.parametrize("count", LENGTHS)
-def test_the_mean_is_taken_off(device, count):
-    values = 3.0 + np.random.default_rng(count).normal(size=count)
-    array, room = wp.array(values, dtype=wp.float64, device=device), wp.empty(1, dtype=wp.float64, device=device)
-    DeviceSum(wp.get_device(device)).remove_mean(array, room)
-    np.testing.assert_allclose(array.numpy(), values - values.mean(), atol=1e-13)
-
-
 def test_one_adder_for_arrays_of_any_length(device):
     """One adder sums arrays of several lengths in turn; its workspace is allocated once for each length."""
     adder, out = DeviceSum(wp.get_device(device)), wp.empty(1, dtype=wp.float64, device=device)
