@@ -17,6 +17,7 @@ from omtwarp.mapping.any_surface import map_surface
 from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.checks import MeshLike
+from omtwarp.mesh.neuro import structure_of
 from omtwarp.mesh.repair import NOTED_LOSS, repair
 from omtwarp.mesh.seams import read_joined_mesh
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
@@ -53,6 +54,9 @@ def _map(job: Job) -> Row:
         if repaired.loss > NOTED_LOSS:
             warnings.warn(f"{job.path}: {repaired.actions[-1]}", OmtwarpWarning, stacklevel=2)
     result = mapped((vertices, faces), job.options)
+    structure = structure_of(Path(job.path))
+    if structure is not None:
+        result.report["structure"] = structure
     result.save(job.map_file)
     return numbers_of(result)
 

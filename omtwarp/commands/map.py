@@ -141,6 +141,8 @@ def map_mesh(
     one centre, and a torus is a ring torus, or in a .glb the surface with a texture.
     """
 
+    from omtwarp.mesh.neuro import structure_of
+
     if torus and beside:
         raise OmtwarpError("--beside is for maps to the sphere: a ring torus is written by itself")
     targets = outputs_of(meshes, output, ".ply" if beside else ".npz")
@@ -179,6 +181,9 @@ def map_mesh(
             device=device,
         )
         require_bijective(result)
+        structure = structure_of(mesh)
+        if structure is not None:
+            result.report["structure"] = structure
         result, file_faces = with_copies(result, sound, any_surface is None)
         assert target is not None
         with staged(target) as file:

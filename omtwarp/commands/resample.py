@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
@@ -76,7 +77,7 @@ def resample_map(
     Both spheres are taken in the position they are in: see 'omtwarp align'. Conservative resampling keeps integrals,
     bounds and signs. Without --data the surface is written with the target's triangles: the same mesh for all subjects.
     """
-    from omtwarp.mesh.neuro import require_same_structure
+    from omtwarp.mesh.neuro import require_same_structure, structure_of
     from omtwarp.resampling import file_points, resample
     from omtwarp.spheres import is_named
 
@@ -84,8 +85,9 @@ def resample_map(
     if output == STREAM:
         output = cast(Path, output_file(".ply" if data is None else ".npy")(output))
     _check_outputs(output, sphere, matrix, data, [here, there, surface])
-    require_same_structure(here if surface is None else surface, there)
-    given = None if data is None else _read(data, there)
+    like = here if surface is None else surface
+    require_same_structure(like, there)
+    given = None if data is None else _read(data, like, there)
     chosen, as_labels = _kind(method, labels, given)
     start_device(device)
     with progress_bar(quiet, verbose) as progress:
@@ -97,8 +99,8 @@ def resample_map(
         if given is not None:
             _write(output, found, given, as_labels)
         else:
-            _write_surface(output, found, surface, to)
-        _write_extras(found, sphere, matrix)
+            _write_surface(output, found, like, to)
+        _write_extras(found, sphere, matrix, there if structure_of(there) else like)
         notify(3)
     if as_json:
         print(report_text(_record(found, output, given)), end="")
@@ -134,18 +136,18 @@ def _kind(method: Interpolation | None, labels: bool, given: VertexData | None) 
     return method or (Interpolation.CONSERVATIVE if as_labels else Interpolation.BARYCENTRIC), as_labels
 
 
-def _read(data: Path, target: Path | None) -> VertexData:
-    """Read data from a file.
+def _read(data: Path, source: Path | None, target: Path | None) -> VertexData:
+    """Read data from a file; where it does not say what part of the brain they are of, the source does.
 
     Raises:
         OmtwarpError: the data cannot be read, or are of another structure of the brain than the target.
     """
     from omtwarp.mesh.data import read_data
-    from omtwarp.mesh.neuro import require_same_structure
+    from omtwarp.mesh.neuro import require_same_structure, structure_of
 
     given = read_data(data)
     require_same_structure(data, target)
-    return given
+    return replace(given, structure=given.structure or structure_of(source) or structure_of(target))
 
 
 def _write_surface(output: Path, found: Resampling, like: Path | None, target: str) -> None:
@@ -162,13 +164,13 @@ def _write_surface(output: Path, found: Resampling, like: Path | None, target: s
     write_mesh(output, found.surface(), grid.own_triangles, like=like)
 
 
-def _write_extras(found: Resampling, sphere: Path | None, matrix: Path | None) -> None:
+def _write_extras(found: Resampling, sphere: Path | None, matrix: Path | None, like: Path | None) -> None:
     """Write the target's sphere and the matrix where they are asked for."""
     from omtwarp.mesh.write import write_mesh
 
     if sphere is not None:
         grid = found.target.grid
-        write_mesh(sphere, grid.points[: grid.own_points], grid.own_triangles, spherical=True)
+        write_mesh(sphere, grid.points[: grid.own_points], grid.own_triangles, spherical=True, like=like)
     if matrix is not None:
         found.save(matrix)
 

@@ -132,6 +132,7 @@ class MapReport(ChosenOptions, total=False):
     """
 
     mesh: MeshReport
+    structure: str
     versions: dict[str, str]
     device: str
     solver: str

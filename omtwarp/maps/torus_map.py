@@ -33,6 +33,7 @@ class TorusReport(TypedDict, total=False):
 
     domain: str
     mesh: MeshReport
+    structure: str
     quantum: float
     seconds: float
     stages: list[StageReport]

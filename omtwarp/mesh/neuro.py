@@ -5,6 +5,7 @@ nibabel (``pip install 'omtwarp[neuro]'``) reads and writes GIFTI and FreeSurfer
 
 from __future__ import annotations
 
+import json
 import re
 import warnings
 import zlib
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files.inputs import file_beside, read_bytes
+from omtwarp.files.inputs import file_beside, open_input, read_arrays, read_bytes
 from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.mesh.arrays import single_precision
 
@@ -47,11 +48,14 @@ def structure_of(path: Path | None) -> str | None:
 
     The result is None if the file does not say.
 
-    GIFTI says it inside (AnatomicalStructurePrimary); other files by their names, ``lh.``, ``hemi-L`` or ``.L.``.
+    GIFTI says it inside (AnatomicalStructurePrimary), a map in its report, as the file that was mapped had it; other
+    files by their names, ``lh.``, ``hemi-L`` or ``.L.``.
     """
     if path is None:
         return None
     name = path.name
+    if path.suffix.lower() == ".npz" and path.is_file() and (known := _structure_of_map(path)):
+        return known
     if name.lower().endswith((".gii", ".gii.gz")) and path.is_file():
         image = gifti_image(path)
         for meta in [image.meta, *(array.meta for array in image.darrays)]:
@@ -59,6 +63,16 @@ def structure_of(path: Path | None) -> str | None:
                 return str(meta["AnatomicalStructurePrimary"])
     found = re.search(r"(?:^|[._-])(?:(l|r)h(?=[._])|hemi-([LR])(?=[._])|([LR])(?=[.]))", name)
     return STRUCTURES[next(word for word in found.groups() if word).upper()] if found else None
+
+
+def _structure_of_map(path: Path) -> str | None:
+    """Return the part of the brain that a map's report names; None where it names none."""
+    try:
+        with open_input(path, LARGEST_MESH_FILE, "map") as stream:
+            known = json.loads(str(read_arrays(stream, ("report",))["report"]))["structure"]
+    except (OmtwarpError, ValueError, RecursionError, KeyError, TypeError):  # no map, or one without
+        return None
+    return known if isinstance(known, str) and re.fullmatch(r"[\w .-]{1,80}", known) else None
 
 
 def gifti_image(path: Path) -> GiftiImage:

@@ -20,6 +20,7 @@ from omtwarp.commands.register import register_map
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
 from omtwarp.mesh.data import read_data
+from omtwarp.mesh.neuro import structure_of
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.write import write_mesh
 
@@ -202,6 +203,32 @@ def test_fsaverage_sphere_in_the_fields_formats(desk, capsys):
     image = nibabel.load("lh.thickness.shape.gii")
     assert image.meta["AnatomicalStructurePrimary"] == "CortexLeft" and image.darrays[0].data.shape == (642,)
     assert nibabel.freesurfer.read_geometry("lh.sphere")[0].shape == (642, 3)
+
+
+def test_structure_of_the_brain_survives_every_command(desk):
+    """What a GIFTI file says of its surface goes with its map, and into every GIFTI file that is made of this."""
+    nibabel = pytest.importorskip("nibabel")
+    write_mesh("in.surf.gii", BLOB.vertices, BLOB.faces)
+    image = nibabel.load("in.surf.gii")
+    image.get_arrays_from_intent("pointset")[0].meta["AnatomicalStructurePrimary"] = "Cerebellum"
+    nibabel.save(image, "in.surf.gii")
+    for words in (
+        ["map", "in.surf.gii", "-o", "a.npz", "--until", "conformal"],
+        ["align", "a.npz", "--to", "axes", "-o", "b.npz"],
+        ["register", "b.npz", "--to", "template.npz", "-o", "c.npz"],
+        ["map", "in.surf.gii", "-o", "0.surf.gii", "--until", "conformal"],
+        ["align", "a.npz", "--to", "axes", "-o", "1.surf.gii"],
+        ["register", "b.npz", "--to", "template.npz", "-o", "2.surf.gii", "--strain", "3.shape.gii"],
+        ["resample", "c.npz", "--to", "ico2", "-o", "4.surf.gii", "--sphere", "5.surf.gii"],
+        ["resample", "c.npz", "--to", "ico2", "--data", "thickness.npy", "-o", "6.shape.gii"],
+        ["resample", "template.npz", "--to", "c.npz", "-o", "7.ply", "--sphere", "8.surf.gii"],
+        ["resample", "1.surf.gii", "--surface", "in.surf.gii", "--to", "template.npz", "-o", "9.surf.gii"],
+    ):
+        assert run(*words, "-q") == 0, words
+    made = sorted(path.name for path in desk.glob("[0-9].*.gii"))
+    assert len(made) == 9
+    assert {name: structure_of(Path(name)) for name in made} == dict.fromkeys(made, "Cerebellum")
+    assert run("resample", "c.npz", "--to", "lh.npz", "-o", "no.ply") == 1  # the name of which says CortexLeft
 
 
 @pytest.mark.parametrize(
