@@ -51,6 +51,13 @@ def register_map(
             help="What a feature counts, in their order (sulcal depth, curvature if none are given): repeat for all.",
         ),
     ] = None,
+    landmarks: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="A table of points and curves on both sides: columns label, side, vertex or x, y, z, and weight.",
+        ),
+    ] = None,
     strain: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Write log2 of ratios of areas and of stretches at MOVING's vertices too."),
@@ -103,6 +110,7 @@ def register_map(
             feature_weights=weights,
             stiffness=stiffness,
             max_strain=max_strain,
+            landmarks=landmarks,
             progress=progress,
         )
     if output.suffix.lower() == ".npz":
@@ -153,6 +161,9 @@ def _line(found: Registration) -> str:
         f"{agreement}; largest strain {found.largest_strain:.2f} of {found.most_strain:g}; {certificate.flips} flips, "
         f"degree {certificate.degree}"
     )
+    if found.landmarks:
+        farthest = max(distance["after"] for distance in found.landmarks.values())
+        line += f"; landmarks within {farthest:.2f} degrees"
     if found.doubtful:
         scores = f"{found.start.score:.3f} against {found.start.runner_up:.3f}"
         line += f"; the start is doubtful ({scores}): the best of {len(found.starts)} rotations was taken"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from omtwarp.registration.folding import folding_features
+from omtwarp.registration.landmarks import Landmark, read_landmarks
 from omtwarp.registration.register import Registration, register
 
-__all__ = ["Registration", "folding_features", "register"]
+__all__ = ["Landmark", "Registration", "folding_features", "read_landmarks", "register"]

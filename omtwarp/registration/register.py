@@ -14,12 +14,14 @@ from omtwarp.alignment.align import feature_rotations
 from omtwarp.alignment.features import checked_features, sphere_weights
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
+from omtwarp.location import Locator
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.arrays import real_number
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics.certificate import Certificate, certify_triangles
 from omtwarp.options import Progress, Record
 from omtwarp.registration.folding import FOLDING_WEIGHTS, folding_features
+from omtwarp.registration.landmarks import LandmarksLike, pairs_of
 from omtwarp.registration.strain import kept_within, octaves
 from omtwarp.registration.templates import HEMISPHERES, template
 from omtwarp.registration.warp import COARSE, FINE, Warping, feature_grid
@@ -28,6 +30,7 @@ from omtwarp.resampling.resample import PointsLike
 
 Floats = NDArray[np.float64]
 
+APART = 0.1  # degrees that exact landmarks may be from their places, a tenth of an edge of 160,000 vertices
 STARTS = 3  # rotations of each degree that a doubtful start is tried from
 
 
@@ -45,6 +48,8 @@ class Registration:
         area_strain: log2 of the ratio of areas of every triangle on the spheres after and before, shape [F].
         stretch_strain: log2 of the ratio of the larger to the smaller stretch of every triangle, shape [F].
         most_strain: the bound of both that was asked for.
+        landmarks: of every landmark by its label, how far it was from its place ``before`` (after the rotation) and
+            ``after``, in degrees, root mean square over a curve.
         certificate: whether the registered map is one to one, decided exactly.
         levels: a record for every level from coarse to fine.
         closed_sphere: the sphere with what fills holes, shape [N, 3]; its first points are ``sphere``.
@@ -59,6 +64,7 @@ class Registration:
     stretch_strain: Floats
     most_strain: float
     certificate: Certificate
+    landmarks: dict[str, dict[str, float]] = field(default_factory=dict)
     levels: list[Record] = field(default_factory=list)
     closed_sphere: Floats = field(default_factory=lambda: np.zeros((0, 3)))
 
@@ -101,6 +107,7 @@ class Registration:
             "area_strain": percentiles(self.area_strain),
             "stretch_strain": percentiles(self.stretch_strain),
             "most_strain": self.most_strain,
+            "landmarks": self.landmarks,
             "certificate": self.certificate.to_dict(),
             "levels": self.levels,
         }
@@ -116,6 +123,7 @@ def register(
     feature_weights: Mapping[str, float] | None = None,
     stiffness: float = 0.4,
     max_strain: float = 1.1,
+    landmarks: LandmarksLike | None = None,
     progress: Progress | None = None,
 ) -> Registration:
     """Warp a map's sphere so that features of its surface lie where they lie on another sphere.
@@ -138,6 +146,9 @@ def register(
         feature_weights: by name; 1 for those left out, 0.55 for the curvature of the surfaces.
         stiffness: λ. More leaves less strain and less agreement.
         max_strain: bound of |log2| of the ratio of areas, and of the ratio of the two stretches, of every triangle.
+        landmarks: points and curves that correspond (:class:`Landmark`), or a file of them
+            (:func:`omtwarp.registration.read_landmarks`). Added is the sum over them of weight times mean squared
+            distance in radians; those of infinite weight are brought to their places.
         progress: called as ``progress("register", step, steps, details)``.
 
     Returns:
@@ -148,7 +159,8 @@ def register(
             surface that is missing, or numbers out of range.
 
     Warns:
-        OmtwarpWarning: triangles of the map's own mesh stayed beyond ``max_strain``.
+        OmtwarpWarning: triangles of the map's own mesh stayed beyond ``max_strain``, or exact landmarks stayed away
+            from their places.
 
     Example:
         >>> import omtwarp
@@ -167,6 +179,8 @@ def register(
     ours, theirs = _features_of(here, there, features, to_features)
     usual = {} if features else FOLDING_WEIGHTS
     weights = _weights_of(ours, {**usual, **(feature_weights or {})})
+    counts = here.grid.own_points, there.grid.own_points
+    pairs = None if landmarks is None else pairs_of(landmarks, here.grid.points, there.grid.points, counts)
     steps = 3
     notify = progress or (lambda *_: None)
     rotations = feature_rotations(here, there, ours, theirs, most=STARTS)
@@ -187,13 +201,26 @@ def register(
         turned = _moved(here, here.grid.points @ best.rotation.T)
         own = resample(turned, (grid.vertices, grid.faces), device="cpu")
         given = _carried(own, ours)
-        tried.append((warping.run(given, (~own.empty).astype(np.float64), COARSE), best, turned, given, own))
-    coarse, best, turned, given, own = min(tried, key=lambda entry: entry[0].energy)
+        known = (~own.empty).astype(np.float64)
+        marks = None if pairs is None else pairs.turned(best.rotation)
+        tried.append((warping.run(given, known, COARSE, landmarks=marks), best, turned, given, known, marks))
+    coarse, best, turned, given, known, marks = min(tried, key=lambda entry: entry[0].energy)
     notify("register", 2, steps, {})
-    warp = warping.run(given, (~own.empty).astype(np.float64), FINE, coarse)
+    warp = warping.run(given, known, FINE, coarse, marks)
     before = turned.grid.points
     surface = Surface(before, turned.grid.triangles)
-    sphere = kept_within(surface, warp.carry(before), max_strain)
+    distances: dict[str, dict[str, float]] = {}
+    if marks is None:
+        sphere = kept_within(surface, warp.carry(before), max_strain)
+    else:
+        found = Locator(before, surface.faces, device="cpu").find(marks.points)
+        sphere = kept_within(surface, warp.carry(before), max_strain, surface.faces[found.faces[marks.exact]])
+        ends = [marks.distances(found.on_sphere(surface.faces, points)) for points in (before, sphere)]
+        distances = {label: {"before": ends[0][label], "after": ends[1][label]} for label in marks.labels}
+        away = [marks.labels[k] for k in np.unique(marks.owners[marks.exact]) if ends[1][marks.labels[k]] > APART]
+        if away:
+            text = f"exact landmarks stayed away from their places, '{away[0]}' by {ends[1][away[0]]:.2f} degrees"
+            warnings.warn(f"{text}: the strain that they need is over {max_strain:g}", OmtwarpWarning, stacklevel=2)
     notify("register", 3, steps, {})
     agreement = [_agreement(points, there, ours, theirs) for points in (turned, _moved(turned, sphere))]
     correlations = {name: {"before": agreement[0][name], "after": agreement[1][name]} for name in ours}
@@ -209,7 +236,7 @@ def register(
         warnings.warn(text, OmtwarpWarning, stacklevel=2)
     return Registration(
         sphere[:count], start, doubtful, starts, correlations, by_area, by_stretch, max_strain, certificate,
-        warp.levels, sphere,
+        distances, warp.levels, sphere,
     )  # fmt: skip
 
 

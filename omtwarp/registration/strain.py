@@ -11,7 +11,7 @@ from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.patches import grow
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.refine.energy import DistortionEnergy
-from omtwarp.refine.relaxation import relax
+from omtwarp.refine.relaxation import FREED_RINGS, relax
 from omtwarp.untangling.untangle import untangle
 
 Floats = NDArray[np.float64]
@@ -50,7 +50,7 @@ def strain_at_vertices(before: Floats, faces: NDArray[np.int32], strain: Floats)
     return np.asarray(sums[0] / np.maximum(sums[1], TINY))
 
 
-def kept_within(surface: Surface, sphere: Floats, bound: float) -> Floats:
+def kept_within(surface: Surface, sphere: Floats, bound: float, held: NDArray[np.integer] | None = None) -> Floats:
     """Return a warp without flips and within the bound of strain, moved only around triangles that are not.
 
     Flips are untangled first. Then vertices around triangles with too much strain go to where they hold less
@@ -60,6 +60,7 @@ def kept_within(surface: Surface, sphere: Floats, bound: float) -> Floats:
         surface: the sphere before the warp.
         sphere: the warp, unit vectors, shape [V, 3].
         bound: of both numbers of :func:`octaves`, in size.
+        held: vertices that are not to move where nothing is flipped; by default all may.
 
     Returns:
         Unit vectors, shape [V, 3]; where no more is gained some triangles may stay over the bound.
@@ -67,6 +68,10 @@ def kept_within(surface: Surface, sphere: Floats, bound: float) -> Floats:
     if flipped_faces(sphere, surface.faces).any():
         sphere = untangle(surface, sphere, device="cpu").sphere
     energy: DistortionEnergy | None = None
+    near_held = np.zeros(surface.vertex_count, dtype=bool)
+    if held is not None:
+        near_held[held] = True
+        near_held = grow(surface.faces, near_held, FREED_RINGS)
     for done in range(ROUNDS):
         by_area, by_stretch = octaves(surface.vertices, sphere, surface.faces)
         over = np.maximum(np.abs(by_area), by_stretch) > bound
@@ -77,6 +82,9 @@ def kept_within(surface: Surface, sphere: Floats, bound: float) -> Floats:
         chosen[surface.faces[over]] = True
         # Rounds per ring, after so many, a ring of vertices more is freed
         chosen = grow(surface.faces, chosen, done // 4)
+        chosen &= ~near_held
+        if not chosen.any():
+            break
         points = energy.upload(np.ascontiguousarray(sphere))
         moved = relax(energy, points, energy.terms(points), 1.0, 1.0, chosen)
         if moved is not None:

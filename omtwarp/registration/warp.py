@@ -14,8 +14,10 @@ from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.options import Record
 from omtwarp.refine.solver import Refiner
 from omtwarp.refine.strain import strain_limit
+from omtwarp.refine.vertex_term import VertexTerm
 from omtwarp.registration.feature_term import FeatureField, FeatureTerm
 from omtwarp.registration.folding import smoothed, vertex_areas
+from omtwarp.registration.landmarks import LandmarkTerm, Pairs, TermSum
 from omtwarp.registration.strain import kept_within
 
 Floats = NDArray[np.float64]
@@ -73,7 +75,12 @@ class Warping:
         self._fields: dict[float, FeatureField] = {}
 
     def run(
-        self, moving: Floats, counted: Floats, levels: tuple[tuple[int, float, float], ...], start: Warp | None = None
+        self,
+        moving: Floats,
+        counted: Floats,
+        levels: tuple[tuple[int, float, float], ...],
+        start: Warp | None = None,
+        landmarks: Pairs | None = None,
     ) -> Warp:
         """Minimise feature differences and distortion at one level after another.
 
@@ -82,11 +89,13 @@ class Warping:
             counted: 1 where these are known, 0 in filled holes, shape [N].
             levels: as of ``COARSE``; those finer than the meshes are left out.
             start: a warp to go on from; none moves nothing.
+            landmarks: points before the warp, and their places; exact ones get there at the last level.
         """
         warp = start
-        for frequency, width, stiffer in levels:
-            if warp is not None and width < self._finest:
-                continue
+        kept = [level for level in levels if level[1] >= self._finest]
+        if not kept and (start is None or landmarks is not None):
+            kept = [levels[0]]
+        for number, (frequency, width, stiffer) in enumerate(kept, start=1):
             grid = self.grid if frequency == FEATURE_GRID else icosphere(frequency)
             if warp is None:
                 points = grid.vertices
@@ -98,11 +107,17 @@ class Warping:
             areas = here[:, -1] * vertex_areas(points, grid.faces) / SPHERE_AREA
             # Energy over λ / 2: Refiner has 1 before the distortion of triangles.
             scale = 2.0 / (stiffer * self._stiffness)
-            term = FeatureTerm(here[:, :-1], areas, self._field(width), scale * self._weights)
+            term: VertexTerm = FeatureTerm(here[:, :-1], areas, self._field(width), scale * self._weights)
+            pulls = None if landmarks is None else LandmarkTerm(landmarks, grid, scale)
+            if pulls is not None:
+                term = TermSum([term, pulls])
             refiner = Refiner(grid, resolve_device("cpu"), most_strain=strain_limit(self._bound), vertex_term=term)
             # With 1 in place of 6, as the weight of areas against angles, the areas of 5 % of the sphere change by
             # 0.62 in log2 where with 6 they change by 0.60, at the same agreement of two averaged cortices.
             found = refiner.minimise(points, 6.0, iterations=ITERATIONS, tolerance=TOLERANCE)
+            if pulls is not None and start is not None and number == len(kept):
+                while pulls.pulled_on(found.sphere):
+                    found = refiner.minimise(found.sphere, 6.0, iterations=ITERATIONS, tolerance=TOLERANCE)
             energy = float(found.history[-1]["energy"]) / scale
             record: Record = {
                 "vertices": grid.vertex_count,

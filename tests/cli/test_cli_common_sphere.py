@@ -98,6 +98,15 @@ def test_register_writes_strain_and_weights_features(desk, capsys):
     assert "1 times --feature-weight for 2 features" in capsys.readouterr().err
 
 
+def test_register_takes_landmarks_from_a_table(desk, capsys):
+    Path("places.csv").write_text("label,side,vertex,weight\na,moving,10,exact\na,target,11,\n")
+    assert run("register", "lh.npz", "--to", "template.npz", "-o", "out.npz", "--landmarks", "places.csv") == 0
+    assert "landmarks within 0.0" in capsys.readouterr().out
+    found, target = MapResult.load("out.npz"), MapResult.load("template.npz")
+    np.testing.assert_allclose(found.sphere[10], target.sphere[11], atol=2e-3)
+    assert found.report["registration"]["landmarks"]["a"]["after"] < 0.1
+
+
 def test_align_by_axes_writes_a_sphere_of_radius_100(desk, capsys):
     assert run("align", "lh.sphere.ply", "--surface", "lh.white.ply", "-o", "lh.axes.ply", "--radius", "100") == 0
     assert "by axes" in capsys.readouterr().out

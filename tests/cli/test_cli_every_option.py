@@ -105,7 +105,7 @@ VALUES = {
     "--matrix": ["matrix.npz"], "--reconstruction": ["smooth.ply"], "--grid": ["ico0"],
     "--components": ["1"], "--permutations": ["3"], "--seed": ["7"], "--workers": ["2"], "--shard": ["1/2"],
     "--time-limit": ["100"], "--memory-limit": ["2"], "--aspect": ["2"], "--margin": ["0.01"], "--subdivide": ["1"],
-    "--feature-weight": ["2"], "--strain": ["strain.npy"],
+    "--feature-weight": ["2"], "--landmarks": ["places.csv"], "--strain": ["strain.npy"],
     "--stiffness": ["2"], "--max-strain": ["1.5"], "--sizes": [], "--shape": [],
     "--repeats": ["1"], "--faces": [],
     "map --output": ["o.ply", "o.obj", "o.off", "o.stl", "o.glb", "o.vtk"],
@@ -233,6 +233,7 @@ def inputs(tmp_path_factory):
     ring = ring_of(16, 8)
     write_mesh(folder / "ring.ply", *ring)
     write_mesh(folder / "sphere.ply", shapes.icosphere(4).vertices, ball.faces)
+    (folder / "places.csv").write_text("label,side,vertex\na,moving,1\na,target,1\n")
     np.save(folder / "numbers.npy", ball.vertices[:, 0] - ball.vertices[:, 0].min() + 1.0)
     np.save(folder / "labels.npy", (ball.vertices[:, 0] > 0).astype(np.int64))
     Image.fromarray(np.tile(np.arange(64, dtype=np.uint8)[:, None, None] + 60, (1, 128, 3))).save(
