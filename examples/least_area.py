@@ -26,8 +26,8 @@ from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.mesh.checks import as_surface
 from omtwarp.mesh.surface import Surface
-from omtwarp.optimal.energy import TransportEnergy
 from omtwarp.optimal.solver import minimise
+from omtwarp.optimal.sphere import energy_on_sphere
 from omtwarp.refine.solver import Refiner
 
 SIDES, HEIGHT = 24, 1.0  # of the prism
@@ -86,7 +86,7 @@ def main() -> None:
     print(f"{'penalty on rings':>28s}    area  ring rms   angle")
     for penalty in RING_PENALTIES:
         start, weight = vectors(best, refiner.device), WEIGHTS[-2]
-        energy = TransportEnergy(surface, start, refiner.device, 1.0, cost_weight=0.0, area_weight=weight)
+        energy = energy_on_sphere(surface, start, refiner.device, 1.0, cost_weight=0.0, area_weight=weight)
         found = minimise(
             energy, best, gain=1e-6 * weight, iterations=RING_STEPS, progress=None, penalty=penalty * weight
         )

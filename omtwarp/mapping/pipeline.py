@@ -39,7 +39,7 @@ from omtwarp.moser import moser_map
 from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetric_map, symmetric_start, symmetrised
 from omtwarp.open_surfaces.symmetric import symmetric_exact_map, symmetric_optimal_map
 from omtwarp.optimal import OptimalMap, optimal_map
-from omtwarp.optimal.cells import exact_map
+from omtwarp.optimal.exact import exact_map
 from omtwarp.optimal.nested import EMBEDDED, NESTED, embedded_start, minimised, nested_start, shape_term
 from omtwarp.optimal.refinement import refine_map, refinement_weight
 from omtwarp.options import (

@@ -14,12 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.device.threads import blas_threads
 from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.mesh.surface import Surface
-from omtwarp.optimal.cells import CELL_GAIN, ITERATIONS, CellEnergy, minimise_cells
+from omtwarp.optimal.cells import Cells, RingCells, TriangleCells
 from omtwarp.optimal.energy import AREA_WEIGHT, MapTerms, TransportEnergy
+from omtwarp.optimal.exact import CELL_GAIN, ITERATIONS, minimise_cells
 from omtwarp.optimal.solver import GAIN, PENALTY, SHAPE_WEIGHT, OptimalMap, minimise, softness
+from omtwarp.optimal.sphere import GeodesicCost, Sphere, SphereShape
 from omtwarp.options import Cost, Progress
 from omtwarp.solvers.cholesky import dissect
 from omtwarp.solvers.mesh_factor import SaddlePointFactor, saddle_factor, saddle_factor_of_cells
@@ -53,7 +54,6 @@ def folded_map(double: Double, sphere: Floats) -> Floats:
     return out
 
 
-@blas_threads(1)
 def symmetric_optimal_map(
     double: Double,
     surface: Surface,
@@ -89,15 +89,8 @@ def symmetric_optimal_map(
     where = resolve_device(device)
     given, x = (np.array(points, dtype=np.float64) for points in (sphere, start))
     soft = softness(surface.vertex_areas, given, x, cost)
-    energy = SymmetricEnergy(
-        double,
-        surface,
-        vectors(x, where),
-        where,
-        shape_weight,
-        area_weight=area_weight,
-        softness=soft,
-    )
+    moved_from = vectors(x, where)
+    energy = mirrored_energy(double, surface, moved_from, where, shape_weight, area_weight=area_weight, softness=soft)
     return minimise(
         energy,
         given,
@@ -109,7 +102,6 @@ def symmetric_optimal_map(
     )
 
 
-@blas_threads(1)
 def symmetric_exact_map(
     double: Double,
     quartered: QuarteredSurface,
@@ -144,25 +136,57 @@ def symmetric_exact_map(
     where = resolve_device(device)
     given, x = (np.array(points, dtype=np.float64) for points in (sphere, start))
     soft = softness(quartered.surface.vertex_areas, given, x, cost)
-    energy = SymmetricCellEnergy(double, quartered, vectors(x, where), where, shape_weight, soft)
+    moved_from, cells = vectors(x, where), TriangleCells(quartered)
+    energy = mirrored_energy(double, quartered.surface, moved_from, where, shape_weight, cells=cells, softness=soft)
     return minimise_cells(energy, given, multipliers=multipliers, gain=gain, iterations=iterations, progress=progress)
 
 
-class _OnHalf(TransportEnergy):
-    """Evaluates symmetric maps with systems and steps of one half; energies of either kind of target derive from it."""
+class MirroredSphere(Sphere):
+    """The sphere with a plane of symmetry, as the domain of the maps of a double.
 
-    _double: Double
-    _mirror: MirrorFactor
-    local_steps = False
-    first_curvature_share = 1.0  # without local steps the half of a doll then takes 10 steps in place of 40
+    Args:
+        double: the surface and its copy, W vertices.
+        surface: the double as a surface.
+        device: a Warp device.
+    """
+
+    has_local_steps = False
+
+    def __init__(self, double: Double, surface: Surface, device: wp.Device):
+        super().__init__(surface, device)
+        self._double = double
+
+    def steps(self) -> FlipFreeSteps:
+        """Move symmetric maps to symmetric maps."""
+        return SymmetricSteps(self._double, self.surface, self.device)
+
+
+class MirroredEnergy(TransportEnergy):
+    """Evaluates symmetric maps of a double as its base class does, with systems of one half.
+
+    Args:
+        mirror: solves them.
+        domain, cells, cost, shape, shape_weight, area_weight: as of :class:`TransportEnergy`.
+    """
+
+    def __init__(
+        self,
+        mirror: MirrorFactor,
+        domain: MirroredSphere,
+        cells: Cells,
+        cost: GeodesicCost,
+        shape: SphereShape,
+        shape_weight: float,
+        area_weight: float,
+    ):
+        workspace = shape.distortion.workspace
+        super().__init__(domain, cells, cost, shape, shape_weight, area_weight=area_weight, workspace=workspace)
+        self._mirror = mirror
+        self.first_curvature_share = 1.0  # without local steps the half of a doll then takes 10 steps in place of 40
 
     def saddle_factor(self) -> SaddlePointFactor:
         """Solve on the half the systems of the double that :meth:`blocks` gives."""
         return self._mirror
-
-    def flip_free_steps(self) -> FlipFreeSteps:
-        """Move symmetric maps to symmetric maps."""
-        return SymmetricSteps(self._double, self.surface, self.device)
 
     def blocks(
         self, points: wp.array, terms: MapTerms, curvature_share: float, least: float
@@ -172,52 +196,33 @@ class _OnHalf(TransportEnergy):
         return super().blocks(points, terms, curvature_share, least)
 
 
-class SymmetricEnergy(_OnHalf):
-    """Evaluates symmetric maps of a double as its base class does, with systems and steps of one half.
+def mirrored_energy(
+    double: Double,
+    surface: Surface,
+    start: wp.array,
+    device: wp.Device,
+    shape_weight: float,
+    *,
+    cells: TriangleCells | None = None,
+    area_weight: float = AREA_WEIGHT,
+    softness: float = 0.0,
+) -> MirroredEnergy:
+    """Return the energy of the symmetric maps of a double.
 
     Args:
         double: the surface and its copy, W vertices.
         surface: the double as a surface.
-        start, device, shape_weight, cost_weight, area_weight, softness: as of :class:`TransportEnergy`.
+        start, device, shape_weight, area_weight, softness: as of :func:`omtwarp.optimal.sphere.energy_on_sphere`.
+        cells: the triangles of a quartered double; the triangles around vertices by default.
     """
-
-    def __init__(
-        self,
-        double: Double,
-        surface: Surface,
-        start: wp.array,
-        device: wp.Device,
-        shape_weight: float,
-        cost_weight: float = 1.0,
-        area_weight: float = AREA_WEIGHT,
-        softness: float = 0.0,
-    ):
-        super().__init__(surface, start, device, shape_weight, cost_weight, area_weight, softness)
-        self._double = double
-        self._mirror = MirrorFactor(double, surface, device)
-
-
-class SymmetricCellEnergy(_OnHalf, CellEnergy):
-    """Evaluates symmetric maps of a double whose triangles are cut into four, the area of each of them kept.
-
-    Args:
-        double: the surface and its copy, their triangles cut into four.
-        quartered: the same as parts of triangles.
-        start, device, shape_weight, softness: as of :class:`CellEnergy`.
-    """
-
-    def __init__(
-        self,
-        double: Double,
-        quartered: QuarteredSurface,
-        start: wp.array,
-        device: wp.Device,
-        shape_weight: float,
-        softness: float = 0.0,
-    ):
-        super().__init__(quartered, start, device, shape_weight, softness)
-        self._double = double
-        self._mirror = MirrorCellFactor(double, quartered.surface, device, self.cells)
+    kept: Cells = RingCells(surface, device) if cells is None else cells
+    if cells is None:
+        mirror = MirrorFactor(double, surface, device)
+    else:
+        mirror = MirrorCellFactor(double, surface, device, cells.vertices)
+    cost, shape = GeodesicCost(surface, start, device, softness), SphereShape(surface, device)
+    domain = MirroredSphere(double, surface, device)
+    return MirroredEnergy(mirror, domain, kept, cost, shape, shape_weight, area_weight)
 
 
 class MirrorFactor:
@@ -388,11 +393,12 @@ class SymmetricSteps(FlipFreeSteps):
 __all__ = [
     "MirrorCellFactor",
     "MirrorFactor",
-    "SymmetricCellEnergy",
-    "SymmetricEnergy",
+    "MirroredEnergy",
+    "MirroredSphere",
     "SymmetricSteps",
     "folded",
     "folded_map",
+    "mirrored_energy",
     "symmetric_exact_map",
     "symmetric_optimal_map",
 ]

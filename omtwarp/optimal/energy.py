@@ -5,10 +5,9 @@ conformal sphere and is mapped to y_v. With a_v(y) the solid angle of the triang
 
     minimise  C(y) + β S(y)   subject to   a_v(y) = 3 m_v for every vertex,    C = Σ m_v d(x_v, y_v)² / 4π,
 
-where S is angle plus area distortion of the triangles (:mod:`omtwarp.refine.energy`) and β is small. To keep the areas
-of all triangles instead would leave a map no freedom: 2V - 5 conditions on 2V - 3 coordinates. To keep the areas around
-vertices, on which the paper's density is defined, leaves half of it, as in the smooth problem. Some modes of a mesh
-change neither C nor these areas; S determines them.
+where S is angle plus area distortion of the triangles (:mod:`omtwarp.refine.energy`) and β is small. Some modes of a
+mesh change neither C nor these areas; S determines them. The formulas are the same where other cells than the triangles
+around vertices keep their areas (:mod:`omtwarp.optimal.cells`), and on a torus (:mod:`omtwarp.torus.plane`).
 
 The cost is written with the areas of the image in place of the masses, C' = Σ a_v d(x_v, y_v)² / 12π. On maps that keep
 the areas C' = C, so that the problem is the same. But the multipliers p_v of C' belong to the points x_v, and do not
@@ -29,15 +28,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.device.arrays import empty
+from omtwarp.device.memory import Workspace
 from omtwarp.device.start import wp
-from omtwarp.device.threads import cut, launch_parts
-from omtwarp.mesh.surface import SPHERE_AREA, Surface
-from omtwarp.optimal.kernels import cost_metric, ring_couplings, ring_terms, transport_gradient
-from omtwarp.refine.energy import DistortionEnergy, Terms
-from omtwarp.solvers.mesh_factor import SaddlePointFactor, surface_saddle_factor
+from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.surface import SPHERE_AREA
+from omtwarp.optimal.cells import Cells
+from omtwarp.optimal.domain import Domain, Shape, ShapeTerms, VertexCost
+from omtwarp.solvers.cholesky import NotPositiveDefinite
+from omtwarp.solvers.mesh_factor import SaddlePointFactor
 from omtwarp.solvers.triangle_newton.newton import NewtonMatrix
-from omtwarp.untangling.kernels import solid_angles
 from omtwarp.untangling.steps import FlipFreeSteps
 
 Numbers = NDArray[np.float64]
@@ -45,11 +44,10 @@ Numbers = NDArray[np.float64]
 # λ of the shape term: weight of the area distortion of triangles against angle distortion, large enough that no
 # slivers arise.
 AREA_WEIGHT = 10.0
-# The first share of the curvature that the matrix keeps, see omtwarp.refine.kernels.triangle_hessian, and the least
-# later: with 1 as the first a scan of 40,000 triangles takes 11 steps in place of 6.
-MIN_CURVATURE_SHARE = 0.03
-# Largest root mean square and largest single relative error of the areas around vertices that count as kept.
-MAX_RING_RMS, MAX_RING_ERROR = 2e-4, 9e-3
+# Added to the diagonal, relative to its mean: it holds the three rotations and makes H definite. Where rounding still
+# leaves a pivot of the wrong sign, the diagonal grows by these shares, one after another.
+REGULARISATION = 1e-8
+STIFFER = (0.0, 1e-9, 1e-6, 1e-3)
 
 
 @dataclass(frozen=True)
@@ -57,104 +55,93 @@ class MapTerms:
     """The terms of a map's energy: areas, squared distances and distortion.
 
     Attributes:
-        ring: the constrained areas, a_v, shape [V].
+        areas: of the cells, a_c, shape [N].
         cost: of moving every vertex, d(x_v, y_v)² or the soft distance, shape [V].
         shape: terms of the distortion of the triangles.
     """
 
-    ring: Numbers
+    areas: Numbers
     cost: Numbers
-    shape: Terms
+    shape: ShapeTerms
 
 
 class TransportEnergy:
     """Evaluates the energy of maps of one surface, and its derivatives.
 
     Args:
-        surface: the surface, V vertices, F faces and E edges.
-        start: x, unit vectors, vec3d, shape [V], on the device.
-        device: a Warp device.
+        domain: where the vertices move.
+        cells: whose areas are kept.
+        cost: of every vertex's place.
+        shape: distortion of the triangles.
         shape_weight: β.
         cost_weight: factor of the cost; with 0 only the shape counts.
         area_weight: λ of the shape.
-        softness: in radians; 0 for the squared distance, otherwise the cost is sqrt(d² + softness²) - softness.
+        workspace: memory on the host for factorisations and Hessians.
 
     Attributes:
-        wanted: the areas that constraints ask for, 3 m_v, shape [V].
-        area_tolerances: root mean square and largest relative error up to which areas count as kept.
+        surface: what is mapped, V vertices, F faces and E edges.
+        device: a Warp device.
         exact_tolerance: largest relative error after :func:`omtwarp.optimal.restoration.restore_areas`.
-        start_points: x on the host, shape [V, 3].
-        first_curvature_share: share of the curvature in the first matrix of a minimisation.
-        local_steps: whether :class:`omtwarp.optimal.local.LocalSteps` may move single vertices of the maps.
+        has_local_steps: whether :class:`omtwarp.optimal.local.LocalSteps` may move single vertices of the maps.
+        first_curvature_share: share of the curvature of areas in the first matrix of a minimisation.
     """
 
-    local_steps = True
-    first_curvature_share = MIN_CURVATURE_SHARE
-    area_tolerances = (MAX_RING_RMS, MAX_RING_ERROR)
     exact_tolerance = 1e-6
 
     def __init__(
         self,
-        surface: Surface,
-        start: wp.array,
-        device: wp.Device,
+        domain: Domain,
+        cells: Cells,
+        cost: VertexCost,
+        shape: Shape,
         shape_weight: float,
         cost_weight: float = 1.0,
         area_weight: float = AREA_WEIGHT,
-        softness: float = 0.0,
+        *,
+        workspace: Workspace | None = None,
     ):
-        self.softness = wp.float64(softness)
-        self.surface, self.device, self.shape_weight, self.cost_weight = surface, device, shape_weight, cost_weight
-        self.area_weight = area_weight
-        self.shape = DistortionEnergy(surface, device)
-        self.wanted = 3.0 * surface.vertex_areas
-        mesh = surface.on(device)
-        self._start, self._mesh, self._rows = start, mesh, mesh.vertex_corners
-        self.start_points: Numbers = start.numpy()
-        count, faces, edges = surface.vertex_count, surface.face_count, len(surface.edges)
-        self._solid = empty(faces, wp.float64, device)
-        self._forward, self._backward = (empty(edges, wp.vec2d, device) for _ in range(2))
-        self._metric = wp.empty((count, 4), dtype=wp.float64, device=device)
-        self._newton = NewtonMatrix.of_surface(surface, self.shape.workspace)
+        self.domain, self.cells, self.vertex_cost, self.shape = domain, cells, cost, shape
+        self.shape_weight, self.cost_weight, self.area_weight = shape_weight, cost_weight, area_weight
+        self.surface, self.device = domain.surface, domain.device
+        self.has_local_steps = domain.has_local_steps and cells.has_local_steps
+        self.first_curvature_share = cells.first_curvature_share
+        self._workspace = workspace
+        self._newton = NewtonMatrix.of_surface(domain.surface, workspace)
+        self._covered = float(cells.wanted.sum())
+
+    @property
+    def wanted(self) -> Numbers:
+        """The areas that constraints ask for, A_c, shape [N]."""
+        return self.cells.wanted
 
     def saddle_factor(self) -> SaddlePointFactor:
         """Return an object that factorises the matrices of :meth:`blocks`."""
-        return surface_saddle_factor(self.surface, self.shape.workspace)
+        return self.cells.factor(self._workspace)
 
     def flip_free_steps(self) -> FlipFreeSteps:
         """Return an object that moves maps along directions without flipping triangles."""
-        return FlipFreeSteps(self.surface, self.device)
+        return self.domain.steps()
 
     def terms(self, points: wp.array) -> MapTerms:
-        """Return the areas around vertices, squared distances and distortion of a map, vec3d, shape [V]."""
-        count, faces = self.surface.vertex_count, self._mesh.faces
-        ring, cost = (empty(count, wp.float64, self.device) for _ in range(2))
-
-        def of_triangles(part: slice) -> tuple[list[object], list[object]]:
-            return [points, cut(faces, part)], [cut(self._solid, part)]
-
-        def of_vertices(part: slice) -> tuple[list[object], list[object]]:
-            return [self._start, points, self._solid, *self._rows, self.softness, part.start], [ring, cost]
-
-        launch_parts(solid_angles, self.surface.face_count, of_triangles, self.device)
-        launch_parts(ring_terms, count, of_vertices, self.device)
-        return MapTerms(ring.numpy(), cost.numpy(), self.shape.terms(points))
+        """Return the areas of cells, costs of vertices and distortion of a map, shape [V]."""
+        areas = self.cells.areas(self.domain.areas(points))
+        return MapTerms(areas, self.vertex_cost.values(points), self.shape.terms(points))
 
     def potential(self, terms: MapTerms, multipliers: Numbers) -> Numbers:
-        """Return P_v = p_v + d(x_v, y_v)² / 12π, the potential at the images of the vertices, shape [V]."""
-        return multipliers + self.cost_weight / (3.0 * SPHERE_AREA) * terms.cost
+        """Return P_c, p_c plus the mean cost of a cell over Σ A: the potential at its image, shape [N]."""
+        return multipliers + self.cost_weight / self._covered * self.cells.means(terms.cost)
 
     def lagrangian(self, terms: MapTerms, multipliers: Numbers) -> float:
-        """Return the Lagrangian C' + Σ p_v (a_v - 3 m_v) + β S."""
-        cost = self.cost_weight * float(terms.ring @ terms.cost) / (3.0 * SPHERE_AREA)
+        """Return the Lagrangian C' + Σ p_c (a_c - A_c) + β S."""
+        cost = self.cost_weight * float(terms.areas @ self.cells.means(terms.cost)) / self._covered
         return cost + float(multipliers @ self.missing(terms)) + self.shape_weight * terms.shape.total(self.area_weight)
 
     def missing(self, terms: MapTerms) -> Numbers:
-        """Return the error of every constrained area, a_v - 3 m_v, shape [V]."""
-        return terms.ring - self.wanted
+        """Return the error of every constrained area, a_c - A_c, shape [N]."""
+        return terms.areas - self.wanted
 
-    def ring_errors(self, terms: MapTerms) -> tuple[float, float]:
-        """Return the root mean square (weighted by area) and the largest of the relative errors a_v / 3 m_v - 1."""
+    def area_errors(self, terms: MapTerms) -> tuple[float, float]:
+        """Return the root mean square (weighted by area) and the largest of the relative errors a_c / A_c - 1."""
         relative = self.missing(terms) / self.wanted
         return float(np.sqrt((self.wanted * relative**2).sum() / self.wanted.sum())), float(np.abs(relative).max())
 
@@ -163,29 +150,18 @@ class TransportEnergy:
         return float(self.surface.vertex_areas @ terms.cost)
 
     def gradient(self, points: wp.array, terms: MapTerms, multipliers: Numbers) -> Numbers:
-        """Return the gradient of the Lagrangian with respect to the vertices, tangent to the sphere, shape [V, 3]."""
-        count, device = self.surface.vertex_count, self.device
-        ring = wp.array(terms.ring, dtype=wp.float64, device=device, copy=False)
-        potential = wp.array(self.potential(terms, multipliers), dtype=wp.float64, device=device, copy=False)
-        gradient = empty(count, wp.vec3d, device)
-        factor = wp.float64(self.cost_weight * 2.0 / (3.0 * SPHERE_AREA))
-
-        def around(part: slice) -> tuple[list[object], list[object]]:
-            mesh = [self._start, points, self._mesh.faces, ring, potential, *self._rows]
-            inputs = [*mesh, factor, self.softness, part.start]
-            return inputs, [gradient]
-
-        launch_parts(transport_gradient, count, around, device)
-        shape = self.shape.gradient(points, terms.shape, self.area_weight)
-        return gradient.numpy() + self.shape_weight * shape.numpy()
+        """Return the gradient of the Lagrangian with respect to the vertices, shape [V, 3], or [V, 2] in the plane."""
+        potential = self.cells.on_triangles(self.potential(terms, multipliers))
+        transport = self.vertex_cost.gradient(points, self._masses(terms), potential)
+        return transport + self.shape_weight * self.shape.gradient(points, terms.shape, self.area_weight).numpy()
 
     def blocks(
         self, points: wp.array, terms: MapTerms, curvature_share: float, least: float
     ) -> tuple[Numbers, Numbers, Numbers]:
-        """Return the second derivative of the Lagrangian and the first derivatives of the areas, in tangent bases.
+        """Return the second derivative of the Lagrangian and the first derivatives of the areas, in the points' frames.
 
         Args:
-            points: the map, vec3d, shape [V].
+            points: the map, shape [V].
             terms: the terms of the map.
             curvature_share: see :func:`omtwarp.refine.kernels.triangle_hessian`.
             least: see :func:`omtwarp.optimal.kernels.cost_metric`.
@@ -194,21 +170,47 @@ class TransportEnergy:
             The blocks of the vertices, shape [V, 2, 2], and of the edges, shape [E, 2, 2], of a positive semidefinite
             matrix; and the areas' derivatives as :meth:`omtwarp.solvers.cholesky.SaddleFactor.factorise` takes them.
         """
-        count, device = self.surface.vertex_count, self.device
         hessians = self.shape.hessian(points, terms.shape, self.area_weight, curvature_share)
         diagonal, off_diagonal = (self.shape_weight * blocks for blocks in self._newton.assemble(hessians.numpy()))
-        ring = wp.array(terms.ring, dtype=wp.float64, device=device, copy=False)
-        numbers = [wp.float64(self.cost_weight * 2.0 / (3.0 * SPHERE_AREA)), wp.float64(least), self.softness]
+        diagonal += self.vertex_cost.hessian(points, self._masses(terms), least)
+        return diagonal, off_diagonal, self.cells.slopes(self.domain.area_slopes(points))
 
-        def around(part: slice) -> tuple[list[object], list[object]]:
-            inputs = [self._start, points, self._mesh.faces, ring, *self._rows, *numbers, part.start]
-            return inputs, [self._metric]
+    def factorise(
+        self,
+        factor: SaddlePointFactor,
+        points: wp.array,
+        terms: MapTerms,
+        curvature_share: float,
+        least: float,
+        compliance: Numbers,
+    ) -> Numbers:
+        """Factorise the matrix of a map, with a larger diagonal where rounding made a pivot's sign wrong.
 
-        def across(part: slice) -> tuple[list[object], list[object]]:
-            inputs = [points, self._mesh.faces, self._mesh.edges[part], self._mesh.edge_corners[part]]
-            return inputs, [self._forward[part], self._backward[part]]
+        Args:
+            factor: as of :meth:`saddle_factor`.
+            points, terms, curvature_share, least: as of :meth:`blocks`.
+            compliance: how far areas may be off, C of the saddle-point system, shape [N].
 
-        launch_parts(cost_metric, count, around, device)
-        launch_parts(ring_couplings, len(off_diagonal), across, device)
-        diagonal += self._metric.numpy().reshape(-1, 2, 2)
-        return diagonal, off_diagonal, np.stack([self._forward.numpy(), self._backward.numpy()])
+        Returns:
+            The blocks of the vertices, shape [V, 2, 2].
+
+        Raises:
+            OmtwarpError: the second derivative is not finite.
+        """
+        diagonal, off_diagonal, gradients = self.blocks(points, terms, curvature_share, least)
+        own = diagonal[:, [0, 1], [0, 1]]
+        for part in STIFFER:
+            diagonal[:, [0, 1], [0, 1]] = own * (1.0 + part) + REGULARISATION * own.mean()
+            try:
+                factor.factorise(diagonal, off_diagonal, gradients, compliance)
+            except NotPositiveDefinite:
+                continue
+            return diagonal
+        raise OmtwarpError("the second derivative of the transport cost is not finite")
+
+    def _masses(self, terms: MapTerms) -> Numbers:
+        """Return the factor of every vertex's cost in the Lagrangian, shape [V]."""
+        return self.cost_weight / SPHERE_AREA * self.cells.masses(terms.areas)
+
+
+__all__ = ["AREA_WEIGHT", "MapTerms", "TransportEnergy"]

@@ -56,26 +56,34 @@ def along_share(distance: wp.float64, softness: wp.float64) -> wp.float64:
 
 
 @wp.kernel
-def ring_terms(
+def vertex_costs(
     start: wp.array[wp.vec3d],
     points: wp.array[wp.vec3d],
-    solid: wp.array[wp.float64],
-    offsets: wp.array[wp.int32],
-    corners: wp.array[wp.int32],
     softness: wp.float64,
-    first: int,
     # Data out:
-    ring: wp.array[wp.float64],
     cost: wp.array[wp.float64],
 ):
-    """Compute the solid angle around every vertex and its cost of moving from its start, shape [V] each."""
+    """Compute the cost of moving every vertex from its start, shape [V]."""
+    v = wp.tid()
+    _pull, distance = logarithm(points[v], start[v])
+    cost[v] = moving_cost(distance, softness)
+
+
+@wp.kernel
+def areas_around(
+    values: wp.array[wp.float64],
+    offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    first: int,
+    # Data out:
+    sums: wp.array[wp.float64],
+):
+    """Sum a number per triangle over the triangles around every vertex, shape [V]."""
     v = first + wp.tid()
     total = wp.float64(0.0)
     for k in range(offsets[v], offsets[v + 1]):
-        total += solid[corners[k] // 3]
-    ring[v] = total
-    _pull, distance = logarithm(points[v], start[v])
-    cost[v] = moving_cost(distance, softness)
+        total += values[corners[k] // 3]
+    sums[v] = total
 
 
 @wp.kernel
@@ -83,33 +91,54 @@ def transport_gradient(
     start: wp.array[wp.vec3d],
     points: wp.array[wp.vec3d],
     faces: wp.array[wp.vec3i],
-    ring: wp.array[wp.float64],
+    masses: wp.array[wp.float64],
     potential: wp.array[wp.float64],
     offsets: wp.array[wp.int32],
     corners: wp.array[wp.int32],
-    pull_factor: wp.float64,
     softness: wp.float64,
     first: int,
     # Data out:
     gradient: wp.array[wp.vec3d],
 ):
-    """Compute the gradient of the cost plus Σ P_v a_v (P_v fixed) by the vertices, tangent to the sphere, shape [V]."""
+    """Compute the gradient of Σ masses_v cost_v + Σ P_f area_f by the vertices, tangent to the sphere, shape [V].
+
+    ``masses`` and ``potential``, P_f of every triangle, are taken as constant.
+    """
     v, _compiled_once = wp.tid()
     v += first
     y = points[v]
     pull, distance = logarithm(y, start[v])
-    total = -(pull_factor * ring[v] * cost_slope(distance, softness)) * pull
+    total = -(TWO * masses[v] * cost_slope(distance, softness)) * pull
     for k in range(offsets[v], offsets[v + 1]):
         corner = corners[k]
         face = faces[corner // 3]
-        i, j = face[(corner + 1) % 3], face[(corner + 2) % 3]
-        total += (potential[v] + potential[i] + potential[j]) * area_gradient(y, points[i], points[j])
+        total += potential[corner // 3] * area_gradient(
+            y, points[face[(corner + 1) % 3]], points[face[(corner + 2) % 3]]
+        )
     gradient[v] = total
 
 
 @wp.kernel
-def ring_couplings(
+def area_slopes(
     points: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    first: int,
+    # Data out:
+    slopes: wp.array2d[wp.vec2d],
+):
+    """Compute the derivatives of every solid angle by its corners, in their tangent bases, shape [F, 3]."""
+    f, _compiled_once = wp.tid()
+    f += first
+    for k in range(3):
+        own = points[faces[f][k]]
+        by_corner = area_gradient(own, points[faces[f][(k + 1) % 3]], points[faces[f][(k + 2) % 3]])
+        t = first_tangent(own)
+        slopes[f, k] = wp.vec2d(wp.dot(by_corner, t), wp.dot(by_corner, wp.cross(own, t)))
+
+
+@wp.kernel
+def edge_slopes(
+    slopes: wp.array2d[wp.vec2d],
     faces: wp.array[wp.vec3i],
     edges: wp.array[wp.vec2i],
     edge_corners: wp.array[wp.vec2i],
@@ -117,29 +146,26 @@ def ring_couplings(
     forward: wp.array[wp.vec2d],
     backward: wp.array[wp.vec2d],
 ):
-    """Compute the derivatives of the areas around the ends of every edge, in tangent bases, shape [E] each.
+    """Sum the derivatives of triangles' areas to those of the areas around the ends of every edge, shape [E] each.
 
     ``forward`` holds the derivative of the first end's area by the second end's coordinates, ``backward`` that of the
     second end's area by the first end's coordinates. Both are sums over the two triangles of the edge.
     """
     e = wp.tid()
-    i, j = edges[e][0], edges[e][1]
-    by_i, by_j = wp.vec3d(), wp.vec3d()
+    by_first, by_second = wp.vec2d(), wp.vec2d()
     for k in range(2):
         corner = edge_corners[e][k]
-        face = faces[corner // 3]
-        apex = points[face[corner % 3]]
+        f = corner // 3
         # The corner after the apex is an end of the edge, and the next one the other.
-        if face[(corner + 1) % 3] == i:
-            by_i += area_gradient(points[i], points[j], apex)
-            by_j += area_gradient(points[j], apex, points[i])
+        one, other = (corner + 1) % 3, (corner + 2) % 3
+        if faces[f][one] == edges[e][0]:
+            by_first += slopes[f, one]
+            by_second += slopes[f, other]
         else:
-            by_i += area_gradient(points[i], apex, points[j])
-            by_j += area_gradient(points[j], points[i], apex)
-    t = first_tangent(points[j])
-    forward[e] = wp.vec2d(wp.dot(by_j, t), wp.dot(by_j, wp.cross(points[j], t)))
-    t = first_tangent(points[i])
-    backward[e] = wp.vec2d(wp.dot(by_i, t), wp.dot(by_i, wp.cross(points[i], t)))
+            by_first += slopes[f, other]
+            by_second += slopes[f, one]
+    forward[e] = by_second
+    backward[e] = by_first
 
 
 @wp.func
@@ -201,10 +227,9 @@ def cost_metric(
     start: wp.array[wp.vec3d],
     points: wp.array[wp.vec3d],
     faces: wp.array[wp.vec3i],
-    ring: wp.array[wp.float64],
+    masses: wp.array[wp.float64],
     offsets: wp.array[wp.int32],
     corners: wp.array[wp.int32],
-    factor: wp.float64,
     least: wp.float64,
     softness: wp.float64,
     first: int,
@@ -213,9 +238,10 @@ def cost_metric(
 ):
     """Compute the second derivative of cost plus potential at every vertex, 2x2 in its tangent basis, shape [V, 4].
 
-    At the optimum of the squared distance it is a_v times the derivative of the inverse map y -> x, which is symmetric
-    and positive there. This kernel fits that derivative to the neighbours of the vertex, makes it symmetric and raises
-    its eigenvalues to ``least``. With another cost c(d), moves of x along the geodesic count c''/2, across it c'/2d.
+    At the optimum of the squared distance it is 2 masses_v times the derivative of the inverse map y -> x, which is
+    symmetric and positive there. This kernel fits that derivative to the neighbours of the vertex, makes it symmetric
+    and raises its eigenvalues to ``least``. With another cost c(d), moves of x along the geodesic count c''/2, across
+    it c'/2d.
     """
     v, _compiled_once = wp.tid()
     v += first
@@ -226,7 +252,7 @@ def cost_metric(
         w = faces[corner // 3][(corner + 1) % 3]
         fit += neighbour_fit(y, x, softness, points[w], start[w])
     _pull, distance = logarithm(y, x)
-    entries = factor * ring[v] * cost_slope(distance, softness) * raised_fit(fit, least)
+    entries = TWO * masses[v] * cost_slope(distance, softness) * raised_fit(fit, least)
     metric[v, 0] = entries[0]
     metric[v, 1] = entries[1]
     metric[v, 2] = entries[1]

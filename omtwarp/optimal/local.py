@@ -18,8 +18,16 @@ from omtwarp.device.start import ONE, wp
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.optimal.energy import MapTerms, TransportEnergy
-from omtwarp.optimal.kernels import cost_metric, ring_couplings, ring_terms, transport_gradient
-from omtwarp.refine.energy import TriangleKernels
+from omtwarp.optimal.kernels import (
+    area_slopes,
+    areas_around,
+    cost_metric,
+    edge_slopes,
+    transport_gradient,
+    vertex_costs,
+)
+from omtwarp.optimal.sphere import GeodesicCost, SphereShape
+from omtwarp.refine.energy import Terms, TriangleKernels
 from omtwarp.solvers.cholesky import NotPositiveDefinite, part_dissection
 from omtwarp.solvers.mesh_factor import saddle_factor
 from omtwarp.solvers.triangle_newton.line_search import search_patches
@@ -100,11 +108,14 @@ class LocalSteps:
         constrained: bool,
     ):
         surface, self._device = energy.surface, energy.device
+        assert isinstance(energy.vertex_cost, GeodesicCost) and isinstance(energy.shape, SphereShape)
+        assert isinstance(terms.shape, Terms)
         self._energy, self._constrained, self._whole = energy, constrained, points
+        self._cost, self._distortion = energy.vertex_cost, energy.shape.distortion
         self._free, self._vertices, faces = patches.free, patches.vertices, patches.faces
         count = len(self._vertices)
         self._points = points.numpy()[self._vertices]
-        self._start = self._sent(energy.start_points[self._vertices], wp.vec3d)
+        self._start = self._sent(self._cost.start[self._vertices], wp.vec3d)
         offsets, corners = _corners_around(faces, count)
         self._rows = [self._sent(offsets, wp.int32), self._sent(corners, wp.int32)]
         edges, edge_corners = _edges_of(faces, self._free)
@@ -113,19 +124,19 @@ class LocalSteps:
         graph = sparse.coo_matrix((np.ones(len(edges), dtype=np.int8), edges.T), shape=(count, count))
         self._patch_count, self._patch = connected_components(graph, directed=False)
         self._face_patch = self._patch[faces[:, 0]]
-        self._faces = self._sent(faces, wp.vec3i)
-        frames = self._sent(energy.shape.triangles.frames.numpy()[patches.triangles], wp.vec3d)
-        self._areas = energy.shape.areas[patches.triangles]
+        self._face_corners, self._faces = faces, self._sent(faces, wp.vec3i)
+        frames = self._sent(self._distortion.triangles.frames.numpy()[patches.triangles], wp.vec3d)
+        self._areas = self._distortion.areas[patches.triangles]
         free_rows = [self._sent(offsets[: self._free + 1], wp.int32), self._rows[1]]
         areas = self._sent(self._areas, wp.float64)
-        self._triangles = TriangleKernels(self._faces, frames, areas, free_rows, energy.shape.workspace)
+        self._triangles = TriangleKernels(self._faces, frames, areas, free_rows, self._distortion.workspace)
         # Patches are a small part of the map's area, so that its scale is taken as constant.
-        self._pressures = energy.shape.pressures(terms.shape, energy.area_weight)
+        self._pressures = self._distortion.pressures(terms.shape, energy.area_weight)
         self.multipliers, self._stiffness = multipliers[self._vertices], stiffness[self._vertices]
         self._wanted = energy.wanted[self._vertices]
         self._outside = np.zeros(count)
         ring, _ = self._rings(self._sent(self._points, wp.vec3d))
-        self._outside = terms.ring[self._vertices] - ring
+        self._outside = terms.areas[self._vertices] - ring
         self._factor = saddle_factor(count, edges, lambda: part_dissection(surface, self._vertices, edges))
 
     def run(self, enough: float, most: int = MAX_STEPS) -> tuple[wp.array, NDArray[np.intp], Numbers]:
@@ -161,8 +172,9 @@ class LocalSteps:
         solid = empty(len(self._areas), wp.float64, self._device)
         wp.launch(solid_angles, dim=solid.size, inputs=[points, self._faces], outputs=[solid], device=self._device)
         ring, cost = (empty(count, wp.float64, self._device) for _ in range(2))
-        inputs = [self._start, points, solid, *self._rows, self._energy.softness, 0]
-        wp.launch(ring_terms, dim=count, inputs=inputs, outputs=[ring, cost], device=self._device)
+        wp.launch(areas_around, dim=count, inputs=[solid, *self._rows, 0], outputs=[ring], device=self._device)
+        inputs = [self._start, points, self._cost.softness]
+        wp.launch(vertex_costs, dim=count, inputs=inputs, outputs=[cost], device=self._device)
         return self._outside + ring.numpy(), cost.numpy()
 
     def _merits(self, points: wp.array, before: wp.array | None = None) -> tuple[Numbers, Numbers, Numbers, wp.array]:
@@ -193,11 +205,11 @@ class LocalSteps:
         merits, ring, cost, volume = self._merits(points)
         missing = ring - self._wanted
         potential = self.multipliers + energy.cost_weight / (3.0 * SPHERE_AREA) * cost
-        d_ring = self._sent(ring, wp.float64)
-        factor = wp.float64(energy.cost_weight * 2.0 / (3.0 * SPHERE_AREA))
+        on_triangles = potential[self._face_corners].sum(axis=1)
+        masses = self._sent(energy.cost_weight / (3.0 * SPHERE_AREA) * ring, wp.float64)
         gradient = empty(free, wp.vec3d, device)
-        mesh = [self._start, points, self._faces, d_ring, self._sent(potential, wp.float64), *self._rows]
-        inputs = [*mesh, factor, energy.softness, 0]
+        mesh = [self._start, points, self._faces, masses, self._sent(on_triangles, wp.float64), *self._rows]
+        inputs = [*mesh, self._cost.softness, 0]
         wp.launch(transport_gradient, dim=free, inputs=inputs, outputs=[gradient], device=device)
         total = gradient.numpy() + energy.shape_weight * self._triangles.gradient(points, self._pressures).numpy()
         coordinates = wp.empty((free, 2), dtype=wp.float64, device=device)
@@ -206,7 +218,7 @@ class LocalSteps:
         right = np.zeros((count, 2))
         right[:free] = -coordinates.numpy()
         try:
-            self._factorise(points, d_ring, factor)
+            self._factorise(points, masses)
         except NotPositiveDefinite:
             return points, 0.0
         u, q = self._factor.solve(right, -missing)
@@ -235,7 +247,7 @@ class LocalSteps:
             self.multipliers = self.multipliers + length[self._patch] * (q - constant[self._patch])
         return points, float((length * decrements).sum())
 
-    def _factorise(self, points: wp.array, ring: wp.array, factor: wp.float64) -> None:
+    def _factorise(self, points: wp.array, masses: wp.array) -> None:
         """Factorise the saddle-point matrix with the neighbours of the freed vertices fixed."""
         device, energy, free, count = self._device, self._energy, self._free, len(self._vertices)
         edges = len(self._edges)
@@ -247,17 +259,8 @@ class LocalSteps:
         inputs = [self._edges.to("cpu"), faces, self._edge_corners.to("cpu"), hessians]
         wp.launch(gather_edge_blocks, dim=edges, inputs=inputs, outputs=[across], device="cpu")
         metric = wp.empty((free, 4), dtype=wp.float64, device=device)
-        inputs = [
-            self._start,
-            points,
-            self._faces,
-            ring,
-            *self._rows,
-            factor,
-            wp.float64(LEAST_DAMPING),
-            energy.softness,
-            0,
-        ]
+        least = wp.float64(LEAST_DAMPING)
+        inputs = [self._start, points, self._faces, masses, *self._rows, least, self._cost.softness, 0]
         wp.launch(cost_metric, dim=free, inputs=inputs, outputs=[metric], device=device)
         diagonal = energy.shape_weight * own.numpy().reshape(-1, 2, 2)
         diagonal[:free] += metric.numpy().reshape(-1, 2, 2)
@@ -267,8 +270,11 @@ class LocalSteps:
         off_diagonal = energy.shape_weight * across.numpy().reshape(-1, 2, 2)
         off_diagonal[self._outward] = 0.0
         forward, backward = (empty(edges, wp.vec2d, device) for _ in range(2))
-        inputs = [points, self._faces, self._edges, self._edge_corners]
-        wp.launch(ring_couplings, dim=edges, inputs=inputs, outputs=[forward, backward], device=device)
+        slopes = wp.empty((len(self._areas), 3), dtype=wp.vec2d, device=device)
+        inputs = [points, self._faces, 0]
+        wp.launch(area_slopes, dim=len(self._areas), inputs=inputs, outputs=[slopes], device=device)
+        inputs = [slopes, self._faces, self._edges, self._edge_corners]
+        wp.launch(edge_slopes, dim=edges, inputs=inputs, outputs=[forward, backward], device=device)
         gradients = np.stack([forward.numpy(), backward.numpy()])
         gradients[0, self._outward] = 0.0
         self._factor.factorise(diagonal, off_diagonal, gradients, 1.0 / self._stiffness)

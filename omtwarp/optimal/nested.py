@@ -83,6 +83,11 @@ def shape_term(surface: Surface, sphere: Numbers, start: Numbers, device: str | 
     cost = transport_cost(surface, sphere, start=start, device=device) / SPHERE_AREA
     mesh = surface.on(device)
     angle = measure_triangles(mesh.vertices, mesh.faces, sphere, device=device).angle["surface"]
+    return shape_term_by_law(cost, angle)
+
+
+def shape_term_by_law(cost: float, angle: float) -> ShapeTerm:
+    """Return the weights of the shape term by the mean squared distance and the mean angle distortion of a map."""
     bend = angle - 2.0 + LEAST_BEND
     return ShapeTerm(SHAPE_SHARE * (cost + LEAST_COST) / bend, AREA_FACTOR * float(np.sqrt(bend)))
 
@@ -261,4 +266,5 @@ __all__ = [
     "minimised",
     "nested_start",
     "shape_term",
+    "shape_term_by_law",
 ]

@@ -26,8 +26,8 @@ from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.arrays import real_number, whole_number
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import Surface
-from omtwarp.optimal.energy import TransportEnergy
 from omtwarp.optimal.solver import minimise
+from omtwarp.optimal.sphere import energy_on_sphere
 from omtwarp.options import AreaMatch, Progress, Refinement, parse_refinement
 from omtwarp.refine.matching import LEAST_WEIGHT, MOST_WEIGHT, match_area
 from omtwarp.refine.solver import Refiner, RefineResult
@@ -145,7 +145,7 @@ class _Refinement:
         """
         if weight <= of_triangles:
             return self.by_triangles(sphere, weight)
-        energy = TransportEnergy(
+        energy = energy_on_sphere(
             self.surface, vectors(sphere, self.device), self.device, 1.0, cost_weight=0.0, area_weight=of_triangles
         )
         # Σ m (a / 3m - 1)² / 4π equals Σ (a - 3m)² / 3m over 12π; the penalty is half of that.

@@ -14,12 +14,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.device.arrays import vectors
 from omtwarp.device.start import wp
+from omtwarp.device.threads import blas_threads
+from omtwarp.errors import OmtwarpError
 from omtwarp.optimal.energy import MapTerms, TransportEnergy
-from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
-from omtwarp.solvers.triangle_newton.motion_kernels import from_tangent
 from omtwarp.untangling.steps import FlipFreeSteps
 
 Numbers = NDArray[np.float64]
@@ -29,14 +28,12 @@ STIFFNESS = 1e7  # weight of areas relative to cost and shape, which only choose
 MAX_HALVINGS = 12  # of a step, down to 1/4096
 SUFFICIENT = 0.1  # a step is taken where it lowers the area errors by this share of what the first derivative predicts
 LEAST = 1e-3  # least eigenvalue kept of the inverse map's derivative: see omtwarp.optimal.kernels.cost_metric
-# Added to the diagonal, relative to its mean, to make the matrix definite: the first, or a later one where rounding
-# still leaves a pivot of the wrong sign.
-REGULARISATION = (1e-8, 1e-6, 1e-4, 1e-2)
 
 
+@blas_threads(1)
 def restore_areas(
     energy: TransportEnergy,
-    sphere: Numbers,
+    given: Numbers,
     *,
     rounds: int = ROUNDS,
     notify: Callable[[int, MapTerms], None] | None = None,
@@ -45,7 +42,7 @@ def restore_areas(
 
     Args:
         energy: gives the wanted areas, their tolerance, and the metric in which steps are smallest.
-        sphere: unit vectors, shape [V, 3], no triangle flipped.
+        given: the map, no triangle flipped, shape [V, 3], or [V, 2] in the plane.
         rounds: largest number of steps.
         notify: called after each step with its number and the terms of the map.
 
@@ -53,8 +50,7 @@ def restore_areas(
         The map after the last step that reduced the area errors, without flips, and whether all areas are within the
         tolerance.
     """
-    device = energy.device
-    points = vectors(sphere, device)
+    points = energy.domain.sent(given)
     terms = energy.terms(points)
     steps = energy.flip_free_steps()
     factor = energy.saddle_factor()
@@ -62,16 +58,9 @@ def restore_areas(
     for number in range(rounds):
         if _right(energy, terms):
             return points.numpy().copy(), True
-        diagonal, off_diagonal, gradients = energy.blocks(points, terms, 1.0, LEAST)
-        own = diagonal[:, [0, 1], [0, 1]]
-        for part in REGULARISATION:
-            diagonal[:, [0, 1], [0, 1]] = own + part * own.mean()
-            try:
-                factor.factorise(diagonal, off_diagonal, gradients, compliance)
-                break
-            except NotPositiveDefinite:
-                continue
-        else:
+        try:
+            energy.factorise(factor, points, terms, 1.0, LEAST, compliance)
+        except OmtwarpError:
             break
         moved = _step(energy, steps, factor, points, terms)
         if moved is None:
@@ -86,11 +75,8 @@ def _step(
     energy: TransportEnergy, steps: FlipFreeSteps, factor: SaddlePointFactor, points: wp.array, terms: MapTerms
 ) -> tuple[wp.array, MapTerms] | None:
     """Return the map and its terms after the longest share of a Newton step that reduces area errors, or None."""
-    count, device = energy.surface.vertex_count, energy.device
-    coordinates, _ = factor.solve(np.zeros((count, 2)), -energy.missing(terms))
-    direction = wp.empty(count, dtype=wp.vec3d, device=device)
-    inputs = [points, wp.array(coordinates, dtype=wp.float64, device=device)]
-    wp.launch(from_tangent, dim=count, inputs=inputs, outputs=[direction], device=device)
+    coordinates, _ = factor.solve(np.zeros((len(points), 2)), -energy.missing(terms))
+    direction = energy.domain.sent(energy.domain.vectors(points, points, coordinates))
     before, length = _error(energy, terms), 1.0
     for _ in range(MAX_HALVINGS):
         held = steps.held_back(points, direction, terms.shape.d_volume, length)
@@ -109,7 +95,7 @@ def _error(energy: TransportEnergy, terms: MapTerms) -> float:
 
 def _right(energy: TransportEnergy, terms: MapTerms) -> bool:
     """Return whether all areas are within the tolerance."""
-    rms, largest = energy.ring_errors(terms)
+    rms, largest = energy.area_errors(terms)
     return rms <= energy.exact_tolerance and largest <= energy.exact_tolerance
 
 

@@ -19,6 +19,8 @@ from omtwarp.optimal.energy import MapTerms, TransportEnergy
 from omtwarp.optimal.kernels import Fit
 from omtwarp.optimal.local import LEAST_DAMPING, MAX_HALVINGS, MAX_STEPS, REGULARISATION
 from omtwarp.optimal.patch_kernels import LocalEnergy, LocalScratch, SaddlePatches, settle_small_patches
+from omtwarp.optimal.sphere import GeodesicCost, SphereShape
+from omtwarp.refine.energy import Terms
 from omtwarp.solvers.cholesky.envelope import Envelopes
 from omtwarp.solvers.cholesky.saddle import UNKNOWNS
 from omtwarp.solvers.triangle_newton.small_patches import launch_patches, shared
@@ -47,7 +49,10 @@ class SmallLocalSteps:
         stiffness: Numbers,
         constrained: bool,
     ):
+        assert isinstance(energy.vertex_cost, GeodesicCost) and isinstance(energy.shape, SphereShape)
+        assert isinstance(terms.shape, Terms)
         self._energy, self._whole, self._constrained, self._shape = energy, points, constrained, terms.shape
+        self._cost, self._distortion = energy.vertex_cost, energy.shape.distortion
         sides = sides_of(patches.faces)
         sides = sides[(sides[:, 0] < patches.free) | (sides[:, 1] < patches.free)]
         count = len(patches.vertices)
@@ -64,7 +69,7 @@ class SmallLocalSteps:
         self._faces, self._triangles = place[patches.faces[by_patch]], patches.triangles[by_patch]
         self._vertices, self._free = patches.vertices[order], order < patches.free
         self.multipliers, self._stiffness = multipliers[self._vertices], stiffness[self._vertices]
-        self._ring = terms.ring[self._vertices]
+        self._ring = terms.areas[self._vertices]
 
     @property
     def worthwhile(self) -> bool:
@@ -85,8 +90,8 @@ class SmallLocalSteps:
         energy = self._energy
         given = LocalEnergy()
         # Patches are a small part of the map's area, so that its scale is taken as constant.
-        given.linear, given.inverse, given.barrier = energy.shape.pressures(self._shape, energy.area_weight)
-        given.shape_weight, given.softness = energy.shape_weight, energy.softness
+        given.linear, given.inverse, given.barrier = self._distortion.pressures(self._shape, energy.area_weight)
+        given.shape_weight, given.softness = energy.shape_weight, self._cost.softness
         given.cost_factor = energy.cost_weight / (3.0 * SPHERE_AREA)
         given.least, given.regularisation, given.enough = LEAST_DAMPING, REGULARISATION, enough / self._count
         given.steps, given.halvings, given.constrained = most, MAX_HALVINGS, self._constrained
@@ -105,10 +110,10 @@ class SmallLocalSteps:
         patches = SaddlePatches()
         patches.starts, patches.first, patches.rows = self._envelopes.upload()
         patches.face_starts, patches.faces = shared(face_starts, wp.int32), shared(self._faces, wp.vec3i)
-        patches.frames = shared(energy.shape.triangles.frames.numpy()[triangles], wp.vec3d)
-        patches.areas = shared(energy.shape.areas[triangles], wp.float64)
+        patches.frames = shared(self._distortion.triangles.frames.numpy()[triangles], wp.vec3d)
+        patches.areas = shared(self._distortion.areas[triangles], wp.float64)
         patches.free = shared(self._free, wp.bool)
-        patches.start = shared(energy.start_points[vertices], wp.vec3d)
+        patches.start = shared(self._cost.start[vertices], wp.vec3d)
         patches.wanted = shared(energy.wanted[vertices], wp.float64)
         patches.whole = shared(self._ring, wp.float64)
         patches.stiffness = shared(self._stiffness, wp.float64)

@@ -23,23 +23,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp.device.arrays import empty, vectors
+from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError, choose
-from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.arrays import TINY, real_number, real_numbers, whole_number
 from omtwarp.mesh.checks import MeshLike, as_surface, as_unit_vectors
 from omtwarp.mesh.patches import Patches
 from omtwarp.mesh.surface import SPHERE_AREA
-from omtwarp.optimal.energy import AREA_WEIGHT, MIN_CURVATURE_SHARE, MapTerms, TransportEnergy
+from omtwarp.optimal.cells import MIN_CURVATURE_SHARE
+from omtwarp.optimal.energy import AREA_WEIGHT, MapTerms, TransportEnergy
 from omtwarp.optimal.local import GAIN_SHARE, LEAST_DAMPING, MAX_STEPS, LocalSteps, freed_vertices
 from omtwarp.optimal.small_local import SmallLocalSteps
+from omtwarp.optimal.sphere import energy_on_sphere
 from omtwarp.options import Cost, Progress, Record
-from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.solvers.triangle_newton.line_search import SUFFICIENT_DECREASE
-from omtwarp.solvers.triangle_newton.motion_kernels import from_tangent, to_tangent
 
 Numbers = NDArray[np.float64]
 
@@ -62,10 +61,6 @@ SECOND_ORDER = 2
 MAX_SECOND_ORDER_RMS = 5e-3
 MAX_CORRECTED = 0.002  # share of the vertices: the matrix is used again while no more are untangled or held back
 MIN_GAIN_SHARE = 0.2  # share by which a step with an older matrix has to lower the expected gain
-# Added to the diagonal, relative to its mean: it holds the three rotations and makes H definite. Where rounding still
-# leaves a pivot of the wrong sign, the diagonal grows by these shares, one after another.
-REGULARISATION = 1e-8
-STIFFER = (0.0, 1e-9, 1e-6, 1e-3)
 # Eigenvalues of the inverse map's derivative are raised to the damping. Where the conformal map has shrunk a limb the
 # cost hardly depends on the image, and a step would leave the region where the second derivative is accurate: the
 # damping grows after short steps and shrinks after full ones.
@@ -117,7 +112,7 @@ class _Step:
     """A map that a step led to.
 
     Attributes:
-        points: vec3d, shape [V], on the device.
+        points: shape [V], on the device.
         terms: of the map.
         length: share of the direction that was taken.
         corrected: vertices untangled or held back.
@@ -140,9 +135,10 @@ class OptimalMap:
     """A discrete optimal map, with how the minimisation reached it.
 
     Attributes:
-        sphere: unit vectors, float64, shape [V, 3]; no triangle is flipped.
-        multipliers: p_v of :mod:`omtwarp.optimal.energy`, -1/6π times Kantorovich's potential at the points x_v, shape
-            [V].
+        points: images of the vertices, no triangle flipped: unit vectors, float64, shape [V, 3], or places in the
+            plane of a torus, shape [V, 2].
+        multipliers: p_c of :mod:`omtwarp.optimal.energy`, one for every area that is kept; for those around vertices
+            -1/6π times Kantorovich's potential at the points x_v, shape [V].
         history: one record per step, the first for the start: ``cost`` (Σ m d², or of soft distances; masses 4π in
             all), ``energy`` (cost, shape and area errors in one number), ``ring_rms`` and ``ring_largest`` (relative
             errors of the areas around vertices), ``area`` and ``angle`` (mean distortions of triangles), ``decrement``
@@ -155,7 +151,7 @@ class OptimalMap:
         gave_up: what was given up because it took too much work, in words; mostly empty.
     """
 
-    sphere: Numbers
+    points: Numbers
     multipliers: Numbers
     history: tuple[Record, ...]
     converged: bool
@@ -163,8 +159,12 @@ class OptimalMap:
     factorisations: int
     gave_up: str = ""
 
+    @property
+    def sphere(self) -> Numbers:
+        """The images of the vertices, of a map to the sphere: unit vectors, shape [V, 3]."""
+        return self.points
 
-@blas_threads(1)
+
 def optimal_map(
     surface: MeshLike,
     sphere: ArrayLike,
@@ -226,7 +226,7 @@ def optimal_map(
     if multipliers is not None:
         multipliers = real_numbers(multipliers, "multipliers", (mesh.vertex_count,))
     soft = softness(mesh.vertex_areas, given, x, cost)
-    energy = TransportEnergy(mesh, vectors(x, where), where, weight, area_weight=area_weight, softness=soft)
+    energy = energy_on_sphere(mesh, vectors(x, where), where, weight, area_weight=area_weight, softness=soft)
     return minimise(
         energy,
         given,
@@ -256,9 +256,10 @@ def softness(masses: Numbers, sphere: Numbers, start: Numbers, cost: str) -> flo
     return SOFTNESS * float(np.sqrt(masses @ angles**2 / masses.sum()))
 
 
+@blas_threads(1)
 def minimise(
     energy: TransportEnergy,
-    sphere: NDArray[np.float64],
+    points: Numbers,
     *,
     area_penalty: float = PENALTY,
     multipliers: ArrayLike | None = None,
@@ -271,7 +272,8 @@ def minimise(
 
     Args:
         energy: what is minimised.
-        sphere, area_penalty, multipliers, iterations, progress: as of :func:`optimal_map`.
+        points: a map without flips to begin with, shape [V, 3], or [V, 2] in the plane.
+        area_penalty, multipliers, iterations, progress: as of :func:`optimal_map`.
         gain: end where a step is expected to gain less than this share of the cost; with a penalty, less than this
             number.
         penalty: μ; μ / 24π Σ (a_v - 3m_v)² / 3m_v is added to the energy in place of the constraints. ``progress`` is
@@ -283,8 +285,8 @@ def minimise(
     Raises:
         OmtwarpError: the map given has flipped triangles.
     """
-    given = np.array(sphere, dtype=np.float64)
-    flipped = flipped_faces(given, energy.surface.faces)
+    given = np.array(points, dtype=np.float64)
+    flipped = energy.domain.flipped(given)
     if flipped.any():
         raise OmtwarpError(f"the map to optimise has {int(flipped.sum())} flipped triangles: untangle it first")
     known = None if multipliers is None else np.array(multipliers, dtype=np.float64)
@@ -307,7 +309,7 @@ class _Newton:
     ):
         self.constrained, self.stage = penalty is None, "omt" if penalty is None else "refine"
         self.energy, self.device, self.gain = energy, energy.device, gain
-        self.surface = energy.surface
+        self.surface, self.domain = energy.surface, energy.domain
         self.steps = energy.flip_free_steps()
         self.factor = energy.saddle_factor()
         # Weights of the squared area errors in the augmented Lagrangian: μ over the wanted areas, which sum to 12π for
@@ -317,7 +319,7 @@ class _Newton:
         # the one given by the usual penalty.
         self.strictness = max(1.0, PENALTY / area_penalty) if self.constrained else 1.0
         self.multipliers = np.zeros(len(energy.wanted))
-        self.max_rms, self.max_error = energy.area_tolerances
+        self.max_rms, self.max_error = energy.cells.tolerances
         self.curvature_share, self.damping = energy.first_curvature_share, LEAST_DAMPING
         self.factorisations = 0
         self.longest = 1.0  # of the next step
@@ -326,7 +328,7 @@ class _Newton:
 
     def run(
         self,
-        sphere: Numbers,
+        given: Numbers,
         multipliers: Numbers | None,
         iterations: int,
         progress: Progress | None,
@@ -336,7 +338,7 @@ class _Newton:
         One function, as every decision on how to continue depends on the same matrix, step and map.
         """
         energy = self.energy
-        points = vectors(sphere, self.device)
+        points = self.domain.sent(given)
         terms = energy.terms(points)
         if multipliers is not None:
             self.multipliers = multipliers
@@ -403,7 +405,7 @@ class _Newton:
         last_energy = self._penalised_energy(terms, self.strictness)
         better, as_good = last_energy <= first, last_energy <= first + MIN_COST
         return OptimalMap(
-            points.numpy().copy() if better else sphere,
+            points.numpy().copy() if better else given,
             self.multipliers,
             tuple(history),
             converged and as_good,
@@ -415,9 +417,9 @@ class _Newton:
     def _settled(self, points: wp.array, terms: MapTerms) -> tuple[wp.array, MapTerms, int]:
         """Move the few vertices that have the most to gain; return the map, its terms, and the number of them."""
         energy = self.energy
-        if not energy.local_steps:
+        if not energy.has_local_steps:
             return points, terms, 0
-        gradient = self._coordinates(energy.gradient(points, terms, self.multipliers))
+        gradient = self.domain.coordinates(self.base, energy.gradient(points, terms, self.multipliers))
         (g0, g1), (h00, h01, h11) = gradient.T, self.own.reshape(-1, 4)[:, [0, 1, 3]].T
         alone = (g0**2 * h11 - 2.0 * g0 * g1 * h01 + g1**2 * h00) / (h00 * h11 - h01**2)
         gains = alone + self.stiffness * energy.missing(terms) ** 2
@@ -456,7 +458,7 @@ class _Newton:
         enough = decrement <= looser * self._enough(terms)
         if not self.constrained:
             return enough
-        rms, largest = self.energy.ring_errors(terms)
+        rms, largest = self.energy.area_errors(terms)
         return enough and rms <= self.max_rms and largest <= self.max_error
 
     def _helpless(self, terms: MapTerms, q: Numbers, decrement: float) -> bool:
@@ -468,7 +470,7 @@ class _Newton:
             return False
         missing = self.energy.missing(terms)
         left = float(self.stiffness @ (q / self.stiffness) ** 2)  # B u = C q - missing
-        small = self.energy.ring_errors(terms)[1] <= self.max_error
+        small = self.energy.area_errors(terms)[1] <= self.max_error
         return small and left > (1.0 - LEAST_AREA_GAIN) * float(self.stiffness @ missing**2)
 
     def _penalised_energy(self, terms: MapTerms, strictness: float = 1.0) -> float:
@@ -484,53 +486,27 @@ class _Newton:
         return self.energy.lagrangian(terms, self.multipliers) + 0.5 * float(self.stiffness @ missing**2)
 
     def _factorise(self, points: wp.array, terms: MapTerms) -> None:
-        """Factorise the matrix of a map, with a larger diagonal where rounding made a pivot's sign wrong."""
-        diagonal, off_diagonal, gradients = self.energy.blocks(points, terms, self.curvature_share, self.damping)
-        own = diagonal[:, [0, 1], [0, 1]]
-        self.base = points
-        for part in STIFFER:
-            diagonal[:, [0, 1], [0, 1]] = own * (1.0 + part) + REGULARISATION * own.mean()
-            try:
-                self.factor.factorise(diagonal, off_diagonal, gradients, 1.0 / self.stiffness)
-            except NotPositiveDefinite:
-                continue
-            self.own = diagonal
-            self.factorisations += 1
-            return
-        raise OmtwarpError("the second derivative of the transport cost is not finite")
+        """Factorise the matrix of a map."""
+        weights = self.curvature_share, self.damping, 1.0 / self.stiffness
+        self.base, self.own = points, self.energy.factorise(self.factor, points, terms, *weights)
+        self.factorisations += 1
 
     def _estimate(self, points: wp.array, terms: MapTerms) -> None:
         """Add to the multipliers what makes the gradient of the Lagrangian smallest in the metric of the matrix."""
         gradient = self.energy.gradient(points, terms, self.multipliers)
-        _, q = self.factor.solve(-self._coordinates(gradient), np.zeros(len(self.multipliers)))
+        _, q = self.factor.solve(-self.domain.coordinates(self.base, gradient), np.zeros(len(self.multipliers)))
         self.multipliers = self.multipliers + q
 
     def _direction(self, points: wp.array, terms: MapTerms) -> tuple[wp.array, Numbers, float]:
-        """Return the Newton step (tangent vectors on the device), the multipliers' change, and the expected gain."""
+        """Return the Newton step (vectors on the device), the multipliers' change, and the expected gain."""
         missing = self.energy.missing(terms)
         gradient = self.energy.gradient(points, terms, self.multipliers)
-        u, q = self.factor.solve(-self._coordinates(gradient), -missing)
-        step = self._tangent(points, u)
+        u, q = self.factor.solve(-self.domain.coordinates(self.base, gradient), -missing)
+        step = self.domain.vectors(self.base, points, u)
         # The slope of the penalty along u is that of B u = C q - missing.
         slope = float((gradient * step).sum()) + float(missing @ q) - float(self.stiffness @ missing**2)
         self.expected = -slope
-        return wp.array(step, dtype=wp.vec3d, device=self.device), q, -slope
-
-    def _tangent(self, points: wp.array, coordinates: Numbers) -> Numbers:
-        """Return coordinates in the bases that the matrix was made in as vectors tangent at the points, [V, 3]."""
-        vectors_ = empty(len(coordinates), wp.vec3d, self.device)
-        inputs = [self.base, wp.array(coordinates, dtype=wp.float64, device=self.device)]
-        wp.launch(from_tangent, dim=len(coordinates), inputs=inputs, outputs=[vectors_], device=self.device)
-        here, step = points.numpy(), vectors_.numpy()
-        return np.asarray(step - (step * here).sum(axis=1, keepdims=True) * here)
-
-    def _coordinates(self, tangent: Numbers) -> Numbers:
-        """Convert tangent vectors, shape [V, 3], to coordinates in the bases of the matrix, shape [V, 2]."""
-        count = len(tangent)
-        coordinates = wp.empty((count, 2), dtype=wp.float64, device=self.device)
-        inputs = [self.base, wp.array(np.ascontiguousarray(tangent), dtype=wp.vec3d, device=self.device)]
-        wp.launch(to_tangent, dim=count, inputs=inputs, outputs=[coordinates], device=self.device)
-        return coordinates.numpy()
+        return self.domain.sent(step), q, -slope
 
     def _search(
         self, points: wp.array, terms: MapTerms, direction: wp.array, q: Numbers, decrement: float, halvings: int
@@ -539,7 +515,7 @@ class _Newton:
         before = self._merit(terms)
         reach = float(np.sqrt((direction.numpy() ** 2).sum(axis=1).max()))
         length = min(self.longest, REACH / max(reach, TINY))
-        correctable = SECOND_ORDER if self.energy.ring_errors(terms)[0] <= MAX_SECOND_ORDER_RMS else 0
+        correctable = SECOND_ORDER if self.energy.area_errors(terms)[0] <= MAX_SECOND_ORDER_RMS else 0
         for attempt in range(halvings + 1):
             enough = before - SUFFICIENT_DECREASE * length * decrement
             best, reached = _first_of(self._moved(points, terms, direction, q, length, attempt < UNTANGLED), enough)
@@ -587,8 +563,8 @@ class _Newton:
         """
         expected = (1.0 - step.length) * self.energy.missing(terms) + step.length * q / self.stiffness
         u, _ = self.factor.solve(np.zeros((len(points), 2)), expected - self.energy.missing(step.terms))
-        longer = direction.numpy() + self._tangent(points, u) / step.length
-        there = wp.array(longer, dtype=wp.vec3d, device=self.device)
+        correction = self.domain.vectors(self.base, points, u)
+        there = self.domain.sent(direction.numpy() + correction / step.length)
         best, reached = _first_of(self._moved(points, terms, there, q, step.length, True), enough)
         if best is None or reached:
             return best
@@ -604,7 +580,7 @@ class _Newton:
         self, terms: MapTerms, decrement: float, length: float, factorised: bool, corrected: int, settled: int = 0
     ) -> Record:
         """Return the entry of the history for a step, as :class:`OptimalMap` describes it."""
-        rms, largest = self.energy.ring_errors(terms)
+        rms, largest = self.energy.area_errors(terms)
         return {
             "cost": self.energy.cost(terms),
             "energy": self._penalised_energy(terms),

@@ -6,6 +6,7 @@ The corner k of face f lies at ``points[faces[f][k]] + shift[f, k]`` in the plan
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.mesh import arrays
 from omtwarp.optimal.kernels import Fit, raised_fit, weighted_fit
+from omtwarp.solvers.triangle_newton.motion_kernels import keeps_volume
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -85,11 +86,10 @@ def plane_gradients(
     frames: wp.array[wp.vec3d],
     weights: wp.array[wp.float64],
     area_weight: wp.float64,
-    potential: wp.array[wp.float64],
     # Data out:
     gradients: wp.array2d[wp.vec2d],
 ):
-    """Compute the gradient of weighted distortion and of area times a potential by the corners, shape [F, 3]."""
+    """Compute the gradient of weighted distortion by the corners, shape [F, 3]."""
     f = wp.tid()
     frame = frames[f]
     b, c = sides(points, shift, faces, f)
@@ -98,8 +98,8 @@ def plane_gradients(
     by_ratio = -square / (d * d) + area_weight * (ONE - ONE / (d * d))
     by_one = weights[f] * (TWO / d * one - by_ratio * turned(two))
     by_two = weights[f] * (TWO / d * two + by_ratio * turned(one))
-    by_b = frame[0] * by_one + frame[1] * by_two - potential[f] * HALF * turned(c)
-    by_c = frame[2] * by_two + potential[f] * HALF * turned(b)
+    by_b = frame[0] * by_one + frame[1] * by_two
+    by_c = frame[2] * by_two
     gradients[f, 0] = -(by_b + by_c)
     gradients[f, 1] = by_b
     gradients[f, 2] = by_c
@@ -177,38 +177,86 @@ def sum_at_vertices(
 
 
 @wp.kernel
-def plane_couplings(
+def plane_areas(
     points: wp.array[wp.vec2d],
     shift: wp.array2d[wp.vec2d],
     faces: wp.array[wp.vec3i],
-    edges: wp.array[wp.vec2i],
-    edge_corners: wp.array[wp.vec2i],
     # Data out:
-    forward: wp.array[wp.vec2d],
-    backward: wp.array[wp.vec2d],
+    areas: wp.array[wp.float64],
 ):
-    """Compute the derivatives of the areas around vertices, shape [E] each.
+    """Compute every triangle's signed area, shape [F]."""
+    f = wp.tid()
+    b, c = sides(points, shift, faces, f)
+    areas[f] = HALF * (b[0] * c[1] - b[1] * c[0])
 
-    See :func:`omtwarp.optimal.kernels.ring_couplings`.
-    """
-    e = wp.tid()
-    i = edges[e][0]
-    by_i, by_j = wp.vec2d(), wp.vec2d()
-    for k in range(2):
-        f = edge_corners[e][k] // 3
-        apex = edge_corners[e][k] - 3 * f
-        one, two = (apex + 1) % 3, (apex + 2) % 3
-        top = corner_place(points, shift, faces, f, apex)
-        p = corner_place(points, shift, faces, f, one)
-        q = corner_place(points, shift, faces, f, two)
-        if faces[f][one] == i:
-            by_i += area_by_corner(q, top)
-            by_j += area_by_corner(top, p)
-        else:
-            by_j += area_by_corner(q, top)
-            by_i += area_by_corner(top, p)
-    forward[e] = by_j
-    backward[e] = by_i
+
+@wp.kernel
+def plane_area_slopes(
+    points: wp.array[wp.vec2d],
+    shift: wp.array2d[wp.vec2d],
+    faces: wp.array[wp.vec3i],
+    # Data out:
+    slopes: wp.array2d[wp.vec2d],
+):
+    """Compute the derivatives of every area by its corners, shape [F, 3]."""
+    f = wp.tid()
+    for k in range(3):
+        after = corner_place(points, shift, faces, f, (k + 1) % 3)
+        slopes[f, k] = area_by_corner(after, corner_place(points, shift, faces, f, (k + 2) % 3))
+
+
+@wp.kernel
+def plane_transport_gradient(
+    start: wp.array[wp.vec2d],
+    points: wp.array[wp.vec2d],
+    shift: wp.array2d[wp.vec2d],
+    faces: wp.array[wp.vec3i],
+    masses: wp.array[wp.float64],
+    potential: wp.array[wp.float64],
+    offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    # Data out:
+    gradient: wp.array[wp.vec2d],
+):
+    """Compute the gradient of Σ masses_v |y_v - x_v|² + Σ P_f area_f by the vertices, shape [V]."""
+    v = wp.tid()
+    total = TWO * masses[v] * (points[v] - start[v])
+    for c in range(offsets[v], offsets[v + 1]):
+        f = corners[c] // 3
+        k = corners[c] - 3 * f
+        after = corner_place(points, shift, faces, f, (k + 1) % 3)
+        total += potential[f] * area_by_corner(after, corner_place(points, shift, faces, f, (k + 2) % 3))
+    gradient[v] = total
+
+
+@wp.kernel
+def move_in_plane(
+    points: wp.array[wp.vec2d],
+    direction: wp.array[wp.vec2d],
+    share: wp.array[wp.float64],
+    length: wp.float64,
+    # Data out:
+    moved: wp.array[wp.vec2d],
+):
+    """Move every vertex by its share of a step."""
+    v = wp.tid()
+    moved[v] = points[v] + length * share[v] * direction[v]
+
+
+@wp.kernel
+def plane_trouble(
+    areas: wp.array[wp.float64],
+    before: wp.array[wp.float64],
+    # Data out:
+    trouble: wp.array[wp.int32],
+    count: wp.array[wp.int32],
+):
+    """Mark with 1 where a step turns a triangle over or takes nearly all its area, shape [F], and count them."""
+    f = wp.tid()
+    trouble[f] = wp.int32(0)
+    if not keeps_volume(areas[f], before[f]):
+        trouble[f] = wp.int32(1)
+        wp.atomic_add(count, 0, wp.int32(1))  # of integers: the same in any order
 
 
 @wp.kernel
@@ -217,7 +265,7 @@ def plane_cost_metric(
     points: wp.array[wp.vec2d],
     shift: wp.array2d[wp.vec2d],
     faces: wp.array[wp.vec3i],
-    scale: wp.array[wp.float64],
+    masses: wp.array[wp.float64],
     offsets: wp.array[wp.int32],
     corners: wp.array[wp.int32],
     least: wp.float64,
@@ -240,7 +288,7 @@ def plane_cost_metric(
         e = start[w] - start[v] + apart
         weight = ONE / wp.max(wp.dot(d, d), SMALLEST)
         fit += weighted_fit(weight, d[0], d[1], e[0], e[1])
-    entries = scale[v] * raised_fit(fit, least)
+    entries = TWO * masses[v] * raised_fit(fit, least)
     metric[v, 0] = entries[0]
     metric[v, 1] = entries[1]
     metric[v, 2] = entries[1]

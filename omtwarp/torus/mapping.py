@@ -15,13 +15,13 @@ from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.quarter import quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
+from omtwarp.optimal.solver import OptimalMap
 from omtwarp.options import AreaMatch, Progress, Record, continued
-from omtwarp.torus.cells import TorusCellEnergy, quartered_torus
 from omtwarp.torus.harmonic import QUANTUM, FlatTorus, conformal_torus, embedded_torus, quantised
 from omtwarp.torus.optimality import torus_optimality
+from omtwarp.torus.quartering import quartered_torus
 from omtwarp.torus.transport import (
     Report,
-    TorusTransport,
     eased_on_torus,
     exact_on_torus,
     refine_on_torus,
@@ -97,7 +97,7 @@ class _Run:
         lattice = self.conformal.lattice
         eased = eased_on_torus(self.surface, self.conformal, self.torus) @ np.linalg.inv(lattice)
         start = replace(self.torus, coordinates=eased)
-        found = transport_on_torus(self.surface, self.conformal, start, progress=self.notify("omt"))
+        found, self.shape_weight = transport_on_torus(self.surface, self.conformal, start, progress=self.notify("omt"))
         self.largest_ring_error = found.history[-1]["ring_largest"]
         self.take("omt", found, {"largest_ring_error": self.largest_ring_error})
         if measure:
@@ -113,8 +113,7 @@ class _Run:
         self.surface = quartered.surface
         self.origins = quartered.origins
         self.conformal, self.torus = FlatTorus(x, wraps, lattice), FlatTorus(y, wraps, lattice)
-        energy = TorusCellEnergy(quartered, self.conformal, x @ lattice, self.shape_weight)
-        found = exact_on_torus(energy, y @ lattice, progress=self.notify("exact"))
+        found = exact_on_torus(quartered, self.conformal, y @ lattice, self.shape_weight, progress=self.notify("exact"))
         self.measured = None  # that was of the map before
         self.take("exact", found, {"largest_area_error": found.history[-1]["ring_largest"]})
 
@@ -122,16 +121,15 @@ class _Run:
         """Reduce the distortion of shape, at a higher cost."""
         points = self.torus.coordinates @ self.torus.lattice
         found, used = refine_on_torus(self.surface, self.conformal, points, weight, progress=self.notify("refine"))
-        self.measured = None
+        self.measured, self.shape_weight = None, 1.0
         self.take("refine", found, {"weight": used})
 
-    def take(self, name: str, found: TorusTransport, details: StageReport) -> None:
+    def take(self, name: str, found: OptimalMap, details: StageReport) -> None:
         """Continue with a map that was found."""
         self.history = continued(self.history, found.history)
         lattice = self.conformal.lattice
         self.torus = FlatTorus(quantised(found.points @ np.linalg.inv(lattice)), self.conformal.wraps, lattice)
         last = found.history[-1]
-        self.shape_weight = found.shape_weight
         whole: StageReport = {
             **details,
             "iterations": len(found.history) - 1,
@@ -139,7 +137,7 @@ class _Run:
             "ended": found.ended,
             "transport_cost": last["cost"],
             "area_error": last["ring_rms"],
-            "shape_weight": found.shape_weight,
+            "shape_weight": self.shape_weight,
         }
         self.finish(name, whole, self.torus)
 

@@ -11,8 +11,8 @@ from omtwarp.device.policy import resolve_device, solving_with
 from omtwarp.flips.rings import is_bijective
 from omtwarp.mesh import shapes
 from omtwarp.open_surfaces.hemisphere import is_symmetric, symmetric_map
-from omtwarp.open_surfaces.symmetric import SymmetricEnergy, folded, folded_map, symmetric_optimal_map
-from omtwarp.optimal.energy import TransportEnergy
+from omtwarp.open_surfaces.symmetric import folded, folded_map, mirrored_energy, symmetric_optimal_map
+from omtwarp.optimal.sphere import energy_on_sphere
 from omtwarp.topology.doubling import Double, double, split_chords
 
 
@@ -40,8 +40,8 @@ def test_half_system_has_the_symmetric_solution_of_the_whole_one(solver):
     rng = np.random.default_rng(0)
     with solving_with(solver):
         energies = [
-            TransportEnergy(surface, vectors(start, where), where, 0.01),
-            SymmetricEnergy(glued, surface, vectors(start, where), where, 0.01),
+            energy_on_sphere(surface, vectors(start, where), where, 0.01),
+            mirrored_energy(glued, surface, vectors(start, where), where, 0.01),
         ]
         points = vectors(sphere, where)
         steps, changes = [], []

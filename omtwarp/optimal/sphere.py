@@ -1,0 +1,200 @@
+"""Maps to the sphere: its domain, and the cost of geodesic distances."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.device.arrays import empty, vectors
+from omtwarp.device.start import wp
+from omtwarp.device.threads import cut, launch_parts
+from omtwarp.flips.predicates import flipped_faces
+from omtwarp.mesh.surface import Surface
+from omtwarp.optimal.cells import Cells, RingCells
+from omtwarp.optimal.domain import ShapeTerms
+from omtwarp.optimal.energy import AREA_WEIGHT, TransportEnergy
+from omtwarp.optimal.kernels import area_slopes, cost_metric, transport_gradient, vertex_costs
+from omtwarp.refine.energy import DistortionEnergy, Terms
+from omtwarp.solvers.triangle_newton.motion_kernels import from_tangent, to_tangent
+from omtwarp.untangling.kernels import solid_angles
+from omtwarp.untangling.steps import FlipFreeSteps
+
+Numbers = NDArray[np.float64]
+
+
+class Sphere:
+    """The unit sphere as the :class:`omtwarp.optimal.domain.Domain` of one surface's maps.
+
+    Args:
+        surface: V vertices, F faces.
+        device: a Warp device.
+    """
+
+    has_local_steps = True
+
+    def __init__(self, surface: Surface, device: wp.Device):
+        self.surface, self.device = surface, device
+        self._faces = surface.on(device).faces
+        self._areas = empty(surface.face_count, wp.float64, device)
+
+    def sent(self, values: Numbers) -> wp.array:
+        """Return points or tangent vectors, shape [V, 3], as vec3d on the device."""
+        return vectors(values, self.device)
+
+    def flipped(self, points: Numbers) -> NDArray[np.bool_]:
+        """Return a mask of the triangles that are turned over, decided exactly, shape [F]."""
+        return flipped_faces(points, self.surface.faces)
+
+    def areas(self, points: wp.array) -> wp.array:
+        """Return the solid angle of every triangle, float64, shape [F]; valid until the next call."""
+
+        def of_triangles(part: slice) -> tuple[list[object], list[object]]:
+            return [points, cut(self._faces, part)], [cut(self._areas, part)]
+
+        launch_parts(solid_angles, self.surface.face_count, of_triangles, self.device)
+        return self._areas
+
+    def area_slopes(self, points: wp.array) -> wp.array:
+        """Return the derivatives of every solid angle by its corners, in their frames, vec2d, shape [F, 3]."""
+        slopes = wp.empty((self.surface.face_count, 3), dtype=wp.vec2d, device=self.device)
+
+        def of_triangles(part: slice) -> tuple[list[object], list[object]]:
+            return [points, self._faces, part.start], [slopes]
+
+        launch_parts(area_slopes, self.surface.face_count, of_triangles, self.device)
+        return slopes
+
+    def coordinates(self, base: wp.array, tangent: Numbers) -> Numbers:
+        """Return vectors, shape [V, 3], in the tangent bases at ``base``, shape [V, 2]."""
+        out = wp.empty((len(tangent), 2), dtype=wp.float64, device=self.device)
+        inputs = [base, self.sent(tangent)]
+        wp.launch(to_tangent, dim=len(tangent), inputs=inputs, outputs=[out], device=self.device)
+        return out.numpy()
+
+    def vectors(self, base: wp.array, points: wp.array, coordinates: Numbers) -> Numbers:
+        """Return the vectors with these coordinates in the bases at ``base``, tangent at ``points``, shape [V, 3]."""
+        out = empty(len(coordinates), wp.vec3d, self.device)
+        inputs = [base, wp.array(coordinates, dtype=wp.float64, device=self.device)]
+        wp.launch(from_tangent, dim=len(coordinates), inputs=inputs, outputs=[out], device=self.device)
+        here, step = points.numpy(), out.numpy()
+        return np.asarray(step - (step * here).sum(axis=1, keepdims=True) * here)
+
+    def steps(self) -> FlipFreeSteps:
+        """Return an object that moves maps along tangent vectors without flipping triangles."""
+        return FlipFreeSteps(self.surface, self.device)
+
+
+class GeodesicCost:
+    """The squared geodesic distance that every vertex moves, or a soft distance.
+
+    Args:
+        surface: V vertices.
+        start: x, unit vectors, vec3d, shape [V], on the device.
+        device: a Warp device.
+        softness: in radians; 0 for the squared distance, otherwise the cost is sqrt(d² + softness²) - softness.
+
+    Attributes:
+        start: x on the host, shape [V, 3].
+    """
+
+    def __init__(self, surface: Surface, start: wp.array, device: wp.Device, softness: float = 0.0):
+        self._count, self._device, self._start = surface.vertex_count, device, start
+        self.start: Numbers = start.numpy()
+        self.softness = wp.float64(softness)
+        self._mesh = surface.on(device)
+        self._metric = wp.empty((self._count, 4), dtype=wp.float64, device=device)
+
+    def values(self, points: wp.array) -> Numbers:
+        """Return the cost of every vertex, shape [V]."""
+        cost = empty(self._count, wp.float64, self._device)
+
+        def of_vertices(part: slice) -> tuple[list[object], list[object]]:
+            return [cut(self._start, part), cut(points, part), self.softness], [cut(cost, part)]
+
+        launch_parts(vertex_costs, self._count, of_vertices, self._device)
+        return cost.numpy()
+
+    def gradient(self, points: wp.array, masses: Numbers, potential: Numbers) -> Numbers:
+        """Return the gradient of Σ masses_v cost_v + Σ potential_f area_f, tangent to the sphere, shape [V, 3]."""
+        gradient = empty(self._count, wp.vec3d, self._device)
+        weights = [self._sent(masses), self._sent(potential)]
+
+        def around(part: slice) -> tuple[list[object], list[object]]:
+            mesh = [self._start, points, self._mesh.faces, *weights, *self._mesh.vertex_corners]
+            return [*mesh, self.softness, part.start], [gradient]
+
+        launch_parts(transport_gradient, self._count, around, self._device)
+        return gradient.numpy()
+
+    def hessian(self, points: wp.array, masses: Numbers, least: float) -> Numbers:
+        """Return the second derivative at the optimum, with raised eigenvalues, shape [V, 2, 2]."""
+        weights = self._sent(masses)
+
+        def around(part: slice) -> tuple[list[object], list[object]]:
+            mesh = [self._start, points, self._mesh.faces, weights, *self._mesh.vertex_corners]
+            return [*mesh, wp.float64(least), self.softness, part.start], [self._metric]
+
+        launch_parts(cost_metric, self._count, around, self._device)
+        return self._metric.numpy().reshape(-1, 2, 2)
+
+    def _sent(self, values: Numbers) -> wp.array:
+        return wp.array(np.ascontiguousarray(values), dtype=wp.float64, device=self._device, copy=False)
+
+
+class SphereShape:
+    """The distortion of the triangles of a surface's maps to the sphere.
+
+    Args:
+        surface: V vertices, F faces.
+        device: a Warp device.
+
+    Attributes:
+        distortion: evaluates it.
+    """
+
+    def __init__(self, surface: Surface, device: wp.Device):
+        self.distortion = DistortionEnergy(surface, device)
+
+    def terms(self, points: wp.array) -> Terms:
+        """Return the distortion of a map."""
+        return self.distortion.terms(points)
+
+    def gradient(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
+        """Return the gradient by the vertices, tangent to the sphere, vec3d, shape [V]."""
+        assert isinstance(terms, Terms)
+        return self.distortion.gradient(points, terms, weight)
+
+    def hessian(self, points: wp.array, terms: ShapeTerms, weight: float, curvature_share: float) -> wp.array:
+        """Return every triangle's Hessian, shape [F, 21], as :meth:`DistortionEnergy.hessian` does."""
+        assert isinstance(terms, Terms)
+        return self.distortion.hessian(points, terms, weight, curvature_share)
+
+
+def energy_on_sphere(
+    surface: Surface,
+    start: wp.array,
+    device: wp.Device,
+    shape_weight: float,
+    *,
+    cells: Cells | None = None,
+    cost_weight: float = 1.0,
+    area_weight: float = AREA_WEIGHT,
+    softness: float = 0.0,
+) -> TransportEnergy:
+    """Return the energy of maps of a surface to the sphere.
+
+    Args:
+        surface: V vertices.
+        start: x, unit vectors, vec3d, shape [V], on the device.
+        device: a Warp device.
+        shape_weight, cost_weight, area_weight: as of :class:`TransportEnergy`.
+        cells: whose areas are kept; the triangles around vertices by default.
+        softness: as of :class:`GeodesicCost`.
+    """
+    kept = RingCells(surface, device) if cells is None else cells
+    cost, shape = GeodesicCost(surface, start, device, softness), SphereShape(surface, device)
+    weights = shape_weight, cost_weight, area_weight
+    return TransportEnergy(Sphere(surface, device), kept, cost, shape, *weights, workspace=shape.distortion.workspace)
+
+
+__all__ = ["GeodesicCost", "Sphere", "SphereShape", "energy_on_sphere"]

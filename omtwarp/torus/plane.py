@@ -1,0 +1,233 @@
+"""Maps to a flat torus: its domain, the cost of squared distances, and the distortion of triangles in the plane.
+
+The problem is that of :mod:`omtwarp.optimal.energy` in the plane, with y_v - x_v in the universal cover in place of a
+geodesic. A map of least cost is the gradient of a convex function |x|²/2 + φ with φ periodic, so that each point is
+moved to the nearest copy of its image on the torus (D. Cordero-Erausquin, "Sur le transport de mesures périodiques",
+Comptes Rendus 329, 1999).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.device.start import wp
+from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.optimal.cells import Cells, RingCells
+from omtwarp.optimal.domain import ShapeTerms
+from omtwarp.optimal.energy import AREA_WEIGHT, TransportEnergy
+from omtwarp.solvers.triangle_newton.frames import triangle_frames
+from omtwarp.torus import kernels
+from omtwarp.torus.harmonic import FlatTorus
+from omtwarp.untangling.steps import FlipFreeSteps
+
+Floats = NDArray[np.float64]
+
+
+class _OnTorus:
+    """The triangles of one surface in the universal cover, on the host.
+
+    Args:
+        surface: of genus 1, V vertices and F faces; its areas add up to 4π, as the torus's does.
+        torus: the wraps and the lattice.
+    """
+
+    def __init__(self, surface: Surface, torus: FlatTorus):
+        self.surface, self.device = surface, wp.get_device("cpu")
+        self.mesh = surface.on(self.device)
+        self.shift = _kept(torus.wraps @ torus.lattice, wp.vec2d)
+
+    def launch(self, kernel: wp.Kernel, points: wp.array, inputs: list[object], outputs: list[wp.array]) -> None:
+        """Launch a kernel over all triangles of a map."""
+        given = [points, self.shift, self.mesh.faces, *inputs]
+        wp.launch(kernel, dim=self.surface.face_count, inputs=given, outputs=outputs, device=self.device)
+
+
+class Plane(_OnTorus):
+    """The universal cover of a torus as the :class:`omtwarp.optimal.domain.Domain` of one surface's maps."""
+
+    has_local_steps = False
+
+    def sent(self, values: Floats) -> wp.array:
+        """Return points or vectors, shape [V, 2], as vec2d."""
+        return _kept(values, wp.vec2d)
+
+    def flipped(self, points: Floats) -> NDArray[np.bool_]:
+        """Return a mask of the triangles that are turned over, shape [F]."""
+        return np.asarray(~(self.areas(self.sent(points)).numpy() > 0.0))
+
+    def areas(self, points: wp.array) -> wp.array:
+        """Return the signed area of every triangle, float64, shape [F]."""
+        areas = wp.empty(self.surface.face_count, dtype=wp.float64, device=self.device)
+        self.launch(kernels.plane_areas, points, [], [areas])
+        return areas
+
+    def area_slopes(self, points: wp.array) -> wp.array:
+        """Return the derivatives of every area by its corners, vec2d, shape [F, 3]."""
+        slopes = wp.empty((self.surface.face_count, 3), dtype=wp.vec2d, device=self.device)
+        self.launch(kernels.plane_area_slopes, points, [], [slopes])
+        return slopes
+
+    def coordinates(self, base: wp.array, vectors: Floats) -> Floats:
+        """Return the vectors: in the plane all frames are the axes."""
+        return vectors
+
+    def vectors(self, base: wp.array, points: wp.array, coordinates: Floats) -> Floats:
+        """Return the coordinates: in the plane all frames are the axes."""
+        return coordinates
+
+    def steps(self) -> FlipFreeSteps:
+        """Return an object that moves maps along vectors without turning triangles over."""
+        return PlaneSteps(self)
+
+
+class PlaneSteps(FlipFreeSteps):
+    """Moves maps to a torus; triangles that a step would turn over hold their corners back.
+
+    Args:
+        plane: where the maps are.
+    """
+
+    _independent = False  # the whole map is looked at again where vertices are held back
+
+    def __init__(self, plane: Plane):
+        super().__init__(plane.surface, plane.device)
+        self._plane = plane
+
+    def untangled(
+        self, points: wp.array, direction: wp.array, volume: wp.array, length: float, weight: float
+    ) -> tuple[wp.array, int] | None:
+        """Move points by the whole step; return None where it turns triangles over, as patches are for spheres."""
+        moved = self._moved(points, direction, None, length)
+        return (moved, 0) if self._marked(moved, volume) is None else None
+
+    def _moved(self, points: wp.array, direction: wp.array, share: wp.array | None, length: float) -> wp.array:
+        shares = wp.full(len(points), 1.0, dtype=wp.float64, device="cpu") if share is None else share
+        moved = wp.empty(len(points), dtype=wp.vec2d, device="cpu")
+        inputs = [points, direction, shares, wp.float64(length)]
+        wp.launch(kernels.move_in_plane, dim=len(points), inputs=inputs, outputs=[moved], device="cpu")
+        return moved
+
+    def _marked(self, moved: wp.array, volume: wp.array) -> wp.array | None:
+        areas = self._plane.areas(moved)
+        trouble = wp.empty(len(areas), dtype=wp.int32, device="cpu")
+        count = wp.zeros(1, dtype=wp.int32, device="cpu")
+        inputs, outputs = [areas, volume], [trouble, count]
+        wp.launch(kernels.plane_trouble, dim=len(areas), inputs=inputs, outputs=outputs, device="cpu")
+        return trouble if int(count.numpy()[0]) else None
+
+
+class PlaneCost(_OnTorus):
+    """The squared distance that every vertex moves.
+
+    Args:
+        surface, torus: as of :class:`Plane`.
+        start: x in the plane, shape [V, 2].
+    """
+
+    def __init__(self, surface: Surface, torus: FlatTorus, start: Floats):
+        super().__init__(surface, torus)
+        self._start = _kept(start, wp.vec2d)
+
+    def values(self, points: wp.array) -> Floats:
+        """Return |y_v - x_v|², shape [V]."""
+        return np.asarray(((points.numpy() - self._start.numpy()) ** 2).sum(axis=1))
+
+    def gradient(self, points: wp.array, masses: Floats, potential: Floats) -> Floats:
+        """Return the gradient of Σ masses_v cost_v + Σ potential_f area_f by the vertices, shape [V, 2]."""
+        gradient = wp.empty(len(points), dtype=wp.vec2d, device="cpu")
+        weights = [_kept(masses, wp.float64), _kept(potential, wp.float64)]
+        inputs = [self._start, points, self.shift, self.mesh.faces, *weights, *self.mesh.vertex_corners]
+        wp.launch(kernels.plane_transport_gradient, dim=len(points), inputs=inputs, outputs=[gradient], device="cpu")
+        return gradient.numpy()
+
+    def hessian(self, points: wp.array, masses: Floats, least: float) -> Floats:
+        """Return the second derivative at the optimum, with raised eigenvalues, shape [V, 2, 2]."""
+        metric = wp.empty((len(points), 4), dtype=wp.float64, device="cpu")
+        mesh = [self.shift, self.mesh.faces, _kept(masses, wp.float64), *self.mesh.vertex_corners]
+        inputs = [self._start, points, *mesh, wp.float64(least)]
+        wp.launch(kernels.plane_cost_metric, dim=len(points), inputs=inputs, outputs=[metric], device="cpu")
+        return metric.numpy().reshape(-1, 2, 2)
+
+
+@dataclass(frozen=True)
+class PlaneTerms:
+    """The distortion of one map.
+
+    Attributes:
+        angle, area: mean distortions of the triangles, less 2; infinite where one is turned over.
+        d_volume: signed areas of the triangles, float64, shape [F].
+    """
+
+    angle: float
+    area: float
+    d_volume: wp.array
+
+    def total(self, weight: float) -> float:
+        """Return angle plus ``weight`` times area distortion."""
+        return self.angle + weight * self.area
+
+
+class PlaneShape(_OnTorus):
+    """The distortion of the triangles, angle plus a weight times area, averaged over the surface."""
+
+    def __init__(self, surface: Surface, torus: FlatTorus):
+        super().__init__(surface, torus)
+        self._frames = _kept(triangle_frames(surface), wp.vec3d)
+        self._weights = _kept(surface.face_areas / SPHERE_AREA, wp.float64)
+
+    def terms(self, points: wp.array) -> PlaneTerms:
+        """Return the distortion of a map."""
+        areas, angle, area = (wp.empty(self.surface.face_count, dtype=wp.float64, device="cpu") for _ in range(3))
+        self.launch(kernels.plane_triangles, points, [self._frames], [areas, angle, area])
+        shares = self._weights.numpy()
+        return PlaneTerms(float(shares @ angle.numpy()), float(shares @ area.numpy()), areas)
+
+    def gradient(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
+        """Return the gradient by the vertices, vec2d, shape [V]."""
+        out = wp.empty((self.surface.face_count, 3), dtype=wp.vec2d, device="cpu")
+        self.launch(kernels.plane_gradients, points, [self._frames, self._weights, wp.float64(weight)], [out])
+        sums = wp.empty(len(points), dtype=wp.vec2d, device="cpu")
+        inputs = [*self.mesh.vertex_corners, out.flatten()]
+        wp.launch(kernels.sum_at_vertices, dim=len(points), inputs=inputs, outputs=[sums], device="cpu")
+        return sums
+
+    def hessian(self, points: wp.array, terms: ShapeTerms, weight: float, curvature_share: float) -> wp.array:
+        """Return every triangle's Hessian without the areas' own curvature, shape [F, 21]."""
+        hessians = wp.empty((self.surface.face_count, 21), dtype=wp.float64, device="cpu")
+        self.launch(kernels.plane_hessians, points, [self._frames, self._weights, wp.float64(weight)], [hessians])
+        return hessians
+
+
+def energy_on_torus(
+    surface: Surface,
+    torus: FlatTorus,
+    start: Floats,
+    shape_weight: float,
+    *,
+    cells: Cells | None = None,
+    cost_weight: float = 1.0,
+    area_weight: float = AREA_WEIGHT,
+) -> TransportEnergy:
+    """Return the energy of maps of a surface to a torus.
+
+    Args:
+        surface: of genus 1, V vertices; its areas add up to 4π, as the torus's does.
+        torus: the wraps and the lattice.
+        start: x in the plane, shape [V, 2].
+        shape_weight, cost_weight, area_weight: as of :class:`omtwarp.optimal.energy.TransportEnergy`.
+        cells: whose areas are kept; the triangles around vertices by default.
+    """
+    plane = Plane(surface, torus)
+    kept = RingCells(surface, plane.device) if cells is None else cells
+    cost, shape = PlaneCost(surface, torus, start), PlaneShape(surface, torus)
+    return TransportEnergy(plane, kept, cost, shape, shape_weight, cost_weight, area_weight)
+
+
+def _kept(values: NDArray, dtype: type) -> wp.array:
+    return wp.array(np.ascontiguousarray(values, dtype=np.float64), dtype=dtype, device="cpu")
+
+
+__all__ = ["Plane", "PlaneCost", "PlaneShape", "energy_on_torus"]
