@@ -58,6 +58,10 @@ def register_map(
             help="A table of points and curves on both sides: columns label, side, vertex or x, y, z, and weight.",
         ),
     ] = None,
+    keep_areas: Annotated[
+        str,
+        typer.Option(metavar="NUMBER|exact", help="Weight of squared changes of the areas around vertices."),
+    ] = "0",
     strain: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Write log2 of ratios of areas and of stretches at MOVING's vertices too."),
@@ -111,6 +115,7 @@ def register_map(
             stiffness=stiffness,
             max_strain=max_strain,
             landmarks=landmarks,
+            keep_areas=_weight_or_exact(keep_areas),
             progress=progress,
         )
     if output.suffix.lower() == ".npz":
@@ -134,6 +139,14 @@ def _named_weights(names: list[str], weights: list[float]) -> dict[str, float]:
     if len(weights) != len(names):
         raise OmtwarpError(f"{len(weights)} times --feature-weight for {len(names)} features: give one for each")
     return dict(zip(names, weights, strict=True))
+
+
+def _weight_or_exact(text: str) -> float | str:
+    """Return the number of --keep-areas, or its text, which the function refuses unless it is ``exact``."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 def _write_strain(file: Path, found: Registration, faces: NDArray, like: Path) -> None:

@@ -20,11 +20,12 @@ from omtwarp.mesh.arrays import real_number
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics.certificate import Certificate, certify_triangles
 from omtwarp.options import Progress, Record
+from omtwarp.registration.areas import area_changes, with_areas
 from omtwarp.registration.folding import FOLDING_WEIGHTS, folding_features
 from omtwarp.registration.landmarks import LandmarksLike, pairs_of
 from omtwarp.registration.strain import kept_within, octaves
 from omtwarp.registration.templates import HEMISPHERES, template
-from omtwarp.registration.warp import COARSE, FINE, Warping, feature_grid
+from omtwarp.registration.warp import AREA_WEIGHT, COARSE, FINE, Warping, feature_grid
 from omtwarp.resampling import Resampling, SpherePoints, as_points, resample
 from omtwarp.resampling.resample import PointsLike
 
@@ -50,6 +51,7 @@ class Registration:
         most_strain: the bound of both that was asked for.
         landmarks: of every landmark by its label, how far it was from its place ``before`` (after the rotation) and
             ``after``, in degrees, root mean square over a curve.
+        area_changes: relative changes of the areas around the vertices, by the warp: ``rms`` and ``largest``.
         certificate: whether the registered map is one to one, decided exactly.
         levels: a record for every level from coarse to fine.
         closed_sphere: the sphere with what fills holes, shape [N, 3]; its first points are ``sphere``.
@@ -64,6 +66,7 @@ class Registration:
     stretch_strain: Floats
     most_strain: float
     certificate: Certificate
+    area_changes: dict[str, float]
     landmarks: dict[str, dict[str, float]] = field(default_factory=dict)
     levels: list[Record] = field(default_factory=list)
     closed_sphere: Floats = field(default_factory=lambda: np.zeros((0, 3)))
@@ -107,6 +110,7 @@ class Registration:
             "area_strain": percentiles(self.area_strain),
             "stretch_strain": percentiles(self.stretch_strain),
             "most_strain": self.most_strain,
+            "area_changes": self.area_changes,
             "landmarks": self.landmarks,
             "certificate": self.certificate.to_dict(),
             "levels": self.levels,
@@ -124,6 +128,7 @@ def register(
     stiffness: float = 0.4,
     max_strain: float = 1.1,
     landmarks: LandmarksLike | None = None,
+    keep_areas: float | str = 0.0,
     progress: Progress | None = None,
 ) -> Registration:
     """Warp a map's sphere so that features of its surface lie where they lie on another sphere.
@@ -149,6 +154,8 @@ def register(
         landmarks: points and curves that correspond (:class:`Landmark`), or a file of them
             (:func:`omtwarp.registration.read_landmarks`). Added is the sum over them of weight times mean squared
             distance in radians; those of infinite weight are brought to their places.
+        keep_areas: weight of the mean squared relative change of the areas around vertices, which is added; ``exact``
+            keeps these areas to 1e-6: an area-preserving map stays one.
         progress: called as ``progress("register", step, steps, details)``.
 
     Returns:
@@ -174,6 +181,8 @@ def register(
     """
     stiffness = real_number(stiffness, "the stiffness", above=0.0)
     max_strain = real_number(max_strain, "max_strain", above=0.0)
+    exact = keep_areas == "exact"
+    weight_of_areas = np.inf if exact else real_number(keep_areas, "keep_areas, unless 'exact',", least=0.0)
     here = as_points(moving, "the map")
     there = template(target) if isinstance(target, str) and target in HEMISPHERES else as_points(target, "the target")
     ours, theirs = _features_of(here, there, features, to_features)
@@ -195,7 +204,7 @@ def register(
     grid = feature_grid()
     to_grid = resample(there, (grid.vertices, grid.faces), device="cpu")
     coarser = min(len(one.grid.points) for one in (here, there))
-    warping = Warping(_carried(to_grid, theirs), weights, stiffness, max_strain, coarser)
+    warping = Warping(_carried(to_grid, theirs), weights, stiffness, max_strain, coarser, weight_of_areas)
     tried = []
     for best in rotations if doubtful else rotations[:1]:
         turned = _moved(here, here.grid.points @ best.rotation.T)
@@ -210,11 +219,12 @@ def register(
     before = turned.grid.points
     surface = Surface(before, turned.grid.triangles)
     distances: dict[str, dict[str, float]] = {}
-    if marks is None:
-        sphere = kept_within(surface, warp.carry(before), max_strain)
-    else:
-        found = Locator(before, surface.faces, device="cpu").find(marks.points)
-        sphere = kept_within(surface, warp.carry(before), max_strain, surface.faces[found.faces[marks.exact]])
+    found = None if marks is None else Locator(before, surface.faces, device="cpu").find(marks.points)
+    held = None if marks is None or found is None else surface.faces[found.faces[marks.exact]]
+    sphere = kept_within(surface, warp.carry(before), max_strain, held)
+    if exact:
+        sphere = with_areas(surface, sphere, AREA_WEIGHT)
+    if marks is not None and found is not None:
         ends = [marks.distances(found.on_sphere(surface.faces, points)) for points in (before, sphere)]
         distances = {label: {"before": ends[0][label], "after": ends[1][label]} for label in marks.labels}
         away = [marks.labels[k] for k in np.unique(marks.owners[marks.exact]) if ends[1][marks.labels[k]] > APART]
@@ -236,7 +246,7 @@ def register(
         warnings.warn(text, OmtwarpWarning, stacklevel=2)
     return Registration(
         sphere[:count], start, doubtful, starts, correlations, by_area, by_stretch, max_strain, certificate,
-        distances, warp.levels, sphere,
+        area_changes(before, sphere, surface.faces), distances, warp.levels, sphere,
     )  # fmt: skip
 
 

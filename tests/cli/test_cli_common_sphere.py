@@ -107,6 +107,14 @@ def test_register_takes_landmarks_from_a_table(desk, capsys):
     assert found.report["registration"]["landmarks"]["a"]["after"] < 0.1
 
 
+def test_register_keeps_areas(desk, capsys):
+    words = ["register", "lh.npz", "--to", "template.npz", "-o", "out.npz", "--json", "--keep-areas"]
+    assert run(*words, "exact") == 0
+    assert json.loads(capsys.readouterr().out)["area_changes"]["largest"] <= 1e-6
+    assert run(*words, "nearly") == 1
+    assert "keep_areas" in capsys.readouterr().err
+
+
 def test_align_by_axes_writes_a_sphere_of_radius_100(desk, capsys):
     assert run("align", "lh.sphere.ply", "--surface", "lh.white.ply", "-o", "lh.axes.ply", "--radius", "100") == 0
     assert "by axes" in capsys.readouterr().out
