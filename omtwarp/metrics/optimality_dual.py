@@ -23,6 +23,9 @@ Array = NDArray[np.float64]
 TOLERANCE = 1e-5
 """How far below the true minimum, in units of the mean cost, the search for it may stay: what it adds to the gap."""
 
+LONGEST = 0.25
+"""Longest edge of a leaf of the tree, an arc: bounds of nodes err by the third power of their radii."""
+
 
 @dataclass(frozen=True)
 class Bound:
@@ -129,12 +132,16 @@ class TransportDual:
         self.cost: Array = 0.5 * (self.log**2).sum(axis=1)
         self.tolerance = tolerance * float(mass @ self.cost) / float(mass.sum())
         # Triangles near each other in space next to each other in the tree.
-        self.order = order_by_halves(y[surface.faces].mean(axis=1))
-        self._faces = wp.array(surface.faces[self.order], dtype=wp.vec3i, device=self.device)
+        triangles, corners = narrow_parts(y, surface.faces)
+        order = order_by_halves((corners @ y[surface.faces[triangles]]).mean(axis=1))
+        self._parts = [
+            wp.array(triangles[order], dtype=wp.int32, device=self.device),
+            wp.array(corners[order], dtype=wp.mat33d, device=self.device),
+        ]
+        self._faces = wp.array(surface.faces, dtype=wp.vec3i, device=self.device)
         self._edge = wp.empty(faces, dtype=wp.vec3d, device=self.device)
         self._launch(kernels.edge_bulges, faces, [self.y, self._faces, displaced], [self._edge])
-        self._corners = y[surface.faces[self.order]]
-        self._leaves = leaf_count(faces)
+        self._leaves = leaf_count(len(order))
         offsets, segments = tree_segments(self._leaves)
         # The work of a node is in proportion to its leaves: every part of a launch gets nodes of all sizes.
         nodes, spread = (_interleaved(count, core_count()) for count in (2 * self._leaves, len(segments)))
@@ -151,7 +158,7 @@ class TransportDual:
 
     @property
     def edge_terms(self) -> Array:
-        """The quadratic terms of ψ on the edges of every triangle, in ``order``, shape [F, 3]."""
+        """The quadratic terms of ψ on the edges of every triangle, shape [F, 3]."""
         return self._edge.numpy()
 
     def initial_potential(self) -> tuple[Array, int]:
@@ -184,16 +191,16 @@ class TransportDual:
 
     def bound(self, potential: Array) -> Bound:
         """Compute φ, the c-transform of ψ, at every x_i."""
-        faces, nodes = self.surface.face_count, 2 * self._leaves
+        parts, nodes = len(self._parts[0]), 2 * self._leaves
         nodal = wp.array(potential, dtype=wp.float64, device=self.device)
-        mesh = [self.y, self._faces, nodal, self._edge]
-        places = wp.empty(kernels.SAMPLES * faces, dtype=wp.vec3d, device=self.device)
-        values = wp.empty(kernels.SAMPLES * faces, dtype=wp.float64, device=self.device)
-        self._launch(kernels.sample_triangles, faces, mesh, [places, values])
+        mesh = [self.y, self._faces, nodal, self._edge, *self._parts]
+        places = wp.empty(kernels.SAMPLES * parts, dtype=wp.vec3d, device=self.device)
+        values = wp.empty(kernels.SAMPLES * parts, dtype=wp.float64, device=self.device)
+        self._launch(kernels.sample_triangles, parts, mesh, [places, values])
         node = (wp.vec3d, wp.vec3d, kernels.vec11d)
         tree = [wp.empty(nodes, dtype=kind, device=self.device) for kind in node]
 
-        samples = [places, values, faces, self._leaves]
+        samples = [places, values, parts, self._leaves]
 
         def of_nodes(part: slice) -> Arguments:
             return [*samples, self._nodes[part]], tree
@@ -221,12 +228,11 @@ class TransportDual:
 
         # Points whose transforms are worth a launch of their own on another core: each takes 10 microseconds.
         launch_parts(kernels.c_transform, len(seeds), arguments, self.device, 128)
-        proven, leaf, weights, visited = (array.numpy() for array in found)
-        face = np.where(leaf >= 0, self.order[np.maximum(leaf, 0)], -1)
+        proven, face, weights, visited = (array.numpy() for array in found)
         if self.shared is not None:
             proven, face, weights, visited = self.shared.spread(own, proven, face, weights, visited, self.surface)
         gap = own - proven
-        return Bound(potential, gap, float(self.mass @ gap), face, weights, visited)
+        return Bound(potential, gap, float(self.mass @ gap), face.astype(np.int64), weights, visited)
 
     def flatten(self) -> None:
         """Make ψ linear on every triangle from now on, which suits potentials that the map did not give."""
@@ -251,10 +257,10 @@ class TransportDual:
 
     def integral(self, potential: Array) -> float:
         """Integrate ψ over the sphere: the mean of a quadratic on every triangle, times its solid angle."""
-        a, b, c = (self._corners[:, k] for k in range(3))
+        a, b, c = self.y.numpy()[self.surface.faces.T]
         triple = np.einsum("ij,ij->i", a, np.cross(b, c))
         solid = 2.0 * np.arctan2(triple, 1.0 + (a * b).sum(1) + (b * c).sum(1) + (c * a).sum(1))
-        return float(solid @ quadratic_means(potential, self.surface.faces[self.order], self.edge_terms))
+        return float(solid @ quadratic_means(potential, self.surface.faces, self.edge_terms))
 
     def spread(self, transform: Array) -> Spread:
         """Integrate the cost and its dual φ, given at the x_i, shape [V], over the triangles that carry the masses.
@@ -326,6 +332,46 @@ def quadratic_means(nodal: Array, corners: NDArray[np.int32], edge_terms: Array)
         edge_terms: the e, shape [F, 3]; the mean of a product of two barycentric coordinates is 1/12.
     """
     return nodal[corners].mean(axis=1) + edge_terms.sum(axis=1) / 12.0
+
+
+def narrow_parts(points: Array, faces: NDArray[np.int32]) -> tuple[NDArray[np.int64], Array]:
+    """Cut triangles of a sphere in strips along their shortest edge until no edge is longer than ``LONGEST``.
+
+    Args:
+        points: unit vectors, shape [V, 3].
+        faces: shape [F, 3].
+
+    Returns:
+        The triangle that every part is of, shape [P], and the parts' corners in barycentric coordinates there, shape
+        [P, 3, 3].
+    """
+    triangles, corners = np.arange(len(faces)), np.broadcast_to(np.eye(3), (len(faces), 3, 3))
+    finished: list[tuple[NDArray[np.int64], Array]] = []
+    # Rounds: two cut a triangle both ways, others what is uneven; more need ends of edges that are nearly opposite
+    for _ in range(8):
+        places = corners @ points[faces[triangles]]
+        places /= np.maximum(np.linalg.norm(places, axis=2), np.finfo(float).tiny)[:, :, None]
+        arcs = 2.0 * np.arcsin(np.minimum(0.5 * np.linalg.norm(places - np.roll(places, -1, axis=1), axis=2), 1.0))
+        long = arcs.max(axis=1) > LONGEST
+        finished.append((triangles[~long], corners[~long]))
+        triangles, corners = triangles[long], corners[long]
+        if len(triangles) == 0:
+            break
+        arc, turn = arcs[long].max(axis=1), (arcs[long].argmin(axis=1)[:, None] + [2, 0, 1]) % 3
+        apex, *base = np.take_along_axis(corners, turn[:, :, None], axis=1).transpose(1, 0, 2)
+        counts = np.ceil(arc / LONGEST).astype(np.int64)
+        whole = np.repeat(np.arange(len(counts)), counts)
+        strip = np.arange(len(whole)) - np.repeat(np.cumsum(counts) - counts, counts)
+        step = (arc / counts)[whole]
+        # Where the lines between strips cut the sides, so that the arcs of the longest edge are equal
+        ahead, behind = ((np.sin(k * step), np.sin((counts[whole] - k) * step)) for k in (strip, strip + 1))
+        shares = [(one / np.maximum(one + other, np.finfo(float).tiny))[:, None] for one, other in (ahead, behind)]
+        (a, b), (c, d) = ([apex[whole] + share * (end - apex)[whole] for end in base] for share in shares)
+        inner = strip > 0  # the strip at the apex is one triangle
+        corners = np.concatenate([np.stack([a, c, d], axis=1), np.stack([a, d, b], axis=1)[inner]])
+        triangles = np.concatenate([triangles[whole], triangles[whole][inner]])
+    finished.append((triangles, corners))
+    return np.concatenate([part for part, _ in finished]), np.concatenate([part for _, part in finished])
 
 
 def order_by_halves(points: Array) -> NDArray[np.int32]:

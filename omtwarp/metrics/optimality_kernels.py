@@ -5,8 +5,8 @@ The potential ψ is quadratic on every triangle of the image mesh, in the baryce
     ψ(b) = Σ_k b_k ψ_k + b_0 b_1 e_0 + b_1 b_2 e_1 + b_2 b_0 e_2,
 
 and the point of the sphere is p / |p| with p = Σ_k b_k y_k. The samples of a triangle are its corners and the middles
-of its edges. Triangles are the leaves of a complete binary tree in heap order, in which node k has the children 2k and
-2k + 1.
+of its edges. Triangles, those with long edges in parts, are the leaves of a complete binary tree in heap order, in which
+node k has the children 2k and 2k + 1.
 """
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
@@ -304,18 +304,22 @@ def sample_triangles(
     faces: wp.array[wp.vec3i],
     nodal: wp.array[wp.float64],
     edge: wp.array[wp.vec3d],
+    # Leaves, the triangle that each is a part of, and its corners' barycentric coordinates there as rows:
+    triangles: wp.array[wp.int32],
+    corners: wp.array[wp.mat33d],
     # Data out:
     places_out: wp.array[wp.vec3d],
     values_out: wp.array[wp.float64],
 ):
-    """Place on the sphere, and potential there, of the six samples of every triangle."""
-    f = wp.tid()
+    """Place on the sphere, and potential there, of the six samples of every leaf."""
+    leaf = wp.tid()
+    f = triangles[leaf]
     face = faces[f]
     values = wp.vec3d(nodal[face[0]], nodal[face[1]], nodal[face[2]])
     for s in range(SAMPLES):
-        b = sample_weights(s)
-        places_out[SAMPLES * f + s] = point_at(points[face[0]], points[face[1]], points[face[2]], b)
-        values_out[SAMPLES * f + s] = potential_at(values, edge[f], b)
+        b = sample_weights(s) @ corners[leaf]
+        places_out[SAMPLES * leaf + s] = point_at(points[face[0]], points[face[1]], points[face[2]], b)
+        values_out[SAMPLES * leaf + s] = potential_at(values, edge[f], b)
 
 
 @wp.kernel
@@ -605,11 +609,14 @@ def c_transform(
     # Queries:
     sources: wp.array[wp.vec3d],
     seeds: wp.array[wp.float64],
-    # Mesh, faces in the order of the leaves:
+    # Mesh:
     points: wp.array[wp.vec3d],
     faces: wp.array[wp.vec3i],
     nodal: wp.array[wp.float64],
     edge: wp.array[wp.vec3d],
+    # Leaves, as for ``sample_triangles``:
+    triangles: wp.array[wp.int32],
+    corners: wp.array[wp.mat33d],
     places: wp.array[wp.vec3d],
     values: wp.array[wp.float64],
     leaf_count: int,
@@ -620,7 +627,7 @@ def c_transform(
     models: wp.array[vec11d],
     # Data out:
     proven_out: wp.array[wp.float64],
-    leaf_out: wp.array[wp.int32],
+    triangle_out: wp.array[wp.int32],
     weights_out: wp.array[wp.vec3d],
     visited_out: wp.array[wp.int32],
 ):
@@ -654,11 +661,11 @@ def c_transform(
             node = 2 * node
         else:
             if inside:
-                f = node - leaf_count
+                leaf = node - leaf_count
                 corner = wp.vec3d()
                 middle = wp.vec3d()
                 for k in range(3):
-                    one = SAMPLES * f + k
+                    one = SAMPLES * leaf + k
                     corner[k] = half_squared_distance(x, places[one]) - values[one]
                     middle[k] = half_squared_distance(x, places[one + 3]) - values[one + 3]
                 bulge = wp.vec3d()
@@ -673,20 +680,25 @@ def c_transform(
                         b[(k + 1) % 3] = HALF
                     if value < best:
                         best = value
-                        best_leaf = f
+                        best_leaf = leaf
                         best_weights = b
                 b = lowest_on_triangle(corner, bulge)
                 if potential_at(corner, bulge, b) < best:
+                    f = triangles[leaf]
                     face = faces[f]
-                    psi = potential_at(wp.vec3d(nodal[face[0]], nodal[face[1]], nodal[face[2]]), edge[f], b)
-                    z = point_at(points[face[0]], points[face[1]], points[face[2]], b)
+                    own = b @ corners[leaf]
+                    psi = potential_at(wp.vec3d(nodal[face[0]], nodal[face[1]], nodal[face[2]]), edge[f], own)
+                    z = point_at(points[face[0]], points[face[1]], points[face[2]], own)
                     value = half_squared_distance(x, z) - psi
                     if value < best:
                         best = value
-                        best_leaf = f
+                        best_leaf = leaf
                         best_weights = b
             node = next_subtree(node)
     proven_out[i] = wp.min(best, relied)
-    leaf_out[i] = best_leaf
+    triangle_out[i] = -1
+    if best_leaf >= 0:
+        triangle_out[i] = triangles[best_leaf]
+        best_weights = best_weights @ corners[best_leaf]
     weights_out[i] = best_weights
     visited_out[i] = visited

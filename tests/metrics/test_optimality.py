@@ -14,7 +14,7 @@ from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.metrics import optimality_kernels as kernels
 from omtwarp.metrics.ascent import ascend
 from omtwarp.metrics.optimality import exact_transport, map_optimality, optimality, relative_curl
-from omtwarp.metrics.optimality_dual import TransportDual, order_by_halves, tree_segments
+from omtwarp.metrics.optimality_dual import LONGEST, TransportDual, narrow_parts, order_by_halves, tree_segments
 from omtwarp.metrics.optimality_sources import SourceDual
 
 
@@ -166,7 +166,7 @@ def test_the_minimum_is_found_over_the_whole_sphere(roughness):
     dual = TransportDual(surface, x, y, masses, "cpu", tolerance=0.0)
     potential = dual.initial_potential()[0] + roughness * rng.normal(size=len(y))
     found = dual.bound(potential)
-    terms = dual.edge_terms[np.argsort(dual.order)]
+    terms = dual.edge_terms
     transform = dual.cost - potential - found.vertex_gap
     # At corners and middles of edges the bound is a theorem.
     assert (transform <= lattice_minimum(x, y, faces, potential, terms, 2) + 1e-12).all()
@@ -192,6 +192,53 @@ def test_the_minimum_is_found_over_the_whole_sphere(roughness):
     assert conceded.min() >= -1e-12 and conceded.max() <= loose.tolerance + 1e-12
 
 
+def fan(count, tilt=0.0):
+    """The sphere of a bipyramid over a polygon, its tips moved towards each other by an angle."""
+    turn = 2.0 * np.pi * np.arange(count) / count
+    tips = [[np.sin(tilt), 0.0, np.cos(tilt)], [np.sin(tilt), 0.0, -np.cos(tilt)]]
+    points = np.concatenate([np.column_stack([np.cos(turn), np.sin(turn), 0.0 * turn]), tips])
+    one, other = np.arange(count), (np.arange(count) + 1) % count
+    ends = np.full(count, count)
+    upper, lower = np.column_stack([one, other, ends]), np.column_stack([other, one, ends + 1])
+    return points, np.concatenate([upper, lower]).astype(np.int32)
+
+
+@settings(max_examples=25, deadline=None)
+@given(count=st.integers(3, 40), tilt=st.floats(0.0, 1.2), seed=st.integers(0, 10_000), rough=st.floats(0.0, 2.0))
+def test_triangles_of_any_width_are_bounded(count, tilt, seed, rough):
+    """Parts tile their triangles, and no sample of any part has a value below what the search through them proves."""
+    y, faces = fan(count, tilt)
+    triangles, corners = narrow_parts(y, faces)
+    np.testing.assert_allclose(np.bincount(triangles, np.linalg.det(corners)), 1.0, atol=1e-12)
+    assert np.linalg.det(corners).min() > 0.0 and corners.min() > -1e-15
+    places = corners @ y[faces[triangles]]
+    places /= np.linalg.norm(places, axis=2)[:, :, None]
+    assert geodesic(places, np.roll(places, -1, axis=1)).max() <= LONGEST + 1e-12
+    rng = np.random.default_rng(seed)
+    x = y + 0.5 * rng.normal(size=y.shape)
+    x /= np.linalg.norm(x, axis=1)[:, None]
+    dual = TransportDual(Surface(y, faces), x, y, np.ones(len(y)), "cpu", tolerance=0.0)
+    potential = rough * rng.normal(size=len(y))
+    transform = dual.cost - potential - dual.bound(potential).vertex_gap
+    samples = np.einsum("sk,pkj->psj", np.concatenate([np.eye(3), 0.5 * (1.0 - np.eye(3))]), corners)
+    here = faces[triangles]
+    z = samples @ y[here]
+    z /= np.linalg.norm(z, axis=2)[:, :, None]
+    psi = np.einsum("psk,pk->ps", samples, potential[here])
+    psi += np.einsum("psk,psk,pk->ps", samples, np.roll(samples, -1, axis=2), dual.edge_terms[triangles])
+    least = (0.5 * geodesic(x[:, None, None, :], z[None]) ** 2 - psi[None]).reshape(len(x), -1).min(axis=1)
+    assert (transform <= np.minimum(least, dual.cost - potential) + 1e-12).all()
+
+
+def test_a_fan_of_long_triangles_is_searched_in_parts():
+    """A rim of 2,000 corners between two tips: points look at a tenth of the triangles, where each reached all."""
+    y, faces = fan(2_000)
+    x = y @ random_rotation(4).T @ np.diag([1.0, 1.0, 0.9]) @ random_rotation(4)
+    x /= np.linalg.norm(x, axis=1)[:, None]
+    dual = TransportDual(Surface(y, faces), x, y, np.ones(len(y)), "cpu")
+    assert np.median(dual.bound(dual.initial_potential()[0]).visited) < len(faces) / 10
+
+
 @pytest.mark.parametrize("apart", [0.0, 1e-9, 1e-7])
 def test_points_of_a_shrunken_limb_share_their_transform(apart):
     """The points of a limb, nearly one on the conformal sphere, get the bound of an exhaustive search."""
@@ -203,7 +250,7 @@ def test_points_of_a_shrunken_limb_share_their_transform(apart):
     dual = TransportDual(Surface(y, faces), x, y, masses, "cpu")
     potential = dual.initial_potential()[0] + 1e-3 * rng.normal(size=len(y))
     found = dual.bound(potential)
-    terms = dual.edge_terms[np.argsort(dual.order)]
+    terms = dual.edge_terms
     transform = dual.cost - potential - found.vertex_gap
     assert (transform <= lattice_minimum(x, y, faces, potential, terms, 2) + 1e-12).all()
     # What is conceded: the search's tolerance, and as much again between the points that share it.
