@@ -5,8 +5,8 @@ The potential ψ is quadratic on every triangle of the image mesh, in the baryce
     ψ(b) = Σ_k b_k ψ_k + b_0 b_1 e_0 + b_1 b_2 e_1 + b_2 b_0 e_2,
 
 and the point of the sphere is p / |p| with p = Σ_k b_k y_k. The samples of a triangle are its corners and the middles
-of its edges. Triangles, those with long edges in parts, are the leaves of a complete binary tree in heap order, in which
-node k has the children 2k and 2k + 1.
+of its edges. Triangles, or parts of those with long edges, are the leaves of a complete binary tree in heap order, in
+which node k has the children 2k and 2k + 1.
 """
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
