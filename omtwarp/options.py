@@ -8,7 +8,19 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Literal, NotRequired, TypeAlias, TypedDict, Unpack
+from functools import partial
+from typing import (
+    Annotated,
+    Literal,
+    NamedTuple,
+    NotRequired,
+    TypeAlias,
+    TypedDict,
+    Unpack,
+    cast,
+    get_args,
+    get_type_hints,
+)
 
 from omtwarp.device.names import Solver, parse_device
 from omtwarp.errors import OmtwarpError, choose, shown
@@ -245,8 +257,8 @@ class ChosenOptions(TypedDict):
     exact: NotRequired[bool]
 
 
-class MapChoices(TypedDict, total=False):
-    """The options of :func:`omtwarp.map_to_sphere` by name, for functions that pass them on, without the device."""
+class MapKeywords(TypedDict, total=False):
+    """The options of :class:`MapOptions` by name, as users write them, for functions that pass them on."""
 
     method: MethodLike
     until: StageLike
@@ -255,14 +267,9 @@ class MapChoices(TypedDict, total=False):
     refine: str | float | AreaMatch | None
     exact: bool
     optimality: bool
+    device: str | None
     solver: SolverLike
     strict: bool
-
-
-class MapKeywords(MapChoices, total=False):
-    """The options of :func:`omtwarp.map_to_sphere` by name, for functions that pass them on."""
-
-    device: str | None
 
 
 class SurfaceKeywords(TypedDict, total=False):
@@ -276,58 +283,78 @@ class SurfaceKeywords(TypedDict, total=False):
     cut_along: CutAlongLike
 
 
-@dataclass(frozen=True)
-class MapOptions:
-    """The options of :func:`omtwarp.map_to_sphere`, parsed; this class defines the defaults.
+class Option(NamedTuple):
+    """What is said about an option, on the command line and in lists of options, and how its value is read.
 
     Attributes:
-        method: the pipeline, or a system that it is compared with.
-        until: the last stage that is run.
-        cost: what transport minimises.
-        scheme: how it does.
-        refine: a named refinement, the weight of area against angle, an area distortion to match, or None to leave
-            refinement out.
-        exact: whether the triangles are quartered, and each keeps its area, the sum of its parts, to 1e-6.
-        optimality: whether the map's distance from the optimum is bounded too.
-        device: ``auto``, ``cpu``, ``cuda`` or ``cuda:N``.
-        solver: how sparse systems are solved.
-        strict: whether warnings about a map are errors.
+        help: a sentence.
+        metavar: the form of a value; that of a choice is its names.
+        parse: reads a value as users write it; a choice is read by its names, and other values are what they are.
     """
 
-    method: Method = Method.OMT
-    until: Stage = Stage.REFINE
-    cost: Cost = Cost.SQUARED
-    scheme: Scheme = Scheme.DEFAULT
-    refine: Refinement | AreaMatch | float | None = None
-    exact: bool = False
-    optimality: bool = True
-    device: str = "auto"
-    solver: Solver = Solver.AUTO
-    strict: bool = False
+    help: str
+    metavar: str = ""
+    parse: Callable[[object], object] | None = None
+
+    def reader(self, kind: object) -> Callable[[object], object] | None:
+        """Return what reads a value of a type, None where there is nothing to read."""
+        choice = isinstance(kind, type) and issubclass(kind, StrEnum)
+        return partial(choose, cast(type[StrEnum], kind)) if choice and self.parse is None else self.parse
+
+
+Device: TypeAlias = Annotated[str, Option("Device to compute on.", "auto|cpu|cuda:N", parse_device)]
+
+
+@dataclass(frozen=True)
+class MapOptions:
+    """The options of :func:`omtwarp.map_to_sphere`, parsed; types, defaults, help and reading are declared here.
+
+    Raises:
+        OmtwarpError: options exclude each other.
+    """
+
+    method: Annotated[Method, Option("How to map; all but omt are there for comparison.")] = Method.OMT
+    until: Annotated[Stage, Option("Stop after this stage.")] = Stage.REFINE
+    cost: Annotated[Cost, Option("What the transport minimises: squared geodesic distance, or distance.")] = (
+        Cost.SQUARED
+    )
+    scheme: Annotated[Scheme, Option("How the transport descends; paper is the published one.")] = Scheme.DEFAULT
+    refine: Annotated[
+        Refinement | AreaMatch | float | None,
+        Option(
+            "Refine the optimal map towards less distortion: a weight of area against angle; none by default.",
+            "none|area|balanced|angle|NUMBER|match:AREA",
+            parse_refinement,
+        ),
+    ] = None
+    exact: Annotated[
+        bool, Option("Cut every triangle into four and keep the area of each to 1e-6; the map is that of the parts.")
+    ] = False
+    optimality: Annotated[bool, Option("Also bound the cost from below (column gap).")] = True
+    device: Device = "auto"
+    solver: Annotated[Solver, Option("How sparse systems are solved; scipy is the plain way.")] = Solver.AUTO
+    strict: Annotated[bool, Option("Refuse a map that would come with a warning: exit status 1, no output.")] = False
+
+    def __post_init__(self) -> None:
+        optimal = self.method is Method.OMT and Stage.OMT in self.stages and self.refine is None
+        if self.exact and not (optimal and self.scheme is Scheme.DEFAULT):
+            raise OmtwarpError("exact areas are those of the optimal map: leave method, scheme and refine as they are")
 
     @classmethod
     def parse(cls, **given: Unpack[MapKeywords]) -> MapOptions:
         """Read options as users write them; those that are left out have their defaults.
 
         Raises:
-            OmtwarpError: an option has no such value.
+            OmtwarpError: an option is unknown, or has no such value.
         """
-        options = cls(
-            method=choose(Method, given.get("method", cls.method)),
-            until=choose(Stage, given.get("until", cls.until)),
-            cost=choose(Cost, given.get("cost", cls.cost)),
-            scheme=choose(Scheme, given.get("scheme", cls.scheme)),
-            refine=parse_refinement(given.get("refine", cls.refine)),
-            exact=bool(given.get("exact", cls.exact)),
-            optimality=bool(given.get("optimality", cls.optimality)),
-            device=parse_device(given.get("device", cls.device)),
-            solver=choose(Solver, given.get("solver", cls.solver)),
-            strict=bool(given.get("strict", cls.strict)),
-        )
-        optimal = options.method is Method.OMT and Stage.OMT in options.stages and options.refine is None
-        if options.exact and not (optimal and options.scheme is Scheme.DEFAULT):
-            raise OmtwarpError("exact areas are those of the optimal map: leave method, scheme and refine as they are")
-        return options
+        declared, values = options_of(cls), vars(cls()).copy()
+        for name, value in given.items():
+            if name not in declared:
+                raise OmtwarpError(f"unknown option '{name}': use {', '.join(declared)}")
+            kind, option = declared[name]
+            read = option.reader(kind)
+            values[name] = bool(value) if kind is bool else value if read is None else read(value)
+        return cls(**values)
 
     @property
     def stages(self) -> tuple[Stage, ...]:
@@ -351,3 +378,9 @@ class MapOptions:
         if self.exact:
             chosen["exact"] = True
         return chosen
+
+
+def options_of(declaration: type) -> dict[str, tuple[object, Option]]:
+    """Return the type of every option that a class declares, and what is said about it."""
+    hints = get_type_hints(declaration, include_extras=True)
+    return {name: cast(tuple[object, Option], get_args(hint)) for name, hint in hints.items()}

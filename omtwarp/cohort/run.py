@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Unpack, cast
+from typing import Unpack
 
 from omtwarp.cohort.executors import executor_for, make_folders
 from omtwarp.cohort.item import OK, Job, Row, complete_journal, forget_failure, key_of, read_record
@@ -109,7 +109,9 @@ def run_cohort(
     workers = core_count() if workers is None else workers
     if workers < 1:
         raise OmtwarpError(f"{workers} workers: there must be one at least")
-    asked = _asked(options) | {"repair": repair}
+    chosen = vars(MapOptions.parse(**options))
+    asked = {name: str(value) if isinstance(value, str | AreaMatch) else value for name, value in chosen.items()}
+    asked["repair"] = repair
     if fill_area is not None:
         asked["fill_area"] = str(choose(FillArea, fill_area))
     from omtwarp.cohort.page import write_page  # loads Warp, which fails before the work where it cannot start
@@ -158,20 +160,6 @@ def _require_other_inputs(jobs: Sequence[Job], folder: Path) -> None:
     for job in jobs:
         if os.path.realpath(job.path) in written:
             raise OmtwarpError(f"'{job.path}' is an item and would be replaced as a result: choose another folder")
-
-
-def _asked(options: MapKeywords) -> dict[str, object]:
-    """Complete the given options of a map by the defaults, ready for JSON.
-
-    Raises:
-        OmtwarpError: an option is unknown, or has an unknown value.
-    """
-    known = vars(MapOptions())
-    unknown = [name for name in options if name not in known]
-    if unknown:
-        raise OmtwarpError(f"unknown option '{unknown[0]}': use {', '.join(known)}")
-    parsed = vars(MapOptions.parse(**(cast(MapKeywords, known) | options)))
-    return {name: str(value) if isinstance(value, str | AreaMatch) else value for name, value in parsed.items()}
 
 
 def _follow(records: Generator[Row, None, None], done: int, total: int, progress: Progress | None) -> None:

@@ -13,7 +13,7 @@ import typer
 
 import omtwarp
 from omtwarp.commands._command import Command, Group
-from omtwarp.commands._options import with_force
+from omtwarp.commands._options import as_command
 from omtwarp.commands._streams import say, standard_streams
 from omtwarp.commands.align import align_map
 from omtwarp.commands.benchmark import benchmark
@@ -137,7 +137,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
 }
 for _name, _run in COMMANDS.items():
     _register = app.command(_name, cls=Command, short_help=SUMMARIES[_name], epilog=EXAMPLES[_name])
-    _register(with_force(_run))
+    _register(as_command(_run))
 
 
 def _show_version(wanted: bool) -> None:

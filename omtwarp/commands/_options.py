@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import inspect
 import re
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import typer
 from typer.models import OptionInfo
@@ -15,18 +17,7 @@ from typer.models import OptionInfo
 from omtwarp.commands._command import OUTPUTS
 from omtwarp.commands._streams import input_file, output_file
 from omtwarp.errors import Kind, OmtwarpError, choose
-from omtwarp.options import (
-    Backend,
-    Cost,
-    CutAlong,
-    FillArea,
-    Method,
-    Scheme,
-    Solver,
-    Stage,
-    WeightsAt,
-    parse_refinement,
-)
+from omtwarp.options import Backend, FillArea, MapOptions, Option, PatternName
 
 Value = TypeVar("Value")
 
@@ -48,6 +39,19 @@ def named(kind: type[Kind], help: str) -> OptionInfo:
     return typer.Option(metavar="|".join(kind), parser=usage(lambda text: choose(kind, text)), help=help)
 
 
+def readable(name: str, default: object, annotation: object) -> object:
+    """Return an annotation as Typer reads it: of an option that :mod:`omtwarp.options` declares, or unchanged."""
+    kind, *said = _annotated(annotation)
+    if not said or not isinstance(said[0], Option):
+        return annotation
+    option, read = said[0], said[0].reader(kind)
+    if read is None:
+        flags = [] if default else [f"--{name}"]  # without the opposite of what is off
+        return Annotated[kind, typer.Option(*flags, help=option.help)]
+    info = typer.Option(metavar=option.metavar or "|".join(kind), parser=usage(read), help=option.help)
+    return Annotated[str, info]
+
+
 def output_option(help: str, suffix: str | None = None, *, metavar: str = "FILE") -> OptionInfo:
     """Return the option for what a command writes.
 
@@ -60,26 +64,53 @@ def output_option(help: str, suffix: str | None = None, *, metavar: str = "FILE"
     return typer.Option("--output", "-o", metavar=metavar, callback=callback, help=help)
 
 
-def with_force(run: Callable[..., None]) -> Callable[..., None]:
-    """Give a command that writes files the option --force, which :class:`Command` reads; leave another as it is."""
-    signature = inspect.signature(run, eval_str=True)
-    if not any(name in signature.parameters for name in OUTPUTS):
-        return run
+def _annotated(annotation: object) -> tuple:
+    """Return the type that an annotation names, and what is said about it."""
+    return get_args(annotation) if get_origin(annotation) is Annotated else (annotation,)
+
+
+class Only(tuple[str, ...]):
+    """The options of a group that a command takes, in the place of all."""
+
+
+def as_command(run: Callable[..., None]) -> Callable[..., None]:
+    """Return a command as Typer reads it: the options of every group that it takes are options of its own.
+
+    A group is a dataclass, as :class:`Source`. A command that writes files also gets the option --force, which
+    :class:`Command` reads.
+    """
+    groups: dict[str, tuple[Callable[..., object], list[str]]] = {}
+    parameters: list[inspect.Parameter] = []
+
+    def add(name: str, default: object, annotation: object) -> None:
+        read = readable(name, default, annotation)
+        parameters.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=read))
+
+    for name, parameter in inspect.signature(run, eval_str=True).parameters.items():
+        group, *only = _annotated(parameter.annotation)
+        if dataclasses.is_dataclass(group):
+            hints = get_type_hints(group, include_extras=True)
+            fields = [each for each in dataclasses.fields(group) if not only or each.name in only[0]]
+            groups[name] = cast(Callable[..., object], group), [each.name for each in fields]
+            for each in fields:
+                add(each.name, each.default, hints[each.name])
+        else:
+            add(name, parameter.default, parameter.annotation)
+    writes = any(parameter.name in OUTPUTS for parameter in parameters)
+    if writes:
+        add("force", False, ForceOption)
 
     @functools.wraps(run)
-    def command(*, force: bool, **given: object) -> None:
+    def command(**given: object) -> None:
+        if writes:
+            del given["force"]
+        for name, (group, names) in groups.items():
+            given[name] = group(**{each: given.pop(each) for each in names})
         run(**given)
 
-    option = inspect.Parameter("force", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=ForceOption)
-    vars(command)["__signature__"] = signature.replace(parameters=[*signature.parameters.values(), option])
-    command.__annotations__ = run.__annotations__ | {"force": ForceOption}
+    vars(command)["__signature__"] = inspect.Signature(parameters)
+    command.__annotations__ = run.__annotations__ | {each.name: each.annotation for each in parameters}
     return command
-
-
-def refine_weight(text: str) -> str:
-    """Check the value of --refine: a name, a positive number, or an area to match; return it unchanged."""
-    usage(parse_refinement)(text)
-    return text
 
 
 def picture_size(text: str) -> str:
@@ -129,21 +160,6 @@ MapOption = Annotated[
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the facts as JSON on standard output.")]
 VerboseOption = Annotated[bool, typer.Option("--verbose", "-v", help="Print what every stage did.")]
-MethodOption = Annotated[Method, named(Method, "How to map; all but omt are there for comparison.")]
-UntilOption = Annotated[Stage, named(Stage, "Stop after this stage.")]
-CostOption = Annotated[Cost, named(Cost, "What the transport minimises: squared geodesic distance, or distance.")]
-SchemeOption = Annotated[Scheme, named(Scheme, "How the transport descends; paper is the published one.")]
-RefineOption = Annotated[
-    str,
-    typer.Option(
-        metavar="none|area|balanced|angle|NUMBER|match:AREA",
-        callback=refine_weight,
-        help="Refine the optimal map towards less distortion: a weight of area against angle.",
-    ),
-]
-WeightsAtOption = Annotated[WeightsAt, named(WeightsAt, "What the weights belong to; auto goes by their number.")]
-SolverOption = Annotated[Solver, named(Solver, "How sparse systems are solved; scipy is the plain way.")]
-DeviceOption = Annotated[str, typer.Option(metavar="auto|cpu|cuda:N", help="Device to compute on.")]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress and no summary.")]
 RepairOption = Annotated[
     bool,
@@ -152,51 +168,14 @@ RepairOption = Annotated[
         help="Repair the mesh first: equal vertices, orientation, small holes, largest component; prints what it did.",
     ),
 ]
-StrictOption = Annotated[
-    bool, typer.Option("--strict", help="Refuse a map that would come with a warning: exit status 1, no output.")
-]
-ExactOption = Annotated[
-    bool,
-    typer.Option(
-        "--exact", help="Cut every triangle into four and keep the area of each to 1e-6; the map is that of the parts."
-    ),
-]
-HemisphereOption = Annotated[
-    bool, typer.Option("--hemisphere", help="Map a surface with a hole to the hemisphere, the boundary on the equator.")
-]
-DiskOption = Annotated[
-    bool, typer.Option("--disk", help="Map a surface with a hole to the unit disk, by Lambert's equal-area projection.")
-]
-CapOption = Annotated[
-    bool,
-    typer.Option("--cap", help="Map a surface with a hole to a spherical cap of the area that the filled hole leaves."),
-]
 FillAreaOption = Annotated[
     FillArea | None,
     named(FillArea, "Fill holes, on the sphere as large as they are or small; the filling is in the .npz only."),
 ]
-ComponentsOption = Annotated[
-    bool, typer.Option("--components", help="Map every part of the surface by itself, each to a sphere of its own.")
-]
-TogetherOption = Annotated[
-    bool,
-    typer.Option("--together", help="Map all parts to disjoint caps of one sphere, in proportion to their areas."),
-]
-CutOption = Annotated[
-    bool,
-    typer.Option("--cut", help="Cut handles open along short loops and map to the sphere; textures have seams there."),
-]
-CutAlongOption = Annotated[
-    CutAlong | None,
-    named(
-        CutAlong,
-        "Cut along the shortest loops, around handles, or through the holes that these make, which leaves fewer limbs.",
-    ),
-]
-TorusOption = Annotated[bool, typer.Option("--torus", help="Map a closed surface of genus 1 to a flat torus.")]
 ImageOption = Annotated[
     Path | None, typer.Option(metavar="PICTURE", help="An equirectangular picture to put on the surface.")
 ]
+PatternOption = Annotated[PatternName | None, typer.Option(help="A pattern in place of a picture; circles by default.")]
 UpOption = Annotated[
     str | None, typer.Option(metavar="AXIS", help="The axis that points upwards: y, z, -x, ...; guessed by default.")
 ]
@@ -211,3 +190,31 @@ RadiusOption = Annotated[
 SizeOption = Annotated[
     str, typer.Option(metavar="WIDTHxHEIGHT", callback=picture_size, help="Size of the picture in pixels.")
 ]
+
+ROUTE = Only(("method", "until", "cost", "scheme", "refine", "device", "solver"))
+"""The options of a map for commands that make something from it."""
+
+RouteOptions = Annotated[MapOptions, ROUTE]
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a command works on: meshes, of which it makes maps, or a finished map."""
+
+    meshes: OptionalMeshes = None
+    finished: MapOption = None
+    repair: RepairOption = False
+
+    @property
+    def files(self) -> list[Path]:
+        """All files that are given."""
+        return [*(self.meshes or []), *([] if self.finished is None else [self.finished])]
+
+
+@dataclass(frozen=True)
+class Printing:
+    """What a command says about its work."""
+
+    as_json: JsonOption = False
+    verbose: VerboseOption = False
+    quiet: QuietOption = False

@@ -5,18 +5,18 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Unpack, overload
+from typing import TYPE_CHECKING, cast
 
+from omtwarp.commands._options import Printing, Source
 from omtwarp.commands._streams import say
-from omtwarp.commands._work import load_map, make_map, require_bijective, require_whole, say_made, start_device
+from omtwarp.commands._work import make_map, require_bijective, require_whole, say_made, start_device
 from omtwarp.errors import OmtwarpError
-from omtwarp.options import Domain
+from omtwarp.options import Domain, MapOptions
 
 if TYPE_CHECKING:
     from omtwarp.maps.result import MapResult
     from omtwarp.maps.torus_map import TorusMap
     from omtwarp.mesh.surface import Surface
-    from omtwarp.options import MapChoices
     from omtwarp.texturing import PaintedMesh
 
 
@@ -47,40 +47,8 @@ def read_sound_painted(path: Path, repair: bool) -> tuple[PaintedMesh, Surface]:
     return mesh, surface
 
 
-@overload
 def painted_map(
-    path: Path,
-    finished: Path | None,
-    *,
-    repair: bool,
-    quiet: bool,
-    device: str,
-    torus: Literal[False] = False,
-    verbose: bool = False,
-    **options: Unpack[MapChoices],
-) -> tuple[PaintedMesh, MapResult]: ...
-@overload
-def painted_map(
-    path: Path,
-    finished: Path | None,
-    *,
-    repair: bool,
-    quiet: bool,
-    device: str,
-    torus: bool,
-    verbose: bool = False,
-    **options: Unpack[MapChoices],
-) -> tuple[PaintedMesh, MapResult | TorusMap]: ...
-def painted_map(
-    path: Path,
-    finished: Path | None,
-    *,
-    repair: bool,
-    quiet: bool,
-    device: str,
-    torus: bool = False,
-    verbose: bool = False,
-    **options: Unpack[MapChoices],
+    path: Path, source: Source, mapping: MapOptions, printing: Printing
 ) -> tuple[PaintedMesh, MapResult | TorusMap]:
     """Return a mesh with its materials and its map, which is read where it is finished and computed otherwise.
 
@@ -88,48 +56,48 @@ def painted_map(
         OmtwarpError: the mesh or the map cannot be used, or the map is of another mesh.
     """
 
-    if finished is not None:
-        from omtwarp.texturing import read_painted_mesh
+    if source.finished is None:
+        mesh, surface = read_sound_painted(path, source.repair)
+        return mesh, _mapped(surface, path, mapping, printing)
+    from omtwarp.maps.torus_map import read_map
+    from omtwarp.texturing import read_painted_mesh
 
-        result = load_map(finished, torus)
-        require_bijective(result, finished)
-        mesh = read_painted_mesh(path)
-        if repair and len(mesh.faces) != len(result.faces):
-            mesh, _ = read_sound_painted(path, repair)
-        try:
-            mesh.on(result.vertices, result.faces)
-        except OmtwarpError as error:
-            raise OmtwarpError(f"{finished} and {path}: {error}") from None
-        return mesh, result
-    mesh, surface = read_sound_painted(path, repair)
-    return mesh, _mapped(surface, path, quiet=quiet, device=device, verbose=verbose, **options)
+    result = read_map(source.finished)
+    require_bijective(result, source.finished)
+    mesh = read_painted_mesh(path)
+    if source.repair and len(mesh.faces) != len(result.faces):
+        mesh, _ = read_sound_painted(path, source.repair)
+    try:
+        mesh.on(result.vertices, result.faces)
+    except OmtwarpError as error:
+        raise OmtwarpError(f"{source.finished} and {path}: {error}") from None
+    return mesh, result
 
 
 def painted_maps(
-    files: Sequence[tuple[Path, Path | None]], *, repair: bool, quiet: bool, device: str, verbose: bool
+    files: Sequence[tuple[Path, Path | None]], *, repair: bool, device: str, printing: Printing
 ) -> list[tuple[PaintedMesh, MapResult]]:
     """Return meshes with their materials and maps of the whole sphere; all are read before the first is mapped.
 
     Args:
         files: of meshes, each with that of its finished map, or None for one that is computed.
         repair: whether to repair meshes first.
-        quiet: whether to draw no progress.
         device: where kernels run.
-        verbose: whether to say what every stage of a new map did.
+        printing: what is said about new maps.
 
     Raises:
         OmtwarpError: a mesh or a map cannot be used, a map is of another mesh, or does not cover the sphere.
     """
-    finished, sound = {}, {}
+    known, sound, mapping = {}, {}, MapOptions(device=device)
     for number, (path, of_map) in enumerate(files):
         if of_map is None:
             sound[number] = read_sound_painted(path, repair)
         else:
-            mesh, result = painted_map(path, of_map, repair=repair, quiet=quiet, device=device, verbose=verbose)
-            finished[number] = mesh, require_whole(result, of_map)
+            mesh, result = painted_map(path, Source(finished=of_map, repair=repair), mapping, printing)
+            known[number] = mesh, require_whole(result, of_map)
     for number, (mesh, surface) in sound.items():
-        finished[number] = mesh, _mapped(surface, files[number][0], quiet=quiet, device=device, verbose=verbose)
-    return [finished[number] for number in range(len(files))]
+        known[number] = mesh, _mapped(surface, files[number][0], mapping, printing)
+    return [known[number] for number in range(len(files))]
 
 
 def standing(
@@ -172,12 +140,10 @@ def standing(
     return result.with_arrays({"sphere": result.sphere @ turn.T}) if certain else result
 
 
-def _mapped(
-    surface: Surface, path: Path, *, quiet: bool, device: str, verbose: bool, **options: Unpack[MapChoices]
-) -> MapResult:
+def _mapped(surface: Surface, path: Path, mapping: MapOptions, printing: Printing) -> MapResult:
     """Map the surface of a file, and say how well."""
-    start_device(device)
-    made = make_map(surface, quiet=quiet, device=device, **options)
+    start_device(mapping.device)
+    made = cast("MapResult", make_map(surface, mapping, quiet=printing.quiet))
     require_bijective(made)
-    say_made(made, path, quiet=quiet, verbose=verbose)
+    say_made(made, path, printing)
     return made

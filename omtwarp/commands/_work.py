@@ -7,14 +7,16 @@ import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Protocol, Unpack, overload, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from omtwarp.commands._facts import facts_of, quality
+from omtwarp.commands._options import Printing, Source
 from omtwarp.commands._progress import progress_bar
 from omtwarp.commands._streams import is_standard_output, say
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
-from omtwarp.options import MapChoices, MapKeywords, SurfaceKeywords, WeightsAt, parse_device
+from omtwarp.options import MapOptions, SurfaceKeywords, WeightsAt, parse_device
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -45,11 +47,11 @@ class Input:
     file_faces: NDArray | None = None
 
 
-def show_facts(facts: Mapping[str, object], line: str, *, as_json: bool, quiet: bool) -> None:
+def show_facts(facts: Mapping[str, object], line: str, printing: Printing) -> None:
     """Print the outcome of a command on standard output: its facts as JSON, or a line for readers."""
-    if as_json:
+    if printing.as_json:
         print(report_text(facts), end="")
-    elif not quiet:
+    elif not printing.quiet:
         print(line)
 
 
@@ -148,26 +150,27 @@ def each(meshes: Sequence[Path], targets: Sequence[Path | None], action: Callabl
         raise OmtwarpError(f"{len(failed)} of {len(meshes)} meshes failed: {', '.join(failed)}")
 
 
-def targets_of(meshes: Sequence[Path], finished: Path | None, output: Path, suffix: str) -> list[Path]:
+def targets_of(source: Source, output: Path, suffix: str) -> list[Path]:
     """Return the output path of every mesh, as :func:`outputs_of`, or that of a finished map in their place.
 
     Raises:
         OmtwarpError: as of :func:`outputs_of`, or one map is given for several meshes.
     """
+    meshes = source.meshes or []
     if len(meshes) < 2:
         return [output]
-    if finished is not None:
-        raise OmtwarpError(f"one map '{finished}' cannot be that of {len(meshes)} meshes: give one mesh, or no map")
+    if source.finished is not None:
+        raise OmtwarpError(
+            f"one map '{source.finished}' cannot be that of {len(meshes)} meshes: give one mesh, or no map"
+        )
     return [target for target in outputs_of(meshes, output, suffix) if target is not None]
 
 
 def show_each(
-    meshes: Sequence[Path],
+    meshes: Sequence[Path] | None,
     targets: Sequence[Path],
     action: Callable[[Path | None, Path], tuple[Mapping[str, object], str]],
-    *,
-    as_json: bool,
-    quiet: bool,
+    printing: Printing,
 ) -> None:
     """Process every mesh and print the outcomes; with several, one that fails does not stop the others.
 
@@ -175,29 +178,29 @@ def show_each(
         meshes: the inputs; none where a finished map takes their place.
         targets: what is written for each.
         action: processes one mesh, or None for the map, and returns the facts about it and a line for readers.
-        as_json: print the facts as JSON, as a list for several meshes.
-        quiet: print no line.
+        printing: whether facts are printed as JSON, as a list for several meshes, or lines.
 
     Raises:
         OmtwarpError: as of :func:`each`.
     """
-    found: list[Mapping[str, object]] = []
+    known: list[Mapping[str, object]] = []
 
     def one(mesh: Path | None, target: Path | None) -> None:
         assert target is not None
         facts, line = action(mesh, target)
-        found.append(facts)
-        if not as_json and not quiet:
+        known.append(facts)
+        if not printing.as_json and not printing.quiet:
             print(line)
 
+    given = meshes or []
     try:
-        if meshes:
-            each(meshes, targets, one)
+        if given:
+            each(given, targets, one)
         else:
             one(None, targets[0])
     finally:
-        if as_json and (found or len(meshes) > 1):
-            print(report_text(found if len(meshes) > 1 else found[0]), end="")
+        if printing.as_json and (known or len(given) > 1):
+            print(report_text(known if len(given) > 1 else known[0]), end="")
 
 
 def start_device(device: str) -> None:
@@ -212,27 +215,7 @@ def start_device(device: str) -> None:
     resolve_device(device)
 
 
-@overload
-def load_map(path: Path, torus: Literal[False] = False) -> MapResult: ...
-@overload
-def load_map(path: Path, torus: bool) -> MapResult | TorusMap: ...
-def load_map(path: Path, torus: bool = False) -> MapResult | TorusMap:
-    """Read a finished map.
-
-    Args:
-        path: the file.
-        torus: whether a map to a torus will do.
-
-    Raises:
-        OmtwarpError: the file is missing or is no map, or is a map to a torus where the command takes none.
-    """
-    from omtwarp.maps.result import MapResult
-    from omtwarp.maps.torus_map import read_map
-
-    return read_map(path) if torus else MapResult.load(path)
-
-
-def require_whole(result: MapResult, name: object) -> MapResult:
+def require_whole(result: MapResult | TorusMap, name: object) -> MapResult:
     """Make sure that a map covers the sphere, with what fills its holes, as integrals over it and harmonics need.
 
     Args:
@@ -240,8 +223,12 @@ def require_whole(result: MapResult, name: object) -> MapResult:
         name: of its file, for the message.
 
     Raises:
-        OmtwarpError: the map covers a hemisphere, a disk or a cap, or is of several parts.
+        OmtwarpError: the map covers a torus, a hemisphere, a disk or a cap, or is of several parts.
     """
+    from omtwarp.maps.result import MapResult
+
+    if not isinstance(result, MapResult):
+        raise OmtwarpError(f"'{name}' is a map to a torus, where one to the sphere is needed, as --cut makes")
     try:
         result.closed()
     except OmtwarpError as error:
@@ -256,9 +243,11 @@ def load_whole_map(path: Path) -> MapResult:
         path: the file.
 
     Raises:
-        OmtwarpError: as of :func:`load_map`, or the map covers a part of the sphere.
+        OmtwarpError: the file is missing or is no map to the sphere, or the map covers a part of it.
     """
-    return require_whole(load_map(path), path)
+    from omtwarp.maps.torus_map import read_map
+
+    return require_whole(read_map(path), path)
 
 
 def report_text(report: object) -> str:
@@ -284,71 +273,40 @@ class HasList(Protocol):
         """Return the values as Python's own numbers and lists."""
 
 
-@overload
 def make_map(
     surface: Surface,
-    *,
-    quiet: bool,
-    any_surface: None = None,
-    weights: ArrayLike | None = None,
-    weights_at: WeightsAt = WeightsAt.AUTO,
-    target: TargetDensity | None = None,
-    **options: Unpack[MapKeywords],
-) -> MapResult: ...
-@overload
-def make_map(
-    surface: Surface,
-    *,
-    quiet: bool,
-    any_surface: SurfaceKeywords | None,
-    weights: ArrayLike | None = None,
-    weights_at: WeightsAt = WeightsAt.AUTO,
-    target: TargetDensity | None = None,
-    **options: Unpack[MapKeywords],
-) -> MapResult | TorusMap: ...
-def make_map(
-    surface: Surface,
+    mapping: MapOptions,
     *,
     quiet: bool,
     any_surface: SurfaceKeywords | None = None,
     weights: ArrayLike | None = None,
     weights_at: WeightsAt = WeightsAt.AUTO,
     target: TargetDensity | None = None,
-    **options: Unpack[MapKeywords],
 ) -> MapResult | TorusMap:
     """Map a mesh with a progress bar; its warnings are lines on standard error.
 
     Args:
         surface: what to map.
+        mapping: the options of the map.
         quiet: whether to draw no progress.
         any_surface: options of :func:`omtwarp.map_surface` for a mesh that is no sphere.
         weights: of vertices or triangles.
         weights_at: which of them.
         target: the density on the sphere.
-        options: those of :func:`omtwarp.map_to_sphere`.
     """
     from omtwarp.mapping.pipeline import map_to_sphere
 
-    result: MapResult | TorusMap
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", OmtwarpWarning)
         with progress_bar(quiet) as progress:
+            mapped: Callable[..., MapResult | TorusMap] = map_to_sphere
             if any_surface is not None:
                 from omtwarp.mapping.any_surface import map_surface
 
-                result = map_surface(
-                    surface,
-                    weights=weights,
-                    weights_at=weights_at,
-                    target=target,
-                    progress=progress,
-                    **any_surface,
-                    **options,
-                )
-            else:
-                result = map_to_sphere(
-                    surface, weights=weights, weights_at=weights_at, target=target, progress=progress, **options
-                )
+                mapped = partial(map_surface, **any_surface)
+            result = mapped(
+                surface, weights=weights, weights_at=weights_at, target=target, progress=progress, **vars(mapping)
+            )
     for each_warning in caught:
         if issubclass(each_warning.category, OmtwarpWarning):
             say(f"warning: {each_warning.message}")
@@ -369,88 +327,45 @@ def require_bijective(result: MapResult | TorusMap, path: Path | None = None) ->
         raise OmtwarpError(f"{path or 'the map'}: not one to one: {result.certificate}")
 
 
-@overload
-def map_from(
-    mesh: Path | None,
-    finished: Path | None,
-    *,
-    repair: bool,
-    quiet: bool,
-    device: str,
-    torus: Literal[False] = False,
-    verbose: bool = False,
-    **options: Unpack[MapChoices],
-) -> MapResult: ...
-@overload
-def map_from(
-    mesh: Path | None,
-    finished: Path | None,
-    *,
-    repair: bool,
-    quiet: bool,
-    device: str,
-    torus: bool,
-    verbose: bool = False,
-    **options: Unpack[MapChoices],
-) -> MapResult | TorusMap: ...
-def map_from(
-    mesh: Path | None,
-    finished: Path | None,
-    *,
-    repair: bool,
-    quiet: bool,
-    device: str,
-    torus: bool = False,
-    verbose: bool = False,
-    **options: Unpack[MapChoices],
-) -> MapResult | TorusMap:
+def map_from(mesh: Path | None, source: Source, mapping: MapOptions, printing: Printing) -> MapResult | TorusMap:
     """Return the map that a command works on: read if it is finished, otherwise computed from the mesh.
 
     Args:
-        mesh: a mesh, or a finished map in its place.
-        finished: a finished map.
-        repair: whether to repair the mesh first.
-        quiet: whether to draw no progress.
-        device: where kernels run.
-        torus: whether a map to a torus will do.
-        verbose: whether to say what every stage of a new map did.
-        options: those of :func:`omtwarp.map_to_sphere`.
+        mesh: a mesh, or a finished map in its place; None for the finished map that is given.
+        source: all that is given.
+        mapping: the options of a new map.
+        printing: what is said about it.
 
     Raises:
         OmtwarpError: neither or both of mesh and map are given, or the one given cannot be used.
     """
+    from omtwarp.maps.result import OF_MAPS
+    from omtwarp.maps.torus_map import read_map
+
+    finished = source.finished
     if mesh is not None and finished is None and mesh.suffix.lower() == ".npz":
         from omtwarp.files.inputs import holds_array
-        from omtwarp.maps.result import OF_MAPS
 
         if holds_array(mesh, *OF_MAPS):
             mesh, finished = None, mesh  # a map in place of a mesh
     if finished is not None:
         if mesh is not None:
             raise OmtwarpError(f"both a mesh '{mesh}' and a finished map '{finished}': the map has its mesh, give one")
-        return load_map(finished, torus)
+        return read_map(finished)
     if mesh is None:
         raise OmtwarpError("nothing to work on: give a mesh, or a finished map with --map")
-    sound = read_sound_mesh(mesh, repair)
-    start_device(device)
-    result = make_map(sound.surface, quiet=quiet, device=device, **options)
-    say_made(result, mesh, quiet=quiet, verbose=verbose)
+    sound = read_sound_mesh(mesh, source.repair)
+    start_device(mapping.device)
+    result = make_map(sound.surface, mapping, quiet=printing.quiet)
+    say_made(result, mesh, printing)
     return result
 
 
-def say_made(result: MapResult | TorusMap, mesh: Path, *, quiet: bool, verbose: bool) -> None:
-    """Print the quality of a map that a command made on its way, and what every stage did.
-
-    Args:
-        result: the map.
-        mesh: the file that was mapped.
-        quiet: whether to leave the line about the quality out.
-        verbose: whether to print the stages.
-    """
-
-    if verbose:
+def say_made(result: MapResult | TorusMap, mesh: Path, printing: Printing) -> None:
+    """Print the quality of a map of a file that a command made on its way, and what every stage did."""
+    if printing.verbose:
         say_stages(result)
-    if not quiet:
+    if not printing.quiet:
         say(f"{mesh}: {quality(facts_of(result, mesh))}")
 
 

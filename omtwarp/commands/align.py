@@ -16,10 +16,10 @@ from omtwarp.commands._features import (
     ToSurfaceOption,
     read_features,
 )
-from omtwarp.commands._options import JsonOption, QuietOption, RadiusOption, VerboseOption
+from omtwarp.commands._options import Printing, RadiusOption
 from omtwarp.commands._progress import progress_bar, steps
 from omtwarp.commands._streams import input_file
-from omtwarp.commands._work import load_map, report_text
+from omtwarp.commands._work import report_text
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output
 from omtwarp.options import AlignBy
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 
 def align_map(
+    *,
     source: MovingArgument,
     output: MovedOption,
     to: Annotated[
@@ -52,9 +53,7 @@ def align_map(
     ] = False,
     degree: Annotated[int, typer.Option(min=1, max=64, help="Highest degree of the spherical harmonics.")] = 16,
     radius: RadiusOption = 1.0,
-    as_json: JsonOption = False,
-    verbose: VerboseOption = False,
-    quiet: QuietOption = False,
+    printing: Printing,
 ) -> None:
     """Rotate a map's sphere by its shape's own axes, or to another map.
 
@@ -75,7 +74,7 @@ def align_map(
     for ours in (source, surface):
         for theirs in (other, to_surface):
             require_same_structure(ours, theirs)
-    with progress_bar(quiet, verbose) as progress:
+    with progress_bar(printing.quiet, printing.verbose) as progress:
         notify = steps(progress, "align", 3)
         moving = file_points(source, surface)
         fixed = "axes" if to == "axes" else as_points(to) if other is None else file_points(other, to_surface)
@@ -97,9 +96,9 @@ def align_map(
             faces = moving.grid.own_triangles[:, ::-1] if found.mirrored else moving.grid.own_triangles
             write_mesh(output, radius * found.sphere, faces, spherical=True, like=source)
         notify(3)
-    if as_json:
+    if printing.as_json:
         print(report_text({"output": str(output), **found.to_dict()}), end="")
-    elif not quiet:
+    elif not printing.quiet:
         mirrored = ", mirrored" * found.mirrored
         print(
             f"{output}: turned by {_degrees(found):.3f} degrees{mirrored}; by {found.method} ({found.basis}), "
@@ -117,4 +116,6 @@ def _degrees(found: Alignment) -> float:
 
 def _save_map(source: Path, output: Path, found: Alignment) -> None:
 
-    found.turned(load_map(source)).save(output)
+    from omtwarp.maps.result import MapResult
+
+    found.turned(MapResult.load(source)).save(output)

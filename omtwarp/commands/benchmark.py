@@ -8,12 +8,13 @@ from typing import Annotated
 
 import typer
 
-from omtwarp.commands._options import RefineOption, VerboseOption, output_option
+from omtwarp.commands._options import Only, VerboseOption, output_option
 from omtwarp.commands._streams import input_file, output_file, say
 from omtwarp.commands._work import report_text, start_device
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.limits import MOST_FACES, MOST_REPEATS
 from omtwarp.files.output import check_output, staged
+from omtwarp.options import MapOptions, Refinement
 
 
 def face_counts(text: str) -> str:
@@ -42,6 +43,7 @@ def parse_sizes(text: str) -> tuple[int, ...]:
 
 
 def benchmark(
+    *,
     meshes: Annotated[
         list[Path] | None,
         typer.Argument(
@@ -71,7 +73,7 @@ def benchmark(
     repeats: Annotated[
         int, typer.Option(min=1, max=MOST_REPEATS, help="Number of maps, of which the median is taken.")
     ] = 3,
-    refine: RefineOption = "none",
+    mapping: Annotated[MapOptions, Only(("refine",))],
     kernels: Annotated[
         bool, typer.Option("--kernels", help="Also measure every kernel, and the memory it moves.")
     ] = False,
@@ -118,7 +120,7 @@ def benchmark(
         subdivisions=subdivisions,
         devices=wanted,
         repeats=repeats,
-        refine=refine,
+        refine=str(mapping.refine or Refinement.NONE),
         kernels=kernels,
         cold=cold,
         progress=None if quiet else say,

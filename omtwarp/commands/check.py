@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Required, TypedDict
 
 import typer
 
-from omtwarp.commands._options import JsonOption, MeshArguments, QuietOption, VerboseOption, output_option
+from omtwarp.commands._options import MeshArguments, Printing, output_option
 from omtwarp.commands._progress import step_times
 from omtwarp.commands._streams import say
 from omtwarp.commands._work import each, of_a_map, outputs_of, report_text
@@ -22,15 +22,14 @@ if TYPE_CHECKING:
 
 
 def check_mesh(
+    *,
     meshes: MeshArguments,
     repair: Annotated[bool, typer.Option("--repair", help="Repair the mesh, and list what was done.")] = False,
     output: Annotated[
         Path | None,
         output_option("Write the repaired mesh.", ".ply"),
     ] = None,
-    as_json: JsonOption = False,
-    verbose: VerboseOption = False,
-    quiet: QuietOption = False,
+    printing: Printing,
 ) -> None:
     """List what keeps meshes from being mapped to the sphere.
 
@@ -47,19 +46,22 @@ def check_mesh(
     found: list[MeshFacts] = []
 
     def examine(mesh: Path, target: Path | None) -> None:
-        found.append(facts_of(mesh, repair, target, verbose=verbose))
-        if not as_json and not quiet:
+        found.append(facts_of(mesh, repair, target, verbose=printing.verbose))
+        if not printing.as_json and not printing.quiet:
             print("\n".join(lines_about(found[-1])))
         count = len(found[-1]["defects"])
         if count:
             saved = f"; what could be repaired was saved as '{target}'" if target is not None else ""
-            left, where = (" left" if repair else ""), ("" if as_json or quiet else ", see above")
+            left, where = (
+                (" left" if repair else ""),
+                ("" if printing.as_json or printing.quiet else ", see above"),
+            )
             raise OmtwarpError(f"{mesh}: {count} kind{'s' * (count > 1)} of defect{left}{where}{saved}")
 
     try:
         each(meshes, targets, examine)
     finally:
-        if as_json:
+        if printing.as_json:
             print(report_text(found[0] if len(meshes) == 1 and found else found), end="")
 
 

@@ -13,24 +13,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from omtwarp.commands._options import (
-    CostOption,
-    DeviceOption,
-    FillAreaOption,
-    MethodOption,
-    QuietOption,
-    RefineOption,
-    RepairOption,
-    SchemeOption,
-    SolverOption,
-    UntilOption,
-    VerboseOption,
-    output_option,
-)
+from omtwarp.commands._options import ROUTE, FillAreaOption, Only, Printing, RepairOption, output_option
 from omtwarp.commands._streams import input_table, say
 from omtwarp.errors import INTERRUPTED, OmtwarpError
 from omtwarp.files.interruptions import LINE, raised
-from omtwarp.options import MapOptions, Refinement
+from omtwarp.options import MapOptions
 
 if TYPE_CHECKING:
     from omtwarp.options import Progress, Record
@@ -50,6 +37,7 @@ def parse_shard(text: str) -> tuple[int, int]:
 
 
 def cohort(
+    *,
     manifest: Annotated[
         str,
         typer.Argument(
@@ -80,21 +68,10 @@ def cohort(
     ] = 0.0,
     retry: Annotated[bool, typer.Option("--retry", help="Compute failed items again.")] = False,
     collect: Annotated[bool, typer.Option("--collect", help="Compute nothing; write the table and the page.")] = False,
-    optimality: Annotated[
-        bool, typer.Option(help="Also bound the cost from below (column gap).")
-    ] = MapOptions.optimality,
-    method: MethodOption = MapOptions.method,
-    until: UntilOption = MapOptions.until,
-    cost: CostOption = MapOptions.cost,
-    scheme: SchemeOption = MapOptions.scheme,
-    refine: RefineOption = str(Refinement.NONE),
+    mapping: Annotated[MapOptions, Only((*ROUTE, "optimality"))],
     fill_area: FillAreaOption = None,
     repair: RepairOption = False,
-    device: DeviceOption = MapOptions.device,
-    solver: SolverOption = MapOptions.solver,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the results of the run as JSON.")] = False,
-    verbose: VerboseOption = False,
-    quiet: QuietOption = False,
+    printing: Printing,
 ) -> None:
     """Map many surfaces: one process each, with limits; failures are rows of the table; a rerun continues.
 
@@ -104,7 +81,7 @@ def cohort(
 
     part = parse_shard(shard)
     items = read_manifest(input_table(manifest))
-    with _ended_when_interrupted(), _reporting(quiet, verbose) as progress:
+    with _ended_when_interrupted(), _reporting(printing.quiet, printing.verbose) as progress:
         result = run_cohort(
             items,
             output,
@@ -118,16 +95,9 @@ def cohort(
             progress=progress,
             repair=repair,
             fill_area=fill_area,
-            method=method,
-            until=until,
-            cost=cost,
-            scheme=scheme,
-            refine=refine,
-            optimality=optimality,
-            device=device,
-            solver=solver,
+            **vars(mapping),
         )
-    if as_json:
+    if printing.as_json:
         known = {
             "counts": result.counts,
             "computed": result.computed,
@@ -135,7 +105,7 @@ def cohort(
             "page": str(result.page),
         }
         print(json.dumps(known))
-    elif not quiet:
+    elif not printing.quiet:
         counts = ", ".join(f"{count} {status}" for status, count in sorted(result.counts.items()))
         print(f"{result.table}: {counts}; {result.computed} computed in this run; {result.page}")
 

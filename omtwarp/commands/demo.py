@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
 from omtwarp.commands._facts import facts_of, summary
-from omtwarp.commands._options import DeviceOption, JsonOption, QuietOption, VerboseOption, output_option
+from omtwarp.commands._options import Printing, output_option
 from omtwarp.commands._work import make_map, report_text, say_stages, start_device
 from omtwarp.commands.map import save
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.limits import MOST_DEMO_FACES
 from omtwarp.files.output import check_output, folder_of_results, staged
-from omtwarp.options import MapOptions
+from omtwarp.options import Device, MapOptions
+
+if TYPE_CHECKING:
+    from omtwarp.maps.result import MapResult
 
 UP, FRONT, VIEW = "z", "-y", (40.0, 15.0)
 """The creature stands on its feet and looks past the viewer's right shoulder."""
@@ -27,14 +30,13 @@ NAMES = ("creature.ply", "map.npz", "report.json", "globe.glb", "globe.png", "ci
 
 
 def demo(
+    *,
     output: Annotated[Path, output_option("Folder of the results.", metavar="DIRECTORY")] = Path("out"),
     faces: Annotated[
         int, typer.Option(min=2000, max=MOST_DEMO_FACES, help="Roughly how many faces the shape has.")
     ] = 20000,
-    device: DeviceOption = MapOptions.device,
-    as_json: JsonOption = False,
-    verbose: VerboseOption = False,
-    quiet: QuietOption = False,
+    device: Device = MapOptions.device,
+    printing: Printing,
 ) -> None:
     """Make a shape, map it, texture it and draw it: mesh, map, report, textured model and pictures."""
     start_device(device)
@@ -43,10 +45,10 @@ def demo(
     except OSError as error:
         raise OmtwarpError(f"cannot make the directory '{output}': {error.strerror or error}") from None
     with folder_of_results(output, *NAMES):
-        _make(output, faces, device, as_json, verbose, quiet)
+        _make(output, faces, device, printing)
 
 
-def _make(output: Path, faces: int, device: str, as_json: bool, verbose: bool, quiet: bool) -> None:
+def _make(output: Path, faces: int, device: str, printing: Printing) -> None:
     """Make the files of the demo; arguments are those of the command."""
     from omtwarp.mesh.shapes import demo_shape
     from omtwarp.mesh.write import write_mesh
@@ -56,7 +58,7 @@ def _make(output: Path, faces: int, device: str, as_json: bool, verbose: bool, q
     start = time.perf_counter()
 
     def notify(text: str) -> None:
-        if not quiet and not as_json:
+        if not printing.quiet and not printing.as_json:
             print(f"{time.perf_counter() - start:6.1f} s  {text}", flush=True)
 
     from omtwarp.render import comparison, preview
@@ -65,12 +67,12 @@ def _make(output: Path, faces: int, device: str, as_json: bool, verbose: bool, q
     surface = demo_shape(faces)
     write_mesh(mesh_file, surface.vertices, surface.faces)
     notify(f"{mesh_file}: a creature of {surface.face_count} faces")
-    result = make_map(surface, quiet=quiet, device=device)
+    result = cast("MapResult", make_map(surface, MapOptions(device=device), quiet=printing.quiet))
     with staged(map_file) as file:
         save(result, file)
     with staged(report_file) as file:
         file.write_text(report_text({**result.report, "history": result.history}), "utf-8")
-    if verbose:
+    if printing.verbose:
         say_stages(result)
     facts = facts_of(result, map_file, report_file)
     notify(summary(facts_of(result, map_file)))
@@ -84,5 +86,5 @@ def _make(output: Path, faces: int, device: str, as_json: bool, verbose: bool, q
     circles_picture = rasterize("circles", PICTURE_WIDTH, device=device)
     comparison(result, comparison_file, image=circles_picture, up=UP, front=FRONT, views=VIEW, device=device)
     notify(f"{comparison_file}: the conformal and the area-preserving map")
-    if as_json:
+    if printing.as_json:
         print(report_text(facts | {"output": str(output), "files": [str(file) for file in files]}), end="")

@@ -7,23 +7,23 @@ from typing import Annotated
 
 import typer
 
-from omtwarp.commands._options import DeviceOption, QuietOption, VerboseOption
+from omtwarp.commands._options import Printing
 from omtwarp.commands._progress import progress_bar
 from omtwarp.commands._streams import input_file
 from omtwarp.commands._work import load_whole_map, report_text, start_device
+from omtwarp.options import Device, MapOptions
 
 
 def distance(
+    *,
     first: Annotated[Path, typer.Argument(metavar="A", callback=input_file, help="A map (.npz); - is standard input.")],
     second: Annotated[Path, typer.Argument(metavar="B", callback=input_file, help="Another map (.npz).")],
     degree: Annotated[int, typer.Option(metavar="L", min=1, max=64, help="Highest degree of the harmonics.")] = 12,
     scale: Annotated[
         bool, typer.Option("--scale", help="Scale both shapes to the same size before coefficients are compared.")
     ] = False,
-    device: DeviceOption = "auto",
-    as_json: Annotated[bool, typer.Option("--json", help="Print the distances as JSON.")] = False,
-    verbose: VerboseOption = False,
-    quiet: QuietOption = False,
+    device: Device = MapOptions.device,
+    printing: Printing,
 ) -> None:
     """Measure the distance of two shapes, whatever their positions and rotations.
 
@@ -34,11 +34,11 @@ def distance(
 
     start_device(device)
     ends = load_whole_map(first), load_whole_map(second)
-    with progress_bar(quiet, verbose) as progress:
+    with progress_bar(printing.quiet, printing.verbose) as progress:
         found = shape_distance(*ends, degree=degree, scale=scale, device=device, progress=progress)
-    if as_json:
+    if printing.as_json:
         print(report_text({"first": str(first), "second": str(second), **found.to_dict()}), end="")
-    elif quiet:
+    elif printing.quiet:
         print(f"{found.coefficients:.6g} {found.transport:.6g}")
     else:
         print(f"coefficients {found.coefficients:.6g} (the surfaces' unit), transport {found.transport:.6g} radians")

@@ -9,33 +9,25 @@ from typing import Annotated
 import typer
 
 from omtwarp.commands._options import (
+    ROUTE,
     BackendOption,
     BackgroundOption,
-    CostOption,
-    DeviceOption,
     FrontOption,
     ImageOption,
-    JsonOption,
-    MapOption,
-    MethodOption,
-    OptionalMeshes,
-    QuietOption,
-    RefineOption,
-    RepairOption,
-    SchemeOption,
-    SolverOption,
+    Only,
+    PatternOption,
+    Printing,
+    Source,
     UpOption,
-    VerboseOption,
     as_size,
     output_option,
     picture_size,
 )
 from omtwarp.commands._progress import progress_bar
 from omtwarp.commands._work import map_from, show_each, start_device, targets_of
-from omtwarp.commands.texture import PatternOption
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output
-from omtwarp.options import Backend, MapOptions, Refinement
+from omtwarp.options import Backend, MapOptions
 
 FILMS = (".mp4", ".gif", ".webp")
 
@@ -46,12 +38,12 @@ def film_size(text: str | None) -> str | None:
 
 
 def film_map(
+    *,
     output: Annotated[
         Path,
         output_option(".mp4 (needs ffmpeg), .gif or .webp; a directory of .gif for several meshes.", ".gif"),
     ],
-    meshes: OptionalMeshes = None,
-    finished: MapOption = None,
+    source: Source,
     image: ImageOption = None,
     pattern: PatternOption = None,
     size: Annotated[
@@ -74,16 +66,8 @@ def film_map(
     fps: Annotated[float | None, typer.Option(help="Frames per second; 30 by default, 20 for .gif and .webp.")] = None,
     captions: Annotated[bool, typer.Option(help="Name what is seen below the picture.")] = True,
     backend: BackendOption = Backend.AUTO,
-    method: MethodOption = MapOptions.method,
-    cost: CostOption = MapOptions.cost,
-    scheme: SchemeOption = MapOptions.scheme,
-    refine: RefineOption = str(Refinement.NONE),
-    device: DeviceOption = MapOptions.device,
-    solver: SolverOption = MapOptions.solver,
-    repair: RepairOption = False,
-    as_json: JsonOption = False,
-    verbose: VerboseOption = False,
-    quiet: QuietOption = False,
+    mapping: Annotated[MapOptions, Only(name for name in ROUTE if name != "until")],
+    printing: Printing,
 ) -> None:
     """Film a map without a display: it flows from conformal to optimal, then the surface turns into its sphere.
 
@@ -93,34 +77,20 @@ def film_map(
     from omtwarp.render.output import check_target
     from omtwarp.texturing import read_image
 
-    given = meshes or []
-    targets = targets_of(given, finished, output, ".gif")
+    targets = targets_of(source, output, ".gif")
     for target in targets:
-        check_output(target, FILMS, *given, finished, image)
+        check_output(target, FILMS, *source.files, image)
         check_target(target, film=True, transparent=False)
     if image is not None and pattern is not None:
         raise OmtwarpError("both --image and --pattern: give one")
-    start_device(device)
+    start_device(mapping.device)
     picture = read_image(image) if image is not None else None
 
     def film_one(mesh: Path | None, target: Path) -> tuple[dict[str, object], str]:
-        result = map_from(
-            mesh,
-            finished,
-            repair=repair,
-            quiet=quiet,
-            device=device,
-            torus=True,
-            verbose=verbose,
-            method=method,
-            cost=cost,
-            scheme=scheme,
-            refine=refine,
-            solver=solver,
-        )
+        result = map_from(mesh, source, mapping, printing)
         begun = time.perf_counter()
         frames = 0
-        with progress_bar(quiet) as progress:
+        with progress_bar(printing.quiet) as progress:
 
             def notify(stage: str, done: int, total: int, facts: dict) -> None:
                 nonlocal frames
@@ -142,7 +112,7 @@ def film_map(
                 background=background,
                 captions=captions,
                 backend=backend.value,
-                device=device,
+                device=mapping.device,
                 progress=notify,
             )
         length = target.stat().st_size
@@ -150,4 +120,4 @@ def film_map(
         facts: dict[str, object] = {"output": str(target), "frames": frames, "bytes": length}
         return facts, f"{target}: a film of {frames} frames, {length / 1e6:.1f} MB, drawn in {drawn:.1f} s"
 
-    show_each(given, targets, film_one, as_json=as_json, quiet=quiet)
+    show_each(source.meshes, targets, film_one, printing)

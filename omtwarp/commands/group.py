@@ -9,15 +9,17 @@ from typing import Annotated
 
 import typer
 
-from omtwarp.commands._options import DeviceOption, QuietOption, VerboseOption, output_option
+from omtwarp.commands._options import Printing, output_option
 from omtwarp.commands._progress import progress_bar
 from omtwarp.commands._streams import STREAM, input_file, input_table, say
 from omtwarp.commands._work import load_whole_map, report_text, start_device
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.files.output import check_folder, folder_of_results
+from omtwarp.options import Device, MapOptions
 
 
 def group(
+    *,
     sources: Annotated[
         list[str],
         typer.Argument(
@@ -39,10 +41,8 @@ def group(
     transport: Annotated[
         bool, typer.Option("--transport", help="Also compute transport distances of all pairs.")
     ] = False,
-    device: DeviceOption = "auto",
-    as_json: Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")] = False,
-    verbose: VerboseOption = False,
-    quiet: QuietOption = False,
+    device: Device = MapOptions.device,
+    printing: Printing,
 ) -> None:
     """Compare a group of maps: mean shape, principal components, distances, and where two groups differ.
 
@@ -62,7 +62,7 @@ def group(
     start_device(device)
     with folder_of_results(output, "table.csv", "distances.csv", "report.html"):  # refused before the work
         pass
-    with progress_bar(quiet, verbose) as progress, warnings.catch_warnings():
+    with progress_bar(printing.quiet, printing.verbose) as progress, warnings.catch_warnings():
         warnings.simplefilter("ignore", OmtwarpWarning)  # said below, with the names
         found = study_group(
             [load_whole_map(path) for path in paths],
@@ -83,7 +83,7 @@ def group(
     if mirrored:
         say(f"warning: {mirrored}")
     smallest = None if found.difference is None else float(found.difference.p_values.min())
-    if as_json:
+    if printing.as_json:
         record = {
             "output": str(output),
             "files": [file.name for file in files],
@@ -96,7 +96,7 @@ def group(
             else int((found.difference.p_values <= SIGNIFICANT).sum()),
         }
         print(report_text(record), end="")
-    elif not quiet:
+    elif not printing.quiet:
         shares = ", ".join(f"{100 * share:.0f} %" for share in found.components.explained)
         told = "" if smallest is None else f"; smallest corrected p of a difference {smallest:.3g}"
         print(f"{output / 'report.html'}: {len(paths)} shapes, components with {shares} of the variance{told}")

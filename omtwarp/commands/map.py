@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,31 +10,14 @@ import typer
 
 from omtwarp.commands._facts import MapFacts, facts_of, summary
 from omtwarp.commands._options import (
-    CapOption,
-    ComponentsOption,
-    CostOption,
-    CutAlongOption,
-    CutOption,
-    DeviceOption,
-    DiskOption,
-    ExactOption,
+    ROUTE,
     FillAreaOption,
-    HemisphereOption,
-    JsonOption,
     MeshArguments,
-    MethodOption,
-    QuietOption,
+    Only,
+    Printing,
     RadiusOption,
-    RefineOption,
     RepairOption,
-    SchemeOption,
-    SolverOption,
-    StrictOption,
-    TogetherOption,
-    TorusOption,
-    UntilOption,
-    VerboseOption,
-    WeightsAtOption,
+    named,
     output_option,
 )
 from omtwarp.commands._work import (
@@ -49,7 +32,7 @@ from omtwarp.commands._work import (
 )
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output, staged
-from omtwarp.options import CutAlong, Domain, FillArea, MapOptions, Refinement, SurfaceKeywords, WeightsAt
+from omtwarp.options import CutAlong, Domain, FillArea, MapOptions, SurfaceKeywords, WeightsAt
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -60,43 +43,89 @@ if TYPE_CHECKING:
     from omtwarp.commands._work import Input
     from omtwarp.maps.result import MapResult
     from omtwarp.maps.torus_map import TorusMap
+    from omtwarp.measures import TargetDensity
 
-RIMS = (Domain.HEMISPHERE, Domain.DISK, Domain.CAP, Domain.TORUS)
 
+@dataclass(frozen=True)
+class Topology:
+    """What is done with holes, handles and several parts."""
 
-def map_mesh(
-    meshes: MeshArguments,
-    output: Annotated[
-        Path,
-        output_option(
-            ".npz for the whole map, or a mesh suffix for the sphere; - for .npz; a directory for several.", ".npz"
+    hemisphere: Annotated[
+        bool,
+        typer.Option("--hemisphere", help="Map a surface with a hole to the hemisphere, the boundary on the equator."),
+    ] = False
+    disk: Annotated[
+        bool,
+        typer.Option("--disk", help="Map a surface with a hole to the unit disk, by Lambert's equal-area projection."),
+    ] = False
+    cap: Annotated[
+        bool,
+        typer.Option(
+            "--cap", help="Map a surface with a hole to a spherical cap of the area that the filled hole leaves."
         ),
-    ],
-    method: MethodOption = MapOptions.method,
-    until: UntilOption = MapOptions.until,
-    cost: CostOption = MapOptions.cost,
-    scheme: SchemeOption = MapOptions.scheme,
-    refine: RefineOption = str(Refinement.NONE),
-    exact: ExactOption = MapOptions.exact,
-    hemisphere: HemisphereOption = False,
-    disk: DiskOption = False,
-    cap: CapOption = False,
-    fill_area: FillAreaOption = None,
-    components: ComponentsOption = False,
-    together: TogetherOption = False,
-    cut: CutOption = False,
-    cut_along: CutAlongOption = None,
-    torus: TorusOption = False,
-    device: DeviceOption = MapOptions.device,
-    solver: SolverOption = MapOptions.solver,
-    strict: StrictOption = MapOptions.strict,
+    ] = False
+    fill_area: FillAreaOption = None
+    components: Annotated[
+        bool, typer.Option("--components", help="Map every part of the surface by itself, each to a sphere of its own.")
+    ] = False
+    together: Annotated[
+        bool,
+        typer.Option("--together", help="Map all parts to disjoint caps of one sphere, in proportion to their areas."),
+    ] = False
+    cut: Annotated[
+        bool,
+        typer.Option(
+            "--cut", help="Cut handles open along short loops and map to the sphere; textures have seams there."
+        ),
+    ] = False
+    cut_along: Annotated[
+        CutAlong | None,
+        named(
+            CutAlong,
+            "Cut along the shortest loops, around handles, or through the holes that these make, which leaves fewer "
+            "limbs.",
+        ),
+    ] = None
+    torus: Annotated[bool, typer.Option("--torus", help="Map a closed surface of genus 1 to a flat torus.")] = False
+
+    def keywords(self) -> SurfaceKeywords | None:
+        """Return the options of :func:`omtwarp.map_surface`; None where the surface has to be a sphere.
+
+        Raises:
+            OmtwarpError: options of more than one domain are given.
+        """
+        domains = (Domain.HEMISPHERE, Domain.DISK, Domain.CAP, Domain.TORUS)
+        given = (self.hemisphere, self.disk, self.cap, self.torus)
+        rims = [domain for domain, wanted in zip(domains, given, strict=True) if wanted]
+        if len(rims) > 1:
+            raise OmtwarpError(f"both --{rims[0]} and --{rims[1]}: give one")
+        if self.together and rims:
+            raise OmtwarpError(f"both --together and --{rims[0]}: parts side by side lie on caps")
+        if self == Topology():
+            return None
+        return {
+            "domain": Domain.AUTO if self.together else rims[0] if rims else Domain.SPHERE,
+            "fill_area": self.fill_area or FillArea.NATURAL,
+            "components": self.components or self.together,
+            "together": self.together,
+            "cut": self.cut or self.cut_along is not None,
+            "cut_along": self.cut_along or CutAlong.AUTO,
+        }
+
+
+@dataclass(frozen=True)
+class Mass:
+    """How much of the sphere the parts of the surface are to cover."""
+
     weights: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE", help="Numbers per vertex or triangle (.npy, .txt, .csv): twice the weight, twice the area."
         ),
-    ] = None,
-    weights_at: WeightsAtOption = WeightsAt.AUTO,
+    ] = None
+    weights_at: Annotated[WeightsAt, named(WeightsAt, "What the weights belong to; auto goes by their number.")] = (
+        WeightsAt.AUTO
+    )
     density: Annotated[
         Path | None,
         typer.Option(
@@ -104,10 +133,36 @@ def map_mesh(
             metavar="IMAGE",
             help="An equirectangular picture as the density to reach: bright regions get more mass.",
         ),
-    ] = None,
+    ] = None
     target_floor: Annotated[
         float, typer.Option(metavar="SHARE", help="Raise the target's dark parts to this share of its mean.")
-    ] = 0.0,
+    ] = 0.0
+
+    def target(self) -> TargetDensity | None:
+        """Return the density that is to be reached, None for the uniform one.
+
+        Raises:
+            OmtwarpError: the picture cannot be read, or is no density.
+        """
+        if self.density is None:
+            return None
+        from omtwarp.texturing.density import as_target
+
+        return as_target(self.density, self.target_floor)
+
+
+def map_mesh(
+    *,
+    meshes: MeshArguments,
+    output: Annotated[
+        Path,
+        output_option(
+            ".npz for the whole map, or a mesh suffix for the sphere; - for .npz; a directory for several.", ".npz"
+        ),
+    ],
+    mapping: Annotated[MapOptions, Only((*ROUTE, "exact", "strict"))],
+    topology: Topology,
+    mass: Mass,
     report: Annotated[
         Path | None,
         typer.Option(
@@ -119,9 +174,7 @@ def map_mesh(
         bool, typer.Option("--beside", help="For .ply: the surface, with its sphere as px, py, pz at the vertices.")
     ] = False,
     radius: RadiusOption = 1.0,
-    as_json: JsonOption = False,
-    verbose: VerboseOption = False,
-    quiet: QuietOption = False,
+    printing: Printing,
 ) -> None:
     """Map a surface to the unit sphere, with its area preserved.
 
@@ -143,42 +196,27 @@ def map_mesh(
 
     from omtwarp.mesh.neuro import structure_of
 
-    if torus and beside:
+    if topology.torus and beside:
         raise OmtwarpError("--beside is for maps to the sphere: a ring torus is written by itself")
     targets = outputs_of(meshes, output, ".ply" if beside else ".npz")
     reports = outputs_of(meshes, report, ".json")
     check_outputs(meshes, targets, reports, beside)
-    rims = [domain for domain, given in zip(RIMS, (hemisphere, disk, cap, torus), strict=True) if given]
-    any_surface = surface_options(
-        rims, fill_area=fill_area, components=components, together=together, cut=cut, cut_along=cut_along
-    )
-    start_device(device)
-    goal = None
-    if density is not None:
-        from omtwarp.texturing.density import as_target
-
-        goal = as_target(density, target_floor)
-    found: list[MapFacts] = []
+    any_surface = topology.keywords()
+    start_device(mapping.device)
+    goal = mass.target()
+    known: list[MapFacts] = []
 
     def map_one(mesh: Path, target: Path | None) -> None:
         sound = read_sound_mesh(mesh, repair, any_surface=any_surface is not None)
-        per_part, belong = (None, weights_at) if weights is None else weights_of(weights, sound, weights_at)
+        weights, belong = (None, mass.weights_at) if mass.weights is None else weights_of(mass, sound)
         result = make_map(
             sound.surface,
+            mapping,
+            quiet=printing.quiet,
             any_surface=any_surface,
-            quiet=quiet,
-            method=method,
-            until=until,
-            cost=cost,
-            scheme=scheme,
-            refine=refine,
-            exact=exact,
-            solver=solver,
-            strict=strict,
-            weights=per_part,
+            weights=weights,
             weights_at=belong,
             target=goal,
-            device=device,
         )
         require_bijective(result)
         structure = structure_of(mesh)
@@ -191,17 +229,17 @@ def map_mesh(
         report_target = reports[targets.index(target)]
         if report_target is not None:
             write_json_report(report_target, result, mesh, sound.notes)
-        found.append(facts_of(result, target, report_target))
-        if verbose:
+        known.append(facts_of(result, target, report_target))
+        if printing.verbose:
             say_stages(result)
-        if not quiet and not as_json:
-            print(summary(found[-1]))
+        if not printing.quiet and not printing.as_json:
+            print(summary(known[-1]))
 
     try:
         each(meshes, targets, map_one)
     finally:
-        if as_json:
-            print(report_text(found[0] if len(meshes) == 1 and found else found), end="")
+        if printing.as_json:
+            print(report_text(known[0] if len(meshes) == 1 and known else known), end="")
 
 
 def check_outputs(
@@ -255,13 +293,8 @@ def with_copies(
     return result, None
 
 
-def weights_of(path: Path, sound: Input, at: WeightsAt) -> tuple[NDArray[np.float64], WeightsAt]:
+def weights_of(mass: Mass, sound: Input) -> tuple[NDArray[np.float64], WeightsAt]:
     """Read weights of a file's mesh, and reorder them where it was repaired or copies of its vertices were joined.
-
-    Args:
-        path: the file of the weights.
-        sound: the mesh.
-        at: what is said about what they belong to.
 
     Returns:
         The weights of the mesh's vertices or triangles, and which of them.
@@ -272,46 +305,17 @@ def weights_of(path: Path, sound: Input, at: WeightsAt) -> tuple[NDArray[np.floa
     """
     from omtwarp.measures.weights import read_numbers, weights_belong_to
 
-    weights = read_numbers(path)
-    belong = weights_belong_to(weights.shape, *sound.sizes, at)
+    assert mass.weights is not None
+    weights = read_numbers(mass.weights)
+    belong = weights_belong_to(weights.shape, *sound.sizes, mass.weights_at)
     origins = sound.surface.origins
     if origins is None:
         return weights, belong
     origin = origins.vertex_origin if belong is WeightsAt.VERTICES else origins.face_origin
     added = int((origin < 0).sum())
     if added:
-        raise OmtwarpError(f"'{path}' has no weights for the {added} parts that --repair added to the mesh")
+        raise OmtwarpError(f"'{mass.weights}' has no weights for the {added} parts that --repair added to the mesh")
     return weights[origin], belong
-
-
-def surface_options(
-    rims: list[Domain],
-    *,
-    fill_area: FillArea | None,
-    components: bool,
-    together: bool,
-    cut: bool,
-    cut_along: CutAlong | None,
-) -> SurfaceKeywords | None:
-    """Collect the options of :func:`omtwarp.map_surface`; None where none is given and the surface has to be a sphere.
-
-    Raises:
-        OmtwarpError: options of more than one domain are given.
-    """
-    if len(rims) > 1:
-        raise OmtwarpError(f"both --{rims[0]} and --{rims[1]}: give one")
-    if together and rims:
-        raise OmtwarpError(f"both --together and --{rims[0]}: parts side by side lie on caps")
-    if not (rims or fill_area or components or together or cut or cut_along):
-        return None
-    return {
-        "domain": Domain.AUTO if together else rims[0] if rims else Domain.SPHERE,
-        "fill_area": fill_area or FillArea.NATURAL,
-        "components": components or together,
-        "together": together,
-        "cut": cut or cut_along is not None,
-        "cut_along": cut_along or CutAlong.AUTO,
-    }
 
 
 def save(

@@ -11,13 +11,11 @@ import typer
 from omtwarp.commands._options import (
     BackendOption,
     BackgroundOption,
-    DeviceOption,
     FrontOption,
-    JsonOption,
-    QuietOption,
+    Printing,
     SizeOption,
+    Source,
     UpOption,
-    VerboseOption,
     as_size,
     output_option,
     size_text,
@@ -27,7 +25,7 @@ from omtwarp.commands._streams import input_file
 from omtwarp.commands._work import show_each, targets_of
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output
-from omtwarp.options import BACKGROUND, FILM_RATE, PICTURE_SIZE, Backend
+from omtwarp.options import BACKGROUND, FILM_RATE, PICTURE_SIZE, Backend, Device, MapOptions
 
 DEFAULT_SIZE = size_text(PICTURE_SIZE)
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".gif", ".mp4")
@@ -45,6 +43,7 @@ class CameraProjection(StrEnum):
 
 
 def preview_mesh(
+    *,
     output: Annotated[
         Path,
         output_option(".png, .jpg, .webp, .tif; .gif or .mp4 for films; a directory for several.", ".png"),
@@ -86,10 +85,8 @@ def preview_mesh(
     frames: Annotated[int | None, typer.Option(min=1, help="Number of frames of a turntable to draw.")] = None,
     fps: Annotated[float, typer.Option(help="Frames per second of the turntable.")] = FILM_RATE,
     backend: BackendOption = Backend.AUTO,
-    device: DeviceOption = "auto",
-    as_json: JsonOption = False,
-    verbose: VerboseOption = False,
-    quiet: QuietOption = False,
+    device: Device = MapOptions.device,
+    printing: Printing,
 ) -> None:
     """Draw a surface without a display."""
     from omtwarp.render import Camera, preview
@@ -97,7 +94,7 @@ def preview_mesh(
     given = subjects or []
     if (not given and finished is None) or (len(given) == 1 and finished is not None):
         raise OmtwarpError("give either a mesh or map to draw, or a map with --map")
-    targets = targets_of(given, finished, output, ".png")
+    targets = targets_of(Source(subjects, finished), output, ".png")
     for target in targets:
         check_output(target, PICTURES, *given, finished, image)
     camera = Camera(zoom=zoom, field_of_view=field_of_view, projection=projection.value)
@@ -107,7 +104,7 @@ def preview_mesh(
         assert shown is not None
         if not shown.is_file():
             raise OmtwarpError(f"{shown}: {'a directory, not a mesh file' if shown.is_dir() else 'no such file'}")
-        with step_times(verbose) as done:
+        with step_times(printing.verbose) as done:
             drawn = preview(
                 shown,
                 target,
@@ -132,4 +129,4 @@ def preview_mesh(
         facts |= {"frames": count, "bytes": target.stat().st_size}
         return facts, f"{target}: drawn, {first.width} x {first.height} pixels"
 
-    show_each(given, targets, draw_one, as_json=as_json, quiet=quiet)
+    show_each(given, targets, draw_one, printing)

@@ -16,10 +16,10 @@ from omtwarp.commands._features import (
     ToSurfaceOption,
     read_features,
 )
-from omtwarp.commands._options import JsonOption, QuietOption, RadiusOption, VerboseOption
+from omtwarp.commands._options import Printing, RadiusOption
 from omtwarp.commands._progress import progress_bar
 from omtwarp.commands._streams import input_file
-from omtwarp.commands._work import load_map, report_text
+from omtwarp.commands._work import report_text
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output
 
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 
 def register_map(
+    *,
     source: MovingArgument,
     to: Annotated[
         str,
@@ -74,9 +75,7 @@ def register_map(
         typer.Option(metavar="NUMBER", help="Bound of |log2| of ratios of areas, and of stretches, of every triangle."),
     ] = 1.1,
     radius: RadiusOption = 1.0,
-    as_json: JsonOption = False,
-    verbose: VerboseOption = False,
-    quiet: QuietOption = False,
+    printing: Printing,
 ) -> None:
     """Warp a map's sphere until features of its surface lie where another map has them.
 
@@ -101,7 +100,7 @@ def register_map(
     for ours in (source, surface):
         for theirs in (other, to_surface):
             require_same_structure(ours, theirs)
-    with progress_bar(quiet, verbose) as progress:
+    with progress_bar(printing.quiet, printing.verbose) as progress:
         moving = file_points(source, surface)
         fixed = template(to) if to in HEMISPHERES else file_points(to, to_surface)
         mine, others = read_features(feature or [], to_feature or [])
@@ -119,14 +118,16 @@ def register_map(
             progress=progress,
         )
     if output.suffix.lower() == ".npz":
-        found.registered(load_map(source)).save(output)
+        from omtwarp.maps.result import MapResult
+
+        found.registered(MapResult.load(source)).save(output)
     else:
         write_mesh(output, radius * found.sphere, moving.grid.own_triangles, spherical=True, like=source)
     if strain is not None:
         _write_strain(strain, found, moving.grid.own_triangles, source if surface is None else surface)
-    if as_json:
+    if printing.as_json:
         print(report_text({"output": str(output), **found.to_dict()}), end="")
-    elif not quiet:
+    elif not printing.quiet:
         print(f"{output}: {_line(found)}")
 
 

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from omtwarp.commands._options import DeviceOption, JsonOption, QuietOption, VerboseOption, named, output_option
+from omtwarp.commands._options import Printing, named, output_option
 from omtwarp.commands._progress import progress_bar, steps
 from omtwarp.commands._streams import STREAM, input_file, output_file
 from omtwarp.commands._work import report_text, start_device
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output
-from omtwarp.options import Interpolation, MapOptions
+from omtwarp.options import Device, Interpolation, MapOptions
 
 if TYPE_CHECKING:
     import numpy as np
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 
 def resample_map(
+    *,
     source: Annotated[
         str,
         typer.Argument(
@@ -67,10 +68,8 @@ def resample_map(
     matrix: Annotated[
         Path | None, typer.Option(metavar="NPZ", help="Write the sparse matrix, for scipy.sparse.load_npz.")
     ] = None,
-    device: DeviceOption = MapOptions.device,
-    as_json: JsonOption = False,
-    verbose: VerboseOption = False,
-    quiet: QuietOption = False,
+    device: Device = MapOptions.device,
+    printing: Printing,
 ) -> None:
     """Carry data, or the surface itself, from one sphere to another.
 
@@ -90,7 +89,7 @@ def resample_map(
     given = None if data is None else _read(data, like, there)
     chosen, as_labels = _kind(method, labels, given)
     start_device(device)
-    with progress_bar(quiet, verbose) as progress:
+    with progress_bar(printing.quiet, printing.verbose) as progress:
         notify = steps(progress, "resample", 3)
         ends = [file_points(source, surface), file_points(to, None)]
         notify(1)
@@ -102,9 +101,9 @@ def resample_map(
             _write_surface(output, found, like, to)
         _write_extras(found, sphere, matrix, there if structure_of(there) else like)
         notify(3)
-    if as_json:
+    if printing.as_json:
         print(report_text(_record(found, output, given)), end="")
-    elif not quiet:
+    elif not printing.quiet:
         kind = "labels" if as_labels else "data"
         what = "the surface" if given is None else f"{kind} with {given.values.shape[1]} column(s)"
         line = f"{output}: {what}, {chosen}, from {found.matrix.shape[1]} to {found.matrix.shape[0]} points"

@@ -9,18 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from omtwarp.commands._options import (
-    DeviceOption,
-    MapOption,
-    OptionalMesh,
-    QuietOption,
-    RepairOption,
-    VerboseOption,
-    output_option,
-)
+from omtwarp.commands._options import MapOption, OptionalMesh, Printing, RepairOption, Source, output_option
 from omtwarp.commands._progress import progress_bar
 from omtwarp.commands._work import map_from, require_whole, start_device
 from omtwarp.files.output import check_output, staged
+from omtwarp.options import Device, MapOptions
 
 if TYPE_CHECKING:
     from omtwarp.shape_analysis.expansion import Expansion
@@ -36,6 +29,7 @@ class Fit(StrEnum):
 
 
 def spharm(
+    *,
     output: Annotated[
         Path,
         output_option(
@@ -52,12 +46,8 @@ def spharm(
         Path | None, typer.Option(metavar="MESH", help="Also write the surface that the coefficients describe.")
     ] = None,
     repair: RepairOption = False,
-    device: DeviceOption = "auto",
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print the error and the power of every degree as JSON.")
-    ] = False,
-    verbose: VerboseOption = False,
-    quiet: QuietOption = False,
+    device: Device = MapOptions.device,
+    printing: Printing,
 ) -> None:
     """Expand a surface in spherical harmonics over its map to the sphere (SPHARM).
 
@@ -78,10 +68,11 @@ def spharm(
     if reconstruction is not None:
         check_output(reconstruction, tuple(MESH_SUFFIXES), mesh, finished, output)
     start_device(device)
-    result = map_from(mesh, finished, repair=repair, quiet=quiet, device=device, verbose=verbose)
-    whole = require_whole(result, finished or mesh).closed()
+    result = map_from(mesh, Source(finished=finished, repair=repair), MapOptions(device=device), printing)
+    result = require_whole(result, finished or mesh)
+    whole = result.closed()
     mesh_grid(whole.sphere, whole.faces, str(finished or mesh))  # harmonics need a map that covers the sphere once
-    with progress_bar(quiet, verbose) as progress:
+    with progress_bar(printing.quiet, printing.verbose) as progress:
         if progress is not None:
             progress("spharm", 0, 2, {})
         found = expand(whole.sphere, whole.vertices, degree, faces=whole.faces, method=fit.value)
@@ -95,9 +86,9 @@ def spharm(
     save(output, found)
     if reconstruction is not None:
         write_mesh(reconstruction, again, result.faces)
-    if as_json:
+    if printing.as_json:
         print(json.dumps({"degree": degree, "rms_error": error, "power": found.power().tolist()}))
-    elif not quiet:
+    elif not printing.quiet:
         size = float(np.sqrt(found.power()[1:].sum() / (4.0 * np.pi)))
         print(f"{output}: degree {degree}, root mean square error {error:.6g} of a size of {size:.6g}")
 

@@ -3,29 +3,20 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypedDict, Unpack
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from omtwarp.commands._facts import sizes
 from omtwarp.commands._options import (
-    CostOption,
-    DeviceOption,
     FrontOption,
     ImageOption,
-    JsonOption,
-    MapOption,
-    MethodOption,
-    OptionalMeshes,
-    QuietOption,
-    RefineOption,
-    RepairOption,
-    SchemeOption,
-    SolverOption,
-    UntilOption,
+    Printing,
+    RouteOptions,
+    Source,
     UpOption,
-    VerboseOption,
     output_option,
 )
 from omtwarp.commands._painted import painted_map, standing
@@ -34,30 +25,16 @@ from omtwarp.commands._streams import say
 from omtwarp.commands._work import map_from, require_bijective, show_each, start_device, targets_of, with_files
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.files.output import check_output
-from omtwarp.options import (
-    AtlasName,
-    Coordinates,
-    Keep,
-    MapOptions,
-    PatternName,
-    ProjectionName,
-    Refinement,
-    TextureFormat,
-)
+from omtwarp.options import AtlasName, Coordinates, Keep, PatternName, ProjectionName, TextureFormat
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     import numpy as np
     from numpy.typing import NDArray
 
     from omtwarp.maps.result import MapResult
     from omtwarp.maps.torus_map import TorusMap
-    from omtwarp.options import MapChoices
-    from omtwarp.texturing import PaintedMesh
-
-
-PatternOption = Annotated[PatternName | None, typer.Option(help="A pattern in place of a picture; circles by default.")]
+    from omtwarp.options import MapOptions
+    from omtwarp.texturing import PaintedMesh, TexturedSurface
 
 
 def texture_width(text: str | None) -> str | None:
@@ -76,48 +53,62 @@ def sides_of(text: str | None) -> int | tuple[int, int] | None:
     return (width, height[0]) if height else width
 
 
-def texture_mesh(
-    output: Annotated[
-        Path,
-        output_option(".glb, .obj (with .mtl and .png) or .ply; a directory of .glb for several meshes.", ".glb"),
-    ],
-    meshes: OptionalMeshes = None,
-    finished: MapOption = None,
-    image: ImageOption = None,
-    pattern: Annotated[PatternName | None, typer.Option(help="A pattern instead of a picture.")] = None,
+@dataclass(frozen=True)
+class Look:
+    """The options that :func:`omtwarp.texture` and :func:`omtwarp.paint` share, by their names there."""
+
+    pattern: Annotated[PatternName | None, typer.Option(help="A pattern instead of a picture.")] = None
     projection: Annotated[
         ProjectionName,
         typer.Option(help="How the picture covers the sphere; sinusoidal for pictures not made for one."),
-    ] = ProjectionName.EQUIRECTANGULAR,
+    ] = ProjectionName.EQUIRECTANGULAR
     atlas: Annotated[
         AtlasName, typer.Option(help="Layout of the texture; equirectangular for tools that expect one.")
-    ] = AtlasName.CUBE,
+    ] = AtlasName.CUBE
+    rotate: Annotated[
+        str, typer.Option(metavar="YAW[,PITCH,ROLL]|auto", help="Turn the texture on the sphere, in degrees.")
+    ] = ""
+
+
+@dataclass(frozen=True)
+class Painting:
+    """The options that :func:`omtwarp.paint` has in addition."""
+
     uv: Annotated[
         Coordinates,
         typer.Option("--uv", help="Texture coordinates; own are the mesh's, with a picture for each material."),
-    ] = Coordinates.ATLAS,
+    ] = Coordinates.ATLAS
     keep_materials: Annotated[
         Keep | None, typer.Option(help="Lay the pattern over the mesh's materials, or under them.")
-    ] = None,
+    ] = None
     opacity: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Opacity of the upper layer, times its own, with --keep-materials.")
-    ] = 0.5,
+    ] = 0.5
     bake: Annotated[
         list[str] | None,
         typer.Option(
             metavar="normal|ao|curvature|area|FILE",
             help="What to bake: ao into the occlusion, normals of --detail into the normal map, others as the colour.",
         ),
-    ] = None,
+    ] = None
     detail: Annotated[
         Path | None, typer.Option(metavar="MESH", help="A finer mesh of the surface, for --bake normal.")
-    ] = None,
-    rotate: Annotated[
-        str, typer.Option(metavar="YAW[,PITCH,ROLL]|auto", help="Turn the texture on the sphere, in degrees.")
-    ] = "",
+    ] = None
+
+    @property
+    def of_the_mesh(self) -> bool:
+        """Whether the mesh's own coordinates or materials are needed."""
+        return self.uv is Coordinates.OWN or self.keep_materials is not None
+
+
+@dataclass(frozen=True)
+class Picture:
+    """The options of the pictures that are written, and how the surface stands."""
+
+    image: ImageOption = None
     seam: Annotated[
         str, typer.Option(metavar="LONGITUDE|auto", help="Where an equirectangular texture is cut, in degrees.")
-    ] = "180",
+    ] = "180"
     size: Annotated[
         str | None,
         typer.Option(
@@ -125,187 +116,141 @@ def texture_mesh(
             callback=texture_width,
             help="Width; auto: no texel shows at 1024 pixels, up to 8192; the default for patterns, up to 4096.",
         ),
-    ] = None,
+    ] = None
     texture_format: Annotated[
         TextureFormat,
         typer.Option(help="Encoding of the pictures of a .glb; webp is smaller, and fewer viewers read it."),
-    ] = TextureFormat.PNG,
-    up: UpOption = None,
-    front: FrontOption = None,
-    method: MethodOption = MapOptions.method,
-    until: UntilOption = MapOptions.until,
-    cost: CostOption = MapOptions.cost,
-    scheme: SchemeOption = MapOptions.scheme,
-    refine: RefineOption = str(Refinement.NONE),
-    device: DeviceOption = MapOptions.device,
-    solver: SolverOption = MapOptions.solver,
-    repair: RepairOption = False,
-    as_json: JsonOption = False,
-    verbose: VerboseOption = False,
-    quiet: QuietOption = False,
+    ] = TextureFormat.PNG
+    up: UpOption = None
+    front: FrontOption = None
+
+    def cut(self) -> float | str:
+        """Return the longitude of the seam in degrees, or ``auto``.
+
+        Raises:
+            OmtwarpError: it is no number.
+        """
+        return self.seam if self.seam == "auto" else one_number(self.seam, "--seam")
+
+    def width(self) -> int | None:
+        """Return the width of the pictures of a mesh's materials, None for the usual one.
+
+        Raises:
+            OmtwarpError: options are given that only an atlas by itself has.
+        """
+        only = "for an atlas only, without --uv own, --keep-materials and --bake"
+        if self.size == "auto":
+            raise OmtwarpError(f"--size auto is {only}")
+        sides = sides_of(self.size)
+        if isinstance(sides, tuple):
+            raise OmtwarpError(f"--size WIDTHxHEIGHT is {only}")
+        if self.seam != "180":
+            raise OmtwarpError("--seam is for an equirectangular atlas only, without --keep-materials and --bake")
+        return sides
+
+
+def texture_mesh(
+    *,
+    output: Annotated[
+        Path,
+        output_option(".glb, .obj (with .mtl and .png) or .ply; a directory of .glb for several meshes.", ".glb"),
+    ],
+    source: Source,
+    look: Look,
+    painting: Painting,
+    picture: Picture,
+    mapping: RouteOptions,
+    printing: Printing,
 ) -> None:
     """Texture a surface through its map to the sphere, with a picture or a pattern.
 
     Of a map to a torus the texture closes up both ways: a picture that repeats, circles or a checker.
     """
-    from omtwarp.texturing import read_image
+    from omtwarp.texturing import read_image, texture
     from omtwarp.texturing.atlas import check_size
     from omtwarp.texturing.export import SUFFIXES, format_for
 
-    given = meshes or []
-    targets = targets_of(given, finished, output, ".glb")
+    targets = targets_of(source, output, ".glb")
+    by_materials = painting.of_the_mesh or bool(painting.bake)
+    inputs = (*source.files, picture.image, painting.detail)
     for target in targets:
-        check_output(target, SUFFIXES, *given, finished, image)
-        format_for(target.suffix.lower(), texture_format)
-    if image is not None and pattern is not None:
+        check_output(target, SUFFIXES, *inputs)
+        format_for(target.suffix.lower(), picture.texture_format)
+    if picture.image is not None and look.pattern is not None:
         raise OmtwarpError("both --image and --pattern: give one")
-    sides = sides_of(size)
+    sides = sides_of(picture.size)
     if sides is not None:
         check_size(sides)
-    mapping: MapChoices = {
-        "method": method,
-        "until": until,
-        "cost": cost,
-        "scheme": scheme,
-        "refine": refine,
-        "solver": solver,
-    }
-    looks: LookKeywords = {
-        "pattern": pattern,
-        "projection": projection,
-        "atlas": atlas,
-        "rotate": rotation(rotate),
-    }
-    if uv is Coordinates.OWN or keep_materials is not None or bake:
-        if size == "auto":
-            raise OmtwarpError("--size auto is for an atlas only, without --uv own, --keep-materials and --bake")
-        if isinstance(sides, tuple):
-            raise OmtwarpError(
-                "--size WIDTHxHEIGHT is for an atlas only, without --uv own, --keep-materials and --bake"
-            )
-        width = sides
+    width = None
+    if by_materials:
+        width = picture.width()
         for target in targets:
-            check_output(target, (".glb", ".obj"), *given, finished, image, detail)
-        if seam != "180":
-            raise OmtwarpError("--seam is for an equirectangular atlas only, without --keep-materials and --bake")
-
-        def paint_one(mesh: Path | None, target: Path) -> tuple[dict[str, object], str]:
-            return _paint(
-                mesh,
-                finished,
-                target,
-                detail,
-                bool(repair),
-                quiet,
-                verbose,
-                mapping,
-                up=up,
-                front=front,
-                image=image,
-                uv=uv,
-                keep=keep_materials,
-                opacity=opacity,
-                bake=bake or (),
-                device=device,
-                texture_format=texture_format,
-                size=width,
-                **looks,
-            )
-
-        show_each(given, targets, paint_one, as_json=as_json, quiet=quiet)
-        return
-    if detail is not None:
+            check_output(target, (".glb", ".obj"), *inputs)
+    elif painting.detail is not None:
         raise OmtwarpError("--detail is for --bake normal: add that")
-    cut = seam if seam == "auto" else one_number(seam, "--seam")
-    start_device(device)
-    picture = read_image(image) if image is not None else None
+    # What cannot be read is refused before the work
+    looks, seam = vars(look) | {"rotate": rotation(look.rotate)}, picture.cut()
+    start_device(mapping.device)
+    image = None if picture.image is None else read_image(picture.image)
 
     def texture_one(mesh: Path | None, target: Path) -> tuple[dict[str, object], str]:
-        _require_one(mesh, finished)
-        result = map_from(
-            mesh, finished, repair=repair, quiet=quiet, device=device, torus=True, verbose=verbose, **mapping
-        )
-        require_bijective(result, finished)
-        result = standing(result, finished or mesh, up, front)
-        with step_times(verbose) as done:
-            inputs = mesh, finished, image
-            made = _texture(result, target, inputs, picture, looks, size, cut, texture_format, device)
-            done("texture")
-        return made
+        painted, result = _mapped(mesh, source, painting, mapping, printing)
+        result = standing(result, source.finished or mesh, picture.up, picture.front)
+        made: PaintedMesh | TexturedSurface
+        with step_times(printing.verbose) as done:
+            if by_materials:
+                made, pictures, words = _painted(result, painted, image, painting, width, mapping.device, look)
+            else:
+                size, blurred = _size_of(result, picture, look.atlas)
+                made = textured = texture(result, image, seam_longitude=seam, size=size, device=mapping.device, **looks)
+                rows, columns = textured.image.shape[:2]
+                pictures = [{"what": "colour", "width": columns, "height": rows}]
+                words = f"textured, {columns} x {rows} texels{blurred}"
+            done("paint" if by_materials else "texture")
+        files = made.export(target, keep=inputs, texture_format=picture.texture_format)
+        facts: dict[str, object] = {"output": str(target), "files": [str(file) for file in files]}
+        facts |= {"vertices": len(result.vertices), "faces": len(result.faces), "pictures": pictures}
+        return facts, f"{target}: {sizes(result)}, {words}{with_files(files)}"
 
-    show_each(given, targets, texture_one, as_json=as_json, quiet=quiet)
-
-
-def _texture(
-    result: MapResult | TorusMap,
-    output: Path,
-    inputs: tuple[Path | None, ...],
-    picture: NDArray[np.generic] | None,
-    looks: LookKeywords,
-    size: str | None,
-    seam: float | str,
-    texture_format: TextureFormat,
-    device: str,
-) -> tuple[dict[str, object], str]:
-    """Write the surface of a map with an atlas.
-
-    Args:
-        result: the map.
-        output: the file.
-        inputs: files that must not be replaced.
-        picture: what to put on it in place of a pattern.
-        looks: the texture's options.
-        size: as it was asked for.
-        seam: longitude of the cut in degrees, or ``auto``.
-        texture_format: of the picture in the file.
-        device: where kernels run.
-
-    Returns:
-        The facts of what was written, and a line about them.
-    """
-    from omtwarp.maps.result import MapResult
-    from omtwarp.texturing import texture
-
-    chosen, blurred = sides_of(size), ""
-    if size == "auto" or (size is None and picture is None and isinstance(result, MapResult)):
-        chosen, blurred = _sharp_size(result, looks["atlas"], asked=size is not None)
-    textured = texture(result, picture, seam_longitude=seam, size=chosen, device=device, **looks)
-    files = textured.export(output, keep=inputs, texture_format=texture_format)
-    height, width = textured.image.shape[:2]
-    facts: dict[str, object] = {"output": str(output), "files": [str(file) for file in files]}
-    facts |= {"vertices": len(result.vertices), "faces": len(result.faces)}
-    facts |= {"pictures": [{"what": "colour", "width": width, "height": height}]}
-    line = f"{output}: {sizes(result)}, textured, "
-    line += f"{width} x {height} texels{blurred}{with_files(files)}"
-    return facts, line
+    show_each(source.meshes, targets, texture_one, printing)
 
 
-def _require_one(mesh: Path | None, finished: Path | None) -> None:
-    """Refuse a mesh beside its map where nothing of the mesh's own is kept.
+def _mapped(
+    mesh: Path | None, source: Source, painting: Painting, mapping: MapOptions, printing: Printing
+) -> tuple[PaintedMesh | None, MapResult | TorusMap]:
+    """Return the mesh's own coordinates and materials where they are needed, and the map.
 
     Raises:
-        OmtwarpError: both a mesh and a map are given.
+        OmtwarpError: a mesh is missing, or stands beside its map where nothing of the mesh's own is needed.
     """
-    if mesh is not None and finished is not None:
-        raise OmtwarpError(
-            "a mesh beside --map is for --uv own or --keep-materials: add one of them, or leave the mesh out"
-        )
+    if not painting.of_the_mesh:
+        if mesh is not None and source.finished is not None:
+            raise OmtwarpError(
+                "a mesh beside --map is for --uv own or --keep-materials: add one of them, or leave the mesh out"
+            )
+        result = map_from(mesh, source, mapping, printing)
+        require_bijective(result, source.finished)
+        return None, result
+    if mesh is None or mesh.suffix.lower() == ".npz":
+        raise OmtwarpError("--uv own and --keep-materials need the mesh itself: give it together with the map")
+    painted, result = painted_map(mesh, source, mapping, printing)
+    if painting.uv is Coordinates.OWN:
+        painted.require_uv(str(mesh))
+    return painted, result
 
 
-def _sharp_size(result: MapResult | TorusMap, atlas: str, *, asked: bool) -> tuple[int | tuple[int, int], str]:
-    """Return the size at which no texel is visible, and a line about what even the largest size leaves blurred.
-
-    Args:
-        result: the map.
-        atlas: name of the layout.
-        asked: whether the size was asked for, which lets it be larger.
+def _size_of(result: MapResult | TorusMap, picture: Picture, atlas: str) -> tuple[int | tuple[int, int] | None, str]:
+    """Return the size of an atlas, None for the usual one, and words about what even the largest leaves blurred.
 
     Raises:
-        OmtwarpError: the map is one to a torus.
+        OmtwarpError: ``auto`` for a map to a torus.
     """
     from omtwarp.maps.result import MapResult
     from omtwarp.texturing.atlas import LARGEST_SIZE, LARGEST_UNASKED, sharp_size
 
+    asked = picture.size == "auto"
+    if not asked and (picture.size is not None or picture.image is not None or not isinstance(result, MapResult)):
+        return sides_of(picture.size), ""
     if not isinstance(result, MapResult):
         raise OmtwarpError("--size auto is for maps to the sphere: give texels for a map to a torus")
     limit = LARGEST_SIZE if asked else LARGEST_UNASKED
@@ -315,91 +260,47 @@ def _sharp_size(result: MapResult | TorusMap, atlas: str, *, asked: bool) -> tup
     return chosen.size, share if chosen.coarse else ""
 
 
-class LookKeywords(TypedDict):
-    """The options that :func:`omtwarp.texture` and :func:`omtwarp.paint` share."""
-
-    pattern: PatternName | None
-    projection: ProjectionName
-    atlas: AtlasName
-    rotate: str | list[float] | None
-
-
-class PaintKeywords(LookKeywords):
-    """The options of :func:`omtwarp.paint` that the command line passes on."""
-
-    uv: Coordinates
-    size: int | None
-    keep: Keep | None
-    opacity: float
-    bake: Sequence[str]
-
-
-def _paint(
-    mesh: Path | None,
-    finished: Path | None,
-    output: Path,
-    detail: Path | None,
-    repair: bool,
-    quiet: bool,
-    verbose: bool,
-    mapping: MapChoices,
-    *,
-    up: str | None,
-    front: str | None,
-    image: Path | None,
+def _painted(
+    result: MapResult | TorusMap,
+    painted: PaintedMesh | None,
+    image: NDArray[np.generic] | None,
+    painting: Painting,
+    size: int | None,
     device: str,
-    texture_format: TextureFormat,
-    **options: Unpack[PaintKeywords],
-) -> tuple[dict[str, object], str]:
-    """Texture a mesh in its own coordinates, with its own materials, or with bakes.
-
-    Returns:
-        The facts of what was written, and a line about them.
-    """
+    look: Look,
+) -> tuple[PaintedMesh, list[dict[str, str | int]], str]:
+    """Return a mesh in its own coordinates, with its own materials, or with bakes; its pictures, and words on them."""
     from omtwarp.mesh.read import read_mesh
     from omtwarp.painting import paint
     from omtwarp.painting.bakes import MOST_RAYS
-    from omtwarp.texturing import read_image
 
-    start_device(device)
-    picture = read_image(image) if image is not None else None
     fine = None
-    if detail is not None:
-        finer = read_mesh(detail, together=True)
+    if painting.detail is not None:
+        finer = read_mesh(painting.detail, together=True)
         fine = (finer.vertices, finer.faces)
-    painted = None
-    if options["uv"] == "own" or options["keep"] is not None:
-        if mesh is None or mesh.suffix.lower() == ".npz":
-            raise OmtwarpError("--uv own and --keep-materials need the mesh itself: give it together with the map")
-        painted, result = painted_map(
-            mesh, finished, repair=repair, quiet=quiet, device=device, torus=True, verbose=verbose, **mapping
-        )
-        if options["uv"] == "own":
-            painted.require_uv(str(mesh))
-    else:
-        _require_one(mesh, finished)
-        result = map_from(
-            mesh, finished, repair=repair, quiet=quiet, device=device, torus=True, verbose=verbose, **mapping
-        )
-        require_bijective(result, finished)
-    result = standing(result, finished or mesh, up, front)
-    with step_times(verbose) as done, warnings.catch_warnings(record=True) as caught:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", OmtwarpWarning)
-        made = paint(result, painted, picture, detail=fine, device=device, **options)
-        done("paint")
+        made = paint(
+            result,
+            painted,
+            image,
+            uv=painting.uv,
+            keep=painting.keep_materials,
+            opacity=painting.opacity,
+            bake=painting.bake or (),
+            detail=fine,
+            size=size,
+            device=device,
+            **vars(look) | {"rotate": rotation(look.rotate)},
+        )
     for warning in caught:
         say(f"warning: {warning.message}")
-    files = made.export(output, keep=(mesh, finished, image, detail), texture_format=texture_format)
     pictures = _pictures(made)
-    facts: dict[str, object] = {"output": str(output), "files": [str(file) for file in files]}
-    facts |= {"vertices": len(result.vertices)}
-    facts |= {"faces": len(result.faces), "pictures": pictures}
-    wanted = options["size"] or max((int(one["width"]) for one in pictures), default=0)
+    wanted = size or max((int(one["width"]) for one in pictures), default=0)
     drawn = [f"{one['material']} {one['what']} {one['width']} x {one['height']}" for one in pictures]
     if any(one["what"] == "occlusion" and int(one["width"]) < wanted for one in pictures):
         drawn.append(f"occlusion by {MOST_RAYS // 1_000_000} million rays at most")
-    looks = ", ".join(dict.fromkeys(drawn)) or "no picture"
-    return facts, f"{output}: {sizes(result)}, {looks}{with_files(files)}"
+    return made, pictures, ", ".join(dict.fromkeys(drawn)) or "no picture"
 
 
 def _pictures(made: PaintedMesh) -> list[dict[str, str | int]]:

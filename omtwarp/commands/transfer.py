@@ -9,27 +9,25 @@ from typing import Annotated
 import typer
 
 from omtwarp.commands._facts import sizes
-from omtwarp.commands._options import DeviceOption, JsonOption, QuietOption, RepairOption, VerboseOption, output_option
+from omtwarp.commands._options import Printing, RepairOption, output_option
 from omtwarp.commands._painted import painted_maps
 from omtwarp.commands._streams import input_file, say
 from omtwarp.commands._work import show_facts, with_files
-from omtwarp.commands.texture import AtlasName, Coordinates
 from omtwarp.errors import OmtwarpWarning
 from omtwarp.files.output import check_output
-from omtwarp.options import MapOptions
+from omtwarp.options import AtlasName, Coordinates, Device, MapOptions
 
 
 def transfer(
+    *,
     source: Annotated[
         Path, typer.Argument(metavar="FROM", callback=input_file, help="A mesh with a texture or colours, or -.")
     ],
     target: Annotated[
         Path, typer.Argument(metavar="TO", callback=input_file, help="The mesh that gets the texture, or -.")
     ],
-    output: Annotated[
-        Path,
-        output_option(".glb or .obj.", ".glb"),
-    ],
+    output: Annotated[Path, output_option(".glb or .obj.", ".glb")],
+    printing: Printing,
     map_of_source: Annotated[
         Path | None, typer.Option("--map-from", metavar="NPZ", callback=input_file, help="A finished map of FROM.")
     ] = None,
@@ -48,17 +46,14 @@ def transfer(
     atlas: Annotated[AtlasName, typer.Option(help="Layout of the texture, where --uv is not own.")] = AtlasName.CUBE,
     size: Annotated[int | None, typer.Option(min=16, help="Width of the texture in texels.")] = None,
     repair: RepairOption = False,
-    device: DeviceOption = MapOptions.device,
-    as_json: JsonOption = False,
-    verbose: VerboseOption = False,
-    quiet: QuietOption = False,
+    device: Device = MapOptions.device,
 ) -> None:
     """Carry the texture of one mesh over to another, each mapped to the sphere and the two aligned."""
     from omtwarp.painting import transfer_texture
 
     check_output(output, (".glb", ".obj"), source, target, map_of_source, map_of_target)
     (painted, result), (plain, other) = painted_maps(
-        [(source, map_of_source), (target, map_of_target)], repair=repair, quiet=quiet, device=device, verbose=verbose
+        [(source, map_of_source), (target, map_of_target)], repair=repair, device=device, printing=printing
     )
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", OmtwarpWarning)
@@ -80,4 +75,4 @@ def transfer(
     facts |= {"vertices": len(other.vertices), "faces": len(other.faces)}
     line = f"{output}: {sizes(other)}, with the texture of {source}"
     line += with_files(files)
-    show_facts(facts, line, as_json=as_json, quiet=quiet)
+    show_facts(facts, line, printing)

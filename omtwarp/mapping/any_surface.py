@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import fsum
 from time import perf_counter
-from typing import Unpack, cast
+from typing import Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -49,12 +49,10 @@ from omtwarp.options import (
     MapKeywords,
     MapOptions,
     Progress,
-    Solver,
     Stage,
     WeightsAt,
     WeightsAtLike,
     choose,
-    parse_refinement,
 )
 from omtwarp.spheres import triangle_solid_angles
 from omtwarp.texturing.density import TargetLike
@@ -138,25 +136,28 @@ def map_surface(
     ('hemisphere', 0, True)
     """
     domain, fill_area = choose(Domain, domain), choose(FillArea, fill_area)
+    chosen = MapOptions.parse(**options)
     along = _loops_to_cut(cut, cut_along)
     vertices, faces = _arrays(mesh)
     parts, of_file = parts_of(vertices, faces), mesh.origins if isinstance(mesh, Surface) else None
     together = together and len(parts) > 1
     if len(parts) == 1 and parts[0].is_sphere and domain in ("auto", "sphere"):
-        return map_to_sphere(mesh, weights=weights, weights_at=weights_at, target=target, progress=progress, **options)
+        return map_to_sphere(
+            mesh, weights=weights, weights_at=weights_at, target=target, progress=progress, **vars(chosen)
+        )
     if target is not None:
         raise OmtwarpError("a target density is for closed, connected surfaces of genus 0")
     if len(parts) == 1 and parts[0].is_torus and domain in (Domain.AUTO, Domain.TORUS):
         if weights is not None:
             raise OmtwarpError("weights are for the sphere, the hemisphere, the disk and the cap: not for the torus")
-        return _in_file(_on_torus(parts[0], progress, options), of_file, len(np.asarray(vertices)))
+        return _in_file(_on_torus(parts[0], progress, chosen), of_file, len(np.asarray(vertices)))
     _check_domain(domain, parts, components, together, along)
-    count, exact = len(np.asarray(vertices)), bool(options.get("exact"))
+    count, exact = len(np.asarray(vertices)), chosen.exact
     shares = None if weights is None else face_weights(weights, np.asarray(faces), count, weights_at)
     given, parts = parts, [numbered_in_space(part) for part in parts]
     if together:
         parts, domain = [_slit(part) for part in parts], Domain.HEMISPHERE
-    maps = [_map_part(part, domain, fill_area, along, progress, options, shares, of_file) for part in parts]
+    maps = [_map_part(part, domain, fill_area, along, progress, chosen, shares, of_file) for part in parts]
     caps: tuple[Floats, Floats] | None = None
     if together:
         maps, caps = _packed(parts, maps, shares, exact)
@@ -404,25 +405,24 @@ def _reach(each: MapResult, centre: Floats) -> float:
     return float(np.arccos(np.clip(np.concatenate([rim[:, 0], middle]) @ centre, -1.0, 1.0)).max())
 
 
-def _on_torus(part: Part, progress: Progress | None, options: MapKeywords) -> TorusMap:
+def _on_torus(part: Part, progress: Progress | None, options: MapOptions) -> TorusMap:
     """Map a part of genus 1 to a flat torus.
 
     Raises:
         OmtwarpError: options that only maps to the sphere have.
     """
-    standard, ordered = MapOptions(), numbered_in_space(part)
-    asked = cast(Mapping[str, object], options)
+    ordered = numbered_in_space(part)
     for name in ("method", "until", "cost", "scheme"):
-        if asked.get(name, getattr(standard, name)) != getattr(standard, name):
+        if getattr(options, name) != getattr(MapOptions, name):
             raise OmtwarpError(f"'{name}' is an option of maps to the sphere: a map to a torus has none")
-    device = str(resolve_device(options.get("device")))
-    with solving_with(choose(Solver, options.get("solver", standard.solver)), device):
+    device = str(resolve_device(options.device))
+    with solving_with(options.solver, device):
         result = map_to_torus(
             Surface(ordered.vertices, ordered.faces),
-            refine=parse_refinement(options.get("refine")),
-            exact=bool(options.get("exact", False)),
-            optimality=bool(options.get("optimality", True)),
-            strict=bool(options.get("strict", False)),
+            refine=options.refine,
+            exact=options.exact,
+            optimality=options.optimality,
+            strict=options.strict,
             progress=progress,
         )
     return torus_in_input_order(result, ordered, part)
@@ -462,7 +462,7 @@ def _map_part(
     fill_area: str,
     along: CutAlong | None,
     progress: Progress | None,
-    options: MapKeywords,
+    options: MapOptions,
     shares: Floats | None,
     of_file: Origins | None,
 ) -> MapResult:
@@ -473,15 +473,15 @@ def _map_part(
     names = opened.compose(opened.filled)
     surface.origins = names if of_file is None else of_file.compose(names)
     if domain == "sphere":
-        closed = map_to_sphere(surface, progress=progress, **options)
-        if options.get("exact"):
+        closed = map_to_sphere(surface, progress=progress, **vars(options))
+        if options.exact:
             opened, closed = _quartered(opened, closed, surface)
         result = _restricted(part, opened, closed, closed.sphere, domain)
     else:
         result = _on_hemisphere(part, opened, surface, domain, progress, options)
     if shares is None:
         return result
-    parts = PARTS if options.get("exact") else 1
+    parts = PARTS if options.exact else 1
     return replace(result, measure=np.repeat(surface.face_areas[: len(opened.faces)] / parts, parts))
 
 
@@ -645,15 +645,14 @@ def _restricted(part: Part, opened: _Opened, closed: MapResult, sphere: Floats, 
 
 
 def _on_hemisphere(
-    part: Part, opened: _Opened, half: Surface, domain: str, progress: Progress | None, options: MapKeywords
+    part: Part, opened: _Opened, half: Surface, domain: str, progress: Progress | None, options: MapOptions
 ) -> MapResult:
     glued = double(opened.filled.vertices, opened.filled.faces)
     areas = np.concatenate([half.face_areas, half.face_areas]) if half.weighted else None
     surface = Surface(glued.vertices, glued.faces, areas)
     surface.origins = glued if half.origins is None else half.origins.compose(glued)
-    chosen = MapOptions.parse(**options)
-    closed = map_double(glued, surface, chosen, progress=progress, stacklevel=5)
-    if chosen.exact:
+    closed = map_double(glued, surface, options, progress=progress, stacklevel=5)
+    if options.exact:
         cut = quartered_double(glued, quarter(surface))
         if not is_symmetric(cut, closed.sphere):
             raise OmtwarpError("the map of the doubled surface with exact areas is not symmetric: leave exact out")
@@ -666,10 +665,10 @@ def _on_hemisphere(
             opened.filled.vertices, opened.filled.faces, triangle_solid_angles(*(whole[faces[:, k]] for k in range(3)))
         )
         return _projected(part, parts, result, domain, None, half.face_areas)
-    image, refined = closed.sphere, Stage.REFINE in chosen.stages
+    image, refined = closed.sphere, Stage.REFINE in options.stages
     if not is_symmetric(glued, image):
         frame = mirror_frame(glued, image, surface.vertex_areas)
-        found = symmetric_map(glued, surface, image @ frame, device=chosen.device)
+        found = symmetric_map(glued, surface, image @ frame, device=options.device)
         before = closed.transported
         if found is not None:
             image, closed = found, closed.turned(frame)
@@ -685,8 +684,8 @@ def _on_hemisphere(
     if domain == "hemisphere":
         return result
     refinement = None
-    if refined and chosen.refine is not None:
-        refinement = chosen.refine if isinstance(chosen.refine, AreaMatch) else refinement_weight(chosen.refine)
+    if refined and options.refine is not None:
+        refinement = options.refine if isinstance(options.refine, AreaMatch) else refinement_weight(options.refine)
     return _projected(part, half, result, domain, refinement)
 
 

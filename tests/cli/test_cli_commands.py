@@ -45,8 +45,8 @@ def radial(monkeypatch):
     """Replace the pipeline of the map command by the radial map, and record the options that reach it."""
     seen = {}
 
-    def make(mesh, *, quiet, **options):
-        seen.update(options)
+    def make(mesh, mapping, *, quiet, **options):
+        seen.update(vars(mapping) | options)
         return radial_map(mesh.vertices, mesh.faces, flip=seen.get("flip", False))
 
     monkeypatch.setattr("omtwarp.commands.map.make_map", make)
@@ -73,13 +73,14 @@ def test_map_writes_the_map_and_the_report(tmp_path, capsys, radial, blob):
         np.testing.assert_array_equal(arrays["faces"], blob.faces)
     written = json.loads(report.read_text())
     assert written["input"]["path"].endswith("blob.ply") and written["stages"][0]["seconds"] is None
-    expected = {"until": "moser", "cost": "geodesic", "method": "omt", "scheme": "paper", "refine": "0.5"}
+    expected = {"until": "moser", "cost": "geodesic", "method": "omt", "scheme": "paper", "refine": 0.5}
     assert radial == {
         **expected,
         "strict": False,
         "device": "cpu",
         "solver": "auto",
         "exact": False,
+        "optimality": True,
         "weights": None,
         "weights_at": "auto",
         "target": None,

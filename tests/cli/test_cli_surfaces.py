@@ -13,7 +13,7 @@ from scipy import sparse
 import omtwarp
 from omtwarp.commands._cli import main
 from omtwarp.commands._facts import quality
-from omtwarp.commands._work import load_map
+from omtwarp.maps.torus_map import read_map
 from omtwarp.mesh import shapes
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.write import write_mesh
@@ -293,7 +293,7 @@ def test_commands_take_a_kind_of_map_or_say_why_not(capsys, maps, tmp_path, kind
         assert not list(tmp_path.iterdir())
     else:
         assert shown
-        result = load_map(words["map"], torus=True)
+        result = read_map(words["map"])
         for word in command.split():
             if word.startswith("{out}"):
                 look_at(tmp_path / word.format(out="out"), command, result)
