@@ -14,7 +14,7 @@ import typer
 import omtwarp
 from omtwarp.commands._command import Command, Group
 from omtwarp.commands._options import as_command
-from omtwarp.commands._streams import say, standard_streams
+from omtwarp.commands._streams import say, standard_streams, warnings_as_lines
 from omtwarp.commands.align import align_map
 from omtwarp.commands.benchmark import benchmark
 from omtwarp.commands.check import check_mesh
@@ -172,7 +172,8 @@ def main(arguments: list[str] | None = None) -> None:
         try:
             with standard_streams():
                 try:
-                    _app_for(sys.argv[1:] if arguments is None else arguments)(args=arguments, prog_name="omtwarp")
+                    with warnings_as_lines():
+                        _app_for(sys.argv[1:] if arguments is None else arguments)(args=arguments, prog_name="omtwarp")
                 except OmtwarpError as error:
                     _fail(str(error))
         except BrokenPipeError:  # the reader of the output has ended

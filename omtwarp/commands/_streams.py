@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import contextlib
 import io
+import logging
 import os
 import sys
+import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TextIO, cast
 
-from omtwarp.errors import OmtwarpError, one_line, with_options
+from omtwarp.errors import OmtwarpError, OmtwarpWarning, one_line, with_options
 from omtwarp.files.limits import LARGEST_MESH_FILE, amount
 from omtwarp.files.output import scratch
 
@@ -207,3 +209,19 @@ def is_standard_output(path: Path) -> bool:
 def say(text: str) -> None:
     """Print one line about the work on standard error, apart from the output of a command."""
     print(f"omtwarp: {one_line(with_options(text))}", file=sys.stderr, flush=True)
+
+
+@contextlib.contextmanager
+def warnings_as_lines() -> Iterator[None]:
+    """Print the package's warnings as a line each at the end of a block, and nothing that other libraries warn of."""
+    level = logging.root.manager.disable
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", OmtwarpWarning)
+        logging.disable()
+        try:
+            yield
+        finally:
+            logging.disable(level)
+            for text in dict.fromkeys(str(each.message) for each in caught):
+                say(f"warning: {text}")

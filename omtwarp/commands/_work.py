@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -14,8 +13,8 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 from omtwarp.commands._facts import facts_of, quality
 from omtwarp.commands._options import Printing, Source
 from omtwarp.commands._progress import progress_bar
-from omtwarp.commands._streams import is_standard_output, say
-from omtwarp.errors import OmtwarpError, OmtwarpWarning
+from omtwarp.commands._streams import is_standard_output, say, warnings_as_lines
+from omtwarp.errors import OmtwarpError
 from omtwarp.options import MapOptions, SurfaceKeywords, WeightsAt, parse_device
 
 if TYPE_CHECKING:
@@ -296,25 +295,15 @@ def make_map(
     """
     from omtwarp.mapping.pipeline import map_to_sphere
 
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", OmtwarpWarning)
-        with progress_bar(quiet) as progress:
-            mapped: Callable[..., MapResult | TorusMap] = map_to_sphere
-            if any_surface is not None:
-                from omtwarp.mapping.any_surface import map_surface
+    with warnings_as_lines(), progress_bar(quiet) as progress:
+        mapped: Callable[..., MapResult | TorusMap] = map_to_sphere
+        if any_surface is not None:
+            from omtwarp.mapping.any_surface import map_surface
 
-                mapped = partial(map_surface, **any_surface)
-            result = mapped(
-                surface, weights=weights, weights_at=weights_at, target=target, progress=progress, **vars(mapping)
-            )
-    for each_warning in caught:
-        if issubclass(each_warning.category, OmtwarpWarning):
-            say(f"warning: {each_warning.message}")
-        else:
-            warnings.showwarning(
-                each_warning.message, each_warning.category, each_warning.filename, each_warning.lineno
-            )
-    return result
+            mapped = partial(map_surface, **any_surface)
+        return mapped(
+            surface, weights=weights, weights_at=weights_at, target=target, progress=progress, **vars(mapping)
+        )
 
 
 def require_bijective(result: MapResult | TorusMap, path: Path | None = None) -> None:

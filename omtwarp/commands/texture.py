@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -21,9 +20,9 @@ from omtwarp.commands._options import (
 )
 from omtwarp.commands._painted import painted_map, standing
 from omtwarp.commands._progress import step_times
-from omtwarp.commands._streams import say
+from omtwarp.commands._streams import warnings_as_lines
 from omtwarp.commands._work import map_from, require_bijective, show_each, start_device, targets_of, with_files
-from omtwarp.errors import OmtwarpError, OmtwarpWarning
+from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output
 from omtwarp.options import AtlasName, Coordinates, Keep, PatternName, ProjectionName, TextureFormat
 
@@ -278,8 +277,7 @@ def _painted(
     if painting.detail is not None:
         finer = read_mesh(painting.detail, together=True)
         fine = (finer.vertices, finer.faces)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", OmtwarpWarning)
+    with warnings_as_lines():
         made = paint(
             result,
             painted,
@@ -293,8 +291,6 @@ def _painted(
             device=device,
             **vars(look) | {"rotate": rotation(look.rotate)},
         )
-    for warning in caught:
-        say(f"warning: {warning.message}")
     pictures = _pictures(made)
     wanted = size or max((int(one["width"]) for one in pictures), default=0)
     drawn = [f"{one['material']} {one['what']} {one['width']} x {one['height']}" for one in pictures]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import Annotated
 
@@ -11,9 +10,8 @@ import typer
 from omtwarp.commands._facts import sizes
 from omtwarp.commands._options import Printing, RepairOption, output_option
 from omtwarp.commands._painted import painted_maps
-from omtwarp.commands._streams import input_file, say
+from omtwarp.commands._streams import input_file, warnings_as_lines
 from omtwarp.commands._work import show_facts, with_files
-from omtwarp.errors import OmtwarpWarning
 from omtwarp.files.output import check_output
 from omtwarp.options import AtlasName, Coordinates, Device, MapOptions
 
@@ -55,8 +53,7 @@ def transfer(
     (painted, result), (plain, other) = painted_maps(
         [(source, map_of_source), (target, map_of_target)], repair=repair, device=device, printing=printing
     )
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", OmtwarpWarning)
+    with warnings_as_lines():
         made = transfer_texture(
             painted,
             result,
@@ -68,8 +65,6 @@ def transfer(
             size=size,
             device=device,
         )
-    for warning in caught:
-        say(f"warning: {warning.message}")
     files = made.export(output, keep=(source, target, map_of_source, map_of_target))
     facts: dict[str, object] = {"output": str(output), "files": [str(file) for file in files], "from": str(source)}
     facts |= {"vertices": len(other.vertices), "faces": len(other.faces)}

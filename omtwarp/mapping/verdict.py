@@ -138,7 +138,7 @@ def _coarse_findings(surface: Surface, long: NDArray[np.float64]) -> list[Findin
         text = f"{name} {_place_of_face(surface, worst)} is {long[worst]:.0e} times as long as high"
         found.append(Finding(NEEDLES, number, text, "flip an edge of the needle, or collapse it"))
     mean_long = float(share @ long)
-    mean_fold = float(np.degrees(np.arccos(share @ bend)))
+    mean_fold = float(np.degrees(np.arccos(min(share @ bend, 1.0))))
     if surface.face_count <= FEW_FACES and mean_long > MEAN_LONG and mean_fold > MEAN_FOLD:
         text = (
             f"{surface.face_count} triangles are on average {mean_long:.2g} times as long as high and folded by "
