@@ -8,12 +8,13 @@ import json
 import os
 import stat
 import time
+import zipfile
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TypeAlias
 
-from omtwarp.files.output import staged
+from omtwarp.files.output import digest_of, staged
 from omtwarp.version import package_version
 
 Row: TypeAlias = dict[str, str | float | None]
@@ -24,7 +25,7 @@ OK, ERROR, TIMEOUT, MEMORY, CRASHED = "ok", "error", "timeout", "memory", "crash
 
 
 # Numbers in a record, and in a table's columns.
-WHOLE = ("vertices", "faces", "flips", "memory")
+WHOLE = ("vertices", "faces", "flips", "memory", "map_size")
 NUMBERS = ("degree", "area", "area_p95", "angle", "ring", "gap", "seconds", "cpu_seconds")
 
 
@@ -86,13 +87,51 @@ def key_of(path: str | os.PathLike[str], options: dict[str, object]) -> str:
 
 
 def read_record(job: Job) -> Row | None:
-    """Return the finished record of a job, or None where there is none or it is of other input, options or version."""
+    """Return the finished record of a job; None where there is none, or it is of other input, options, version or map.
+
+    A map that is gone, cut short or changed since it was recorded is none, and its item is not done.
+    """
+    record = _any_record(job)
+    if record is None or record.get("key") != job.key:
+        return None
+    return record if record["status"] != OK or _is_recorded(job.map_file, record) else None
+
+
+def _any_record(job: Job) -> Row | None:
+    """Return the record of an item, of whatever input, options and version; None where there is none."""
     try:
         record = json.loads(job.record_file.read_text("utf-8"))
     except (OSError, ValueError, RecursionError):
         return None
-    whole = isinstance(record, dict) and record.get("key") == job.key and _well_typed(record)
-    return record if whole and (record.get("status") != OK or job.map_file.exists()) else None
+    return record if isinstance(record, dict) and _well_typed(record) else None
+
+
+def _is_recorded(map_file: Path, record: Row) -> bool:
+    """Return whether a map is there with the size and digest that a record has of it."""
+    try:
+        there = map_file.stat()
+        return (
+            stat.S_ISREG(there.st_mode)
+            and there.st_size == record.get("map_size")
+            and digest_of(map_file) == record.get("map_digest")
+        )
+    except OSError:
+        return False
+
+
+def may_write_map(job: Job) -> bool:
+    """Return whether the place of an item's map is free, or holds a map that a record has, or what is left of one.
+
+    What is left is shorter than recorded and no longer an archive. Any other file is somebody's own.
+    """
+    if not os.path.lexists(job.map_file):
+        return True
+    record = _any_record(job)
+    if record is None or job.map_file.is_symlink() or not job.map_file.is_file():
+        return False
+    size = record.get("map_size")
+    cut = isinstance(size, int) and job.map_file.stat().st_size < size and not zipfile.is_zipfile(job.map_file)
+    return cut or _is_recorded(job.map_file, record)
 
 
 def _well_typed(record: dict[str, object]) -> bool:
@@ -104,22 +143,29 @@ def _well_typed(record: dict[str, object]) -> bool:
 
 
 def write_record(job: Job, status: str, message: str = "", **numbers: str | float | None) -> Row:
-    """Write the record of an item atomically, and a line in the journal; the caller holds the item's lock.
+    """Write the record of an item atomically; the caller holds the item's lock, and enters it in the journal.
 
-    Where the process dies between the two, :func:`complete_journal` adds the line.
+    A map of before goes with its record, so that no map is without one. That of the new record is moved to its place
+    afterwards: where the process dies in between, there is no map, and the item is not done.
     """
     record: Row = {"id": job.id, "path": job.path, "key": job.key, "status": status, "version": package_version()}
     record |= {"message": " ".join(message.split()), **numbers}
+    before = _any_record(job)
+    if before is not None and _is_recorded(job.map_file, before):
+        job.map_file.unlink(missing_ok=True)
     with staged(job.record_file) as file:
         file.write_text(json.dumps(record, indent=1), "utf-8")
-    _append_to_journal(job, status)
     return record
 
 
 def settle(job: Job, status: str, message: str, **numbers: str | float | None) -> Row:
     """Record a failure that was seen from outside, unless a process that worked on the item has written a record."""
     with locked(job):
-        return read_record(job) or write_record(job, status, message, **numbers)
+        record = read_record(job)
+        if record is None:
+            record = write_record(job, status, message, **numbers)
+            append_to_journal(job, status)
+        return record
 
 
 def forget_failure(job: Job) -> None:
@@ -155,11 +201,14 @@ def complete_journal(jobs: Iterable[Job], folder: str | os.PathLike[str]) -> Non
         with locked(job):  # whoever held the lock has written the line, or is dead
             lines = {(entry.get("id"), entry.get("key"), entry.get("status")) for entry in read_journal(folder)}
             if (job.id, job.key, record["status"]) not in lines:
-                _append_to_journal(job, str(record["status"]))
+                append_to_journal(job, str(record["status"]))
 
 
-def _append_to_journal(job: Job, status: str) -> None:
-    """Append a line in one write, which processes that append at the same time do not mix."""
+def append_to_journal(job: Job, status: str) -> None:
+    """Append a line in one write, which processes that append at the same time do not mix.
+
+    Where a process dies between a record and its line, :func:`complete_journal` adds it.
+    """
     line = json.dumps({"id": job.id, "key": job.key, "status": status, "time": time.time(), "process": os.getpid()})
     with open(Path(job.folder) / "journal.jsonl", "ab+", buffering=0) as journal:
         torn = False  # the disk was full, or the machine stopped, in the middle of the last line

@@ -6,15 +6,21 @@ import csv
 import glob
 import io
 import re
+import warnings
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TextIO
 
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.files.inputs import read_bytes
 
-MESH_SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb", ".gltf", ".gii", ".vtk", ".white", ".pial", ".orig")
+MESH_SUFFIXES = (
+    *(".ply", ".obj", ".off", ".stl", ".glb", ".gltf", ".gii", ".vtk", ".vtp", ".vtu", ".mz3", ".msh", ".mesh"),
+    *(".inp", ".white", ".pial", ".orig"),
+)
+"""Files of a folder that are items, also compressed (``.gz``)."""
+MOST_NAMED = 8  # files left out that a warning names
 
 
 @dataclass(frozen=True)
@@ -39,10 +45,14 @@ def read_manifest(source: str | Path | TextIO) -> list[Item]:
         source: a table (.csv or .tsv) with a column ``path`` (relative to the table), and perhaps ``id`` and others; a
             folder; a pattern such as ``sub-*/surf/lh.white``, quoted; or an open table, whose paths are relative to
             the current folder. Without a column ``id`` items are named after their files, and parts such as ``sub-01``
-            and ``hemi-L`` of BIDS names become columns.
+            and ``hemi-L`` of BIDS names become columns. Of a folder the files that end in :data:`MESH_SUFFIXES` are
+            items.
 
     Raises:
         OmtwarpError: no such file, no item, no column ``path``, or two items of one name.
+
+    Warns:
+        OmtwarpWarning: files of a folder are left out, with their names.
     """
     if not isinstance(source, str | Path):
         return _checked(_from_text(source.read(), "the table", Path()), "the table")
@@ -52,10 +62,29 @@ def read_manifest(source: str | Path | TextIO) -> list[Item]:
         paths = sorted(Path(name) for name in glob.glob(text, recursive=True))
         items = _named([(p, {}) for p in paths if p.is_file()])
     elif path.is_dir():
-        items = _named([(p, {}) for p in sorted(path.iterdir()) if p.suffix.lower() in MESH_SUFFIXES])
+        items = _named([(p, {}) for p in _meshes_of(path)])
     else:
         items = _from_table(path)
     return _checked(items, f"'{source}'")
+
+
+def _meshes_of(folder: Path) -> list[Path]:
+    """List the files of a folder that are meshes by their names, and warn of the others.
+
+    Raises:
+        OmtwarpError: the folder cannot be read.
+    """
+    try:
+        files = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
+    except OSError as error:
+        raise OmtwarpError(f"{folder}: cannot be read: {error.strerror or error}") from None
+    meshes = [path for path in files if Path(path.name.lower().removesuffix(".gz")).suffix in MESH_SUFFIXES]
+    others = [path.name for path in files if path not in meshes and not path.is_dir()]
+    if others:
+        names = ", ".join(others[:MOST_NAMED]) + (", ..." if len(others) > MOST_NAMED else "")
+        text = f"'{folder}': left out {len(others)} files, which are no meshes by their names: {names}"
+        warnings.warn(f"{text}; a table or a pattern takes any", OmtwarpWarning, stacklevel=3)
+    return meshes
 
 
 def _checked(items: list[Item], source: str) -> list[Item]:

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Unpack
 
 from omtwarp.cohort.executors import executor_for, make_folders
-from omtwarp.cohort.item import OK, Job, Row, complete_journal, forget_failure, key_of, read_record
+from omtwarp.cohort.item import OK, Job, Row, complete_journal, forget_failure, key_of, may_write_map, read_record
 from omtwarp.cohort.manifest import Item
 from omtwarp.cohort.table import ORDER, write_table
 from omtwarp.device.cores import core_count
 from omtwarp.errors import OmtwarpError, choose
-from omtwarp.files.output import folder_of_results
+from omtwarp.files.output import folder_of_results, require_own
 from omtwarp.options import AreaMatch, FillArea, MapKeywords, MapOptions, Progress
 
 LONGEST = 1e8  # seconds of a time limit: three years, and less than timers of the system take
@@ -62,7 +62,7 @@ def run_cohort(
     """Map many surfaces, each in a process of its own; a surface that fails becomes a row of the table.
 
     The run may be ended in any way and started again: items that have a record for the same input, options and version
-    are not worked on twice.
+    are not worked on twice, unless their map is gone, cut short or changed.
 
     Args:
         items: the surfaces, see :func:`omtwarp.cohort.read_manifest`.
@@ -81,7 +81,8 @@ def run_cohort(
         options: of :func:`omtwarp.map_to_sphere`.
 
     Raises:
-        OmtwarpError: an unknown option or executor, or a folder that cannot be written to.
+        OmtwarpError: an unknown option or executor, a folder that cannot be written to, or a file at the place of a
+            map, the table or the page that no cohort wrote.
         KeyboardInterrupt: the run was interrupted; its text says how many items have a record.
 
     Example:
@@ -134,6 +135,8 @@ def run_cohort(
     _require_other_inputs(jobs, target)
     mine = [] if collect else jobs[part - 1 :: parts]
     todo = [job for job in mine if (record := read_record(job)) is None or (retry and record["status"] != OK)]
+    for job in todo:
+        require_own(job.map_file, may_write_map(job))
     if todo:
         with _only_driver(target, part, parts):
             if retry:

@@ -11,7 +11,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import staged
 
 TABLES = "table.parquet", "table.csv"
-ORDER = ("id", "path", "status", *WHOLE[:3], *NUMBERS, "memory", "version", "message", "key")
+ORDER = ("id", "path", "status", *WHOLE[:3], *NUMBERS, "memory", "version", "message", "map_size", "map_digest", "key")
 
 
 def columns_of(rows: Sequence[Row]) -> list[str]:

@@ -11,8 +11,19 @@ from typing import cast
 
 import numpy as np
 
-from omtwarp.cohort.item import ERROR, MEMORY, OK, Job, Row, locked, read_record, write_record
+from omtwarp.cohort.item import (
+    ERROR,
+    MEMORY,
+    OK,
+    Job,
+    Row,
+    append_to_journal,
+    locked,
+    read_record,
+    write_record,
+)
 from omtwarp.errors import OmtwarpError, OmtwarpWarning, choose, unexpected
+from omtwarp.files.output import digest_of, staged
 from omtwarp.mapping.any_surface import map_surface
 from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.maps.result import MapResult
@@ -32,19 +43,33 @@ def run_item(job: Job) -> Row:
             return finished
         _limit_memory(job.memory_limit)
         begun, used = time.perf_counter(), time.process_time()
+
+        def recorded(status: str, message: str = "", numbers: Row | None = None) -> Row:
+            numbers = (numbers or {}) | {
+                "seconds": time.perf_counter() - begun,
+                "cpu_seconds": time.process_time() - used,
+            }
+            return write_record(job, status, message, **numbers, memory=_peak_memory())
+
         try:
-            numbers, status, message = _map(job), OK, ""
+            result = _map(job)
+            numbers = numbers_of(result)
+            with staged(job.map_file) as file:
+                result.save(file)
+                made: Row = {"map_size": file.stat().st_size, "map_digest": digest_of(file)}
+                record = recorded(OK, numbers=numbers | made)
         except MemoryError:
-            numbers, status, message = {}, MEMORY, f"needs more than {job.memory_limit / 2**30:.3g} GiB of memory"
+            record = recorded(MEMORY, f"needs more than {job.memory_limit / 2**30:.3g} GiB of memory")
         except OmtwarpError as error:
-            numbers, status, message = {}, ERROR, str(error)
+            record = recorded(ERROR, str(error))
         except Exception as error:
-            numbers, status, message = {}, ERROR, unexpected(error)
-        numbers |= {"seconds": time.perf_counter() - begun, "cpu_seconds": time.process_time() - used}
-        return write_record(job, status, message, **numbers, memory=_peak_memory())
+            record = recorded(ERROR, unexpected(error))
+        append_to_journal(job, str(record["status"]))
+        return record
 
 
-def _map(job: Job) -> Row:
+def _map(job: Job) -> MapResult:
+    """Read an item, repair it where asked, and map it."""
     repair_first = bool(job.options.get("repair"))
     mesh = read_joined_mesh(Path(job.path), together=repair_first)
     vertices, faces = mesh.vertices, mesh.faces
@@ -57,8 +82,7 @@ def _map(job: Job) -> Row:
     structure = structure_of(Path(job.path))
     if structure is not None:
         result.report["structure"] = structure
-    result.save(job.map_file)
-    return numbers_of(result)
+    return result
 
 
 def mapped(mesh: MeshLike, asked: Mapping[str, object]) -> MapResult:

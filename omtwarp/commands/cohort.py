@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from omtwarp.commands._options import ROUTE, FillAreaOption, Only, Printing, RepairOption, output_option
-from omtwarp.commands._streams import input_table, say
+from omtwarp.commands._streams import input_table, say, warnings_as_lines
 from omtwarp.errors import INTERRUPTED, OmtwarpError
 from omtwarp.files.interruptions import LINE, raised
 from omtwarp.options import MapOptions
@@ -80,7 +80,8 @@ def cohort(
     from omtwarp.cohort import read_manifest, run_cohort
 
     part = parse_shard(shard)
-    items = read_manifest(input_table(manifest))
+    with warnings_as_lines():
+        items = read_manifest(input_table(manifest))
     with _ended_when_interrupted(), _reporting(printing.quiet, printing.verbose) as progress:
         result = run_cohort(
             items,

@@ -188,7 +188,20 @@ def folder_of_results(folder: Path, *names: str) -> Iterator[None]:
 
 
 def _require_own(given: Path, target: Path) -> None:
-    if not _may_replace(target):
+    require_own(given, _may_replace(target))
+
+
+def require_own(given: Path, own: bool) -> None:
+    """Refuse a result whose place holds what the package did not write, but with ``--force``.
+
+    Args:
+        given: the file to be.
+        own: whether its place is free, or holds what the package wrote there.
+
+    Raises:
+        OmtwarpError: the place holds a file of somebody's own.
+    """
+    if not own and not (_forced and given.is_file() and not given.is_symlink()):
         raise OmtwarpError(
             f"cannot write '{given}': omtwarp did not write what is there, or it was changed; move it away, choose "
             "another directory, or use --force"
@@ -229,7 +242,7 @@ def written_by_omtwarp(path: Path) -> bool:
     """
     if path.is_symlink() or not path.is_file():
         return False
-    return _recorded(path.parent).get(path.name) == _digest(path)
+    return _recorded(path.parent).get(path.name) == digest_of(path)
 
 
 def _content(path: Path) -> bytes:
@@ -244,7 +257,12 @@ def _content(path: Path) -> bytes:
         return stream.read(1 << 24) if stat.S_ISREG(os.fstat(descriptor).st_mode) else b""
 
 
-def _digest(path: Path) -> str:
+def digest_of(path: Path) -> str:
+    """Return the SHA-256 of a file's content.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
     with open(path, "rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
@@ -260,7 +278,7 @@ def _recorded(folder: Path) -> dict[str, object]:
 
 def _record(folder: Path, names: Iterable[str]) -> None:
     """Add files to the record of their folder, as they are now."""
-    known = _recorded(folder) | {name: _digest(folder / name) for name in names}
+    known = _recorded(folder) | {name: digest_of(folder / name) for name in names}
     there = {name: digest for name, digest in known.items() if os.path.lexists(folder / name)}
     part = folder / f"{RECORD}.{secrets.token_hex(4)}"
     try:

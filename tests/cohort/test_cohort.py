@@ -318,6 +318,44 @@ def test_what_a_process_wrote_at_its_end_is_kept_and_entered_in_the_journal(tmp_
         assert journal(tmp_path) == before
 
 
+def test_a_map_that_is_cut_short_gone_or_changed_is_not_done(tmp_path):
+    """What is left of a map is computed again; a whole one that the record does not have stops the run."""
+    write_shapes(tmp_path / "in", 2)
+    items, out = read_manifest(tmp_path / "in"), tmp_path / "out"
+    options = {"workers": 1, "until": "conformal", "device": "cpu"}
+    assert run_cohort(items, out, **options).computed == 2
+    first, second = (out / "maps" / f"{item.id}.npz" for item in items)
+    for kept in (0.5, -1, 0, None):
+        whole = first.read_bytes()  # of another length every time, as it has times in it
+        first.unlink()
+        if kept is not None:
+            first.write_bytes(whole[: int(kept * len(whole)) if kept >= 0 else kept])
+        assert run_cohort(items, out, collect=True, **options).counts == {"ok": 1, "waiting": 1}
+        again = run_cohort(items, out, **options)
+        assert (again.computed, again.counts) == (1, {"ok": 2})
+        assert MapResult.load(first).bijective
+    whole = first.read_bytes()
+    for changed in (second.read_bytes(), whole[:40] + bytes([whole[40] ^ 1]) + whole[41:]):
+        first.write_bytes(changed)
+        assert run_cohort(items, out, collect=True, **options).counts == {"ok": 1, "waiting": 1}
+        with pytest.raises(OmtwarpError, match="did not write what is there, or it was changed"):
+            run_cohort(items, out, **options)
+        assert first.read_bytes() == changed
+
+
+def test_a_map_of_other_options_is_replaced_and_goes_with_a_failure(tmp_path):
+    paths = write_shapes(tmp_path / "in", 1)
+    items, out = read_manifest(tmp_path / "in"), tmp_path / "out"
+    options = {"workers": 1, "device": "cpu"}
+    for until in ("conformal", "moser"):
+        assert run_cohort(items, out, until=until, **options).counts == {"ok": 1}
+    paths[0].write_text("no mesh")
+    assert run_cohort(items, out, until="moser", **options).counts == {"error": 1}
+    assert not list((out / "maps").iterdir())
+    write_shapes(tmp_path / "in", 1)
+    assert run_cohort(items, out, until="moser", **options).counts == {"ok": 1}
+
+
 def test_keys_follow_input_options_and_version(tmp_path, monkeypatch):
     file = tmp_path / "a.ply"
     file.write_text("1")
@@ -348,6 +386,19 @@ class TestManifest:
         assert [item.id for item in items] == ["sub-01_surf_lh.white", "sub-02_surf_lh.white"]
         with pytest.raises(OmtwarpError, match="names no surface"):
             read_manifest(tmp_path)
+
+    def test_files_of_a_folder_that_are_left_out_are_named(self, tmp_path, capsys):
+        write_shapes(tmp_path / "in", 1)
+        names = ["lh.inflated", "lh.sphere", "notes.txt", "scan"]
+        for name in [*names, "b.obj.gz", "lh.pial", ".hidden"]:
+            (tmp_path / "in" / name).write_text("x")
+        (tmp_path / "in" / "deeper").mkdir()
+        with pytest.raises(SystemExit):
+            main(["cohort", str(tmp_path / "in"), "-o", str(tmp_path / "out"), "--collect", "--json"])
+        told = capsys.readouterr()
+        assert json.loads(told.out)["counts"] == {"waiting": 3}
+        assert told.err.startswith("omtwarp: warning: ") and told.err.count("\n") == 1
+        assert f"left out 4 files, which are no meshes by their names: {', '.join(names)};" in told.err
 
     @pytest.mark.parametrize(
         ("text", "message"),

@@ -104,6 +104,31 @@ def test_a_cohort_maps_no_file_that_it_writes(place):
         run_cohort(read_manifest("list.csv"), place / "out", collect=True)
 
 
+@pytest.mark.parametrize("there", ["a map", "a text", "a link", "a folder"])
+def test_a_cohort_replaces_no_map_of_others(place, capsys, there):
+    """Nor does one count as done; --force replaces files, and neither links nor folders."""
+    own = place / "out" / "maps" / "a.npz"
+    own.parent.mkdir(parents=True)
+    if there == "a map":
+        os.rename(place / "b.npz", own)
+    elif there == "a text":
+        own.write_text("maps by omtwarp", "utf-8")
+    elif there == "a link":
+        own.symlink_to(place / "b.npz")
+    else:
+        own.mkdir()
+    before = own.is_file() and own.read_bytes()
+    line = "cohort [ab].ply -o out --until conformal --workers 1 -q --device cpu"
+    status, said = ended(capsys, line)
+    assert status == 1 and "maps/a.npz': omtwarp did not write what is there" in said, said
+    assert (own.is_file() and own.read_bytes()) == before and not list((place / "out" / "records").iterdir())
+    assert run_cohort(read_manifest("[ab].ply"), "out", collect=True, until="conformal").counts == {"waiting": 2}
+    status, said = ended(capsys, line + " --force")
+    assert status == int(there in ("a link", "a folder")), said
+    if not status:
+        assert MapResult.load(own).faces.shape == BALL.faces.shape and ended(capsys, line)[0] == 0
+
+
 def test_a_group_replaces_no_table_of_others(place, capsys):
     (place / "study").mkdir()
     (place / "study" / "table.csv").write_text("omtwarp,1\n", "utf-8")
