@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 import warnings
 from pathlib import Path
@@ -13,7 +14,7 @@ import pytest
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.mapping import pipeline
 from omtwarp.mapping.pipeline import map_to_sphere
-from omtwarp.mapping.verdict import elongation, foretell, judge
+from omtwarp.mapping.verdict import elongation, foretell, judge, refusal
 from omtwarp.maps.result import StageRecord
 from omtwarp.mesh.shapes import blob, flip_edges, icosphere, tube
 from omtwarp.mesh.surface import Surface, triangle_areas
@@ -39,6 +40,26 @@ def test_a_face_with_forty_percent_of_the_area_is_named_with_its_place():
     assert result.report["warnings"][0]["where"] == np.argmax(areas) == 0
     with pytest.raises(OmtwarpError, match=r"--strict: area distortion"):
         map_to_sphere((vertices, faces), device="cpu", strict=True)
+
+
+def test_the_areas_around_vertices_come_first_with_how_far_they_are_off():
+    """They are what the map promises; the line begins with the largest error, which is measured here anew."""
+    sphere = icosphere(3)
+    points = sphere.vertices * [1.0, 1.0, 2.0]
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    around, triangles = judge(sphere, points, [], MapOptions())
+    assert (around.kind, triangles.kind) == ("vertex-areas", "area-distortion")
+    a, b, c = (points[sphere.faces[:, k]] for k in range(3))
+    cosines = 1.0 + sum((one * other).sum(axis=1) for one, other in ((a, b), (b, c), (c, a)))
+    image = 2.0 * np.arctan2((a * np.cross(b, c)).sum(axis=1), cosines)  # solid angles
+    goal = triangle_areas(sphere.vertices, sphere.faces)
+    per_vertex = [np.bincount(np.ravel(sphere.faces), np.repeat(each / each.sum(), 3)) for each in (image, goal)]
+    error = np.abs(per_vertex[0] / per_vertex[1] - 1.0)
+    assert around.where == np.argmax(error)
+    words = r"areas around vertices are off by up to (\d+)%, the most at vertex \d+ at \(.*\), and by more than 10% at (\d+)"
+    off, count = re.match(words, str(around)).groups()
+    assert error.max() == pytest.approx(int(off) / 100, abs=0.006) and int(count) == (error > 0.1).sum()
+    assert str(refusal([around, triangles])).startswith("not accepted with --strict: areas around vertices are off by")
 
 
 def test_a_minimum_far_above_the_bound_is_not_called_optimal(monkeypatch):

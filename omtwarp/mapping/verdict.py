@@ -214,8 +214,23 @@ def refusal(found: Sequence[Finding]) -> OmtwarpError:
 
 
 def _area_findings(goal: Surface, sphere: NDArray[np.float64], uniform: bool, parts: int = 1) -> list[Finding]:
-    """Find warnings about the areas of triangles, each made of so many faces in a row, and those around vertices."""
+    """Find warnings about the areas around vertices, which a map promises, and those of triangles.
+
+    A triangle is made of so many faces in a row, its ``parts``; areas around vertices are judged where it is one.
+    """
     found = []
+    if uniform and parts == 1:
+        around = goal.sum_to_vertices(triangle_solid_angles(*sphere[goal.faces].transpose(1, 0, 2)))
+        error = np.abs(around / (3.0 * goal.vertex_areas) - 1.0)
+        worst = int(np.argmax(error))
+        off = int((error > MAX_VERTEX_AREA_ERROR).sum())
+        if off:
+            number, name = named_vertex(goal.origins, worst)
+            text = (
+                f"areas around vertices are off by up to {error[worst]:.0%}, the most at {name} "
+                f"{_place(goal.vertices[worst])}, and by more than {MAX_VERTEX_AREA_ERROR:.0%} at {off} of {len(error)}"
+            )
+            found.append(Finding("vertex-areas", number, text, ""))
     image = triangle_areas(sphere, goal.faces).reshape(-1, parts).sum(axis=1)
     wanted = goal.face_areas.reshape(-1, parts).sum(axis=1)
     with np.errstate(divide="ignore"):
@@ -230,18 +245,6 @@ def _area_findings(goal: Surface, sphere: NDArray[np.float64], uniform: bool, pa
             f"{_place_of_face(goal, parts * worst)}, whose image has {ratio[worst]:.3g} times its area"
         )
         found.append(Finding("area-distortion", number, text, ""))
-    if uniform and parts == 1:
-        around = goal.sum_to_vertices(triangle_solid_angles(*sphere[goal.faces].transpose(1, 0, 2)))
-        error = np.abs(around / (3.0 * goal.vertex_areas) - 1.0)
-        worst = int(np.argmax(error))
-        off = int((error > MAX_VERTEX_AREA_ERROR).sum())
-        if off:
-            number, name = named_vertex(goal.origins, worst)
-            text = (
-                f"areas around {off} vertices are off by more than {MAX_VERTEX_AREA_ERROR:.0%}, the most by "
-                f"{error[worst]:.0%} at {name} {_place(goal.vertices[worst])}"
-            )
-            found.append(Finding("vertex-areas", number, text, ""))
     return found
 
 
