@@ -41,6 +41,7 @@ HEAVY_ROOMS = {
     # Kernels that few maps launch: reading their text takes as long as a tenth of a small map.
     "omtwarp.mapping": {
         "omtwarp.baselines",
+        "omtwarp.moser",
         "omtwarp.transport.flow",
         "omtwarp.transport.paper",
         "omtwarp.transport.polish",

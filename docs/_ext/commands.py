@@ -15,9 +15,9 @@ class CommandLine(Directive):
     def run(self) -> list[nodes.Node]:
         import typer
 
-        from omtwarp.commands._cli import app
+        from omtwarp.commands._cli import app_of
 
-        group: Any = typer.main.get_command(app)
+        group: Any = typer.main.get_command(app_of())
         context = group.make_context("omtwarp", [], resilient_parsing=True)
         return [self.section(name, group.get_command(context, name), context) for name in group.list_commands(context)]
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import atexit
-import copy
 import gc
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import typer
 
@@ -106,16 +105,6 @@ SUMMARIES = {
 }
 """One line about every command, short enough for a terminal of 80 columns."""
 
-app = typer.Typer(
-    cls=Group,
-    help="Area-preserving maps of surfaces to the sphere, and textures through them.",
-    epilog="Begin with: omtwarp demo -o out. Options and examples of a command: omtwarp COMMAND --help.",
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["--help", "-h"]},
-)
-
 COMMANDS: dict[str, Callable[..., None]] = {
     "map": map_mesh,
     "texture": texture_mesh,
@@ -135,9 +124,6 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "demo": demo,
     "benchmark": benchmark,
 }
-for _name, _run in COMMANDS.items():
-    _register = app.command(_name, cls=Command, short_help=SUMMARIES[_name], epilog=EXAMPLES[_name])
-    _register(as_command(_run))
 
 
 def _show_version(wanted: bool) -> None:
@@ -146,11 +132,28 @@ def _show_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def _common(
     version: bool = typer.Option(False, "--version", callback=_show_version, is_eager=True, help="Print the version."),
 ) -> None:
     pass
+
+
+def app_of(names: Iterable[str] = COMMANDS) -> typer.Typer:
+    """Return the command line with the commands of these names; to read the options of all takes a while."""
+    app = typer.Typer(
+        cls=Group,
+        help="Area-preserving maps of surfaces to the sphere, and textures through them.",
+        epilog="Begin with: omtwarp demo -o out. Options and examples of a command: omtwarp COMMAND --help.",
+        no_args_is_help=True,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["--help", "-h"]},
+    )
+    app.callback()(_common)
+    for name in names:
+        register = app.command(name, cls=Command, short_help=SUMMARIES[name], epilog=EXAMPLES[name])
+        register(as_command(COMMANDS[name]))
+    return app
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -172,8 +175,9 @@ def main(arguments: list[str] | None = None) -> None:
         try:
             with standard_streams():
                 try:
+                    words = sys.argv[1:] if arguments is None else arguments
                     with warnings_as_lines():
-                        _app_for(sys.argv[1:] if arguments is None else arguments)(args=arguments, prog_name="omtwarp")
+                        app_of(COMMANDS.keys() & words[:1] or COMMANDS)(args=arguments, prog_name="omtwarp")
                 except OmtwarpError as error:
                     _fail(str(error))
         except BrokenPipeError:  # the reader of the output has ended
@@ -187,19 +191,6 @@ def main(arguments: list[str] | None = None) -> None:
             if os.environ.get("OMTWARP_TRACEBACK"):
                 raise
             _fail(unexpected(error, " (OMTWARP_TRACEBACK=1 shows where; please report it)"))
-
-
-def _app_for(arguments: list[str]) -> typer.Typer:
-    """Return the command line with only the command that is asked for, where the first argument names one.
-
-    The options of all others would be read too, which takes a tenth of a second.
-    """
-    wanted = [command for command in app.registered_commands if arguments and command.name == arguments[0]]
-    if not wanted:
-        return app
-    alone = copy.copy(app)
-    alone.registered_commands = wanted
-    return alone
 
 
 def _fail(message: str) -> None:

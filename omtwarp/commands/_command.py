@@ -16,7 +16,7 @@ from omtwarp.files.output import keeping
 GROUPS = {
     "Input": (
         "finished", "map_of_source", "map_of_target", "surface", "to_surface", "data", "labels", "feature",
-        "to_feature", "sizes", "shapes", "subdivisions", "faces",
+        "to_feature", "landmarks", "sizes", "shapes", "subdivisions", "faces",
     ),
     "Output": (
         "output", "report", "json_output", "as_json", "quiet", "verbose", "title", "beside", "radius", "sphere",
@@ -31,7 +31,7 @@ GROUPS = {
     ),
     "Method": (
         "to", "by", "aligned", "mirror", "grid", "degree", "scale", "fit", "permutations", "seed", "transport",
-        "resample method", "group components", "stiffness", "max_strain", "feature_weight",
+        "resample method", "group components", "stiffness", "max_strain", "feature_weight", "keep_areas",
     ),
     "Texture": (
         "image", "pattern", "projection", "atlas", "rotate", "seam", "uv", "keep_materials", "opacity", "bake",

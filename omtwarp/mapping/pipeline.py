@@ -35,7 +35,6 @@ from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.metrics.certificate import Certificate, certify_triangles
 from omtwarp.metrics.distortion import measure
 from omtwarp.metrics.optimality import Optimality, optimality, relative_curl
-from omtwarp.moser import moser_map
 from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetric_map, symmetric_start, symmetrised
 from omtwarp.open_surfaces.symmetric import symmetric_exact_map, symmetric_optimal_map
 from omtwarp.optimal import OptimalMap, optimal_map
@@ -424,6 +423,8 @@ class _Run:
 
     def moser(self) -> None:
         """Run Moser's flow from the start, again from its own result, and repair flips after each pass."""
+        from omtwarp.moser import moser_map  # its kernels are read for maps with this stage alone
+
         sphere = self.sphere
         least = self.area_error(sphere)
         steps = repaired = 0

@@ -221,12 +221,12 @@ def test_labels_sizes_and_tables():
 
 
 def test_the_command_writes_both_files(tmp_path):
-    from omtwarp.commands._cli import app
+    from omtwarp.commands._cli import app_of
 
     files = tmp_path / "b.json", tmp_path / "b.md"
     arguments = ["benchmark", "--sizes", "400", "--repeats", "1", "--device", "cpu", "--refine", "none"]
-    done = CliRunner().invoke(app, [*arguments, "--json", str(files[0]), "-o", str(files[1])])
+    done = CliRunner().invoke(app_of(), [*arguments, "--json", str(files[0]), "-o", str(files[1])])
     assert done.exit_code == 0, done.output
     assert json.loads(files[0].read_text())["meshes"][0]["runs"][0]["flips"] == 0
     assert files[1].read_text().startswith(json.loads(files[0].read_text())["machine"]["processor"])
-    assert CliRunner().invoke(app, ["benchmark", "--sizes", "many"]).exit_code == 2
+    assert CliRunner().invoke(app_of(), ["benchmark", "--sizes", "many"]).exit_code == 2

@@ -14,7 +14,7 @@ from PIL import Image
 
 from omtwarp.cohort.executors import Host
 from omtwarp.cohort.work import run_item
-from omtwarp.commands._cli import SUMMARIES, app, main
+from omtwarp.commands._cli import SUMMARIES, app_of, main
 from omtwarp.mesh import shapes
 from omtwarp.mesh.write import write_mesh
 
@@ -160,7 +160,7 @@ def values_of(command: str, option: str, shown: str) -> list[str | None]:
 
 def options_of(command: str) -> list[tuple[str, str]]:
     """Return the names of a command's options, and what its help shows for their values."""
-    described = typer.main.get_command(app).commands[command]
+    described = typer.main.get_command(app_of()).commands[command]
     context = typer.Context(described)
     options = []
     for parameter in described.get_params(context):

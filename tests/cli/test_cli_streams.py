@@ -15,7 +15,7 @@ import pytest
 import trimesh
 import typer
 
-from omtwarp.commands._cli import EXAMPLES, SUMMARIES, app, main
+from omtwarp.commands._cli import EXAMPLES, SUMMARIES, app_of, main
 from omtwarp.commands._command import heading_of
 from omtwarp.files.output import PREFIX
 from omtwarp.maps.result import MapResult
@@ -154,7 +154,7 @@ def test_several_meshes_go_to_a_directory(folder, monkeypatch, capfdbinary, name
 
 
 def commands():
-    group = typer.main.get_command(app)
+    group = typer.main.get_command(app_of())
     context = group.make_context("omtwarp", [], resilient_parsing=True)
     return {name: group.get_command(context, name) for name in group.list_commands(context)}, context
 
@@ -302,7 +302,7 @@ def test_values_are_those_that_typer_reads(folder, monkeypatch):
     lines += ["omtwarp map a.ply -o ''", "omtwarp map '' -o b.npz", "omtwarp map a.ply -o b.npz --radius x"]
     found = []
     for _ in range(2):
-        group = typer.main.get_command(app)
+        group = typer.main.get_command(app_of())
         parent = group.make_context("omtwarp", [], resilient_parsing=True)
         words = [shlex.split(line)[1:] for line in lines if line.split()[0] == "omtwarp"]
         found.append([parsed(group, parent, some) for some in words])
