@@ -9,6 +9,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.measures import TargetDensity
 from omtwarp.measures.target import mass_distortion
 from omtwarp.mesh.shapes import blob, icosphere
+from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.texturing.density import as_target, image_density, vertex_density
 from omtwarp.texturing.projection import direction_from_angles
 
@@ -63,6 +64,35 @@ def test_transport_to_an_axisymmetric_density_ends_at_the_monotone_rearrangement
     assert kept < 2.01
     uniform = omtwarp.optimal_transport(surface, initial, start=surface.vertices, device=device).sphere
     assert mass_distortion(PUSHED.goal(surface, uniform), uniform)["mean"] - 2.0 > 3.0 * (kept - 2.0)
+
+
+def test_the_cost_between_the_uniform_density_and_exp_z_is_that_of_the_closed_form():
+    """Both ways, in area times squared radians, 4π times what plans between shares of 1 cost.
+
+    The monotone rearrangement in height takes z to log(1/e + (z + 1) sinh(1)); the cost converges to second order.
+    """
+    heights = np.linspace(-1.0, 1.0, 200_001)
+    images = np.clip(np.log(1.0 / np.e + (heights + 1.0) * np.sinh(1.0)), -1.0, 1.0)
+    exact = 2.0 * np.pi * np.trapezoid((np.arccos(heights) - np.arccos(images)) ** 2, heights)
+    assert exact == pytest.approx(1.878, abs=5e-4)
+    there, back = [], []
+    for frequency in (8, 16):
+        surface = icosphere(frequency)
+        result = omtwarp.map_to_sphere(surface, target=lambda points: np.exp(points[:, 2]), device="cpu")
+        there.append(result.report["optimality"]["cost"])
+        assert np.abs(result.source - surface.vertices).max() < 1e-3  # nothing but the mass moves
+        weighted = omtwarp.weighted_surface(surface, np.exp(surface.vertices[:, 2]))
+        points = surface.vertices
+        first = omtwarp.moser_map(weighted, points, device="cpu").sphere
+        found = omtwarp.optimal_map(weighted, first, start=points, device="cpu")
+        back.append(omtwarp.transport_cost(weighted, found.sphere, start=points))
+    for coarse, fine in (there, back):
+        assert fine == pytest.approx(exact, rel=3e-3)
+        assert (4.0 * fine - coarse) / 3.0 == pytest.approx(exact, rel=1e-4)
+    # With weights the points that mass moves from are those of the weighted surface: their mean mass is at the centre.
+    result = omtwarp.map_to_sphere(surface, weights=np.exp(points[:, 2]), device="cpu")
+    assert np.abs(weighted.vertex_areas @ result.source).max() < 1e-6 * SPHERE_AREA
+    assert result.report["optimality"]["cost"] < 0.01 * exact
 
 
 def test_steepest_descent_keeps_a_target_too(device):
