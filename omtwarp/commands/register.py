@@ -37,7 +37,7 @@ def register_map(
         typer.Option(
             metavar="TARGET",
             callback=input_file,
-            help="A map, fsaverage5-left or -right, or a sphere with --to-surface or --to-feature; - is standard input.",
+            help="A map, fsaverage5-left or -right, or a sphere with --to-surface or --to-feature; or -.",
         ),
     ],
     output: MovedOption,
