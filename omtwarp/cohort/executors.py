@@ -34,14 +34,9 @@ class Stopped(Exception):
 
 
 class Host:
-    """A process that forks for every item, see :mod:`omtwarp.cohort.host`; started when it is first needed.
+    """A process that forks for every item, see :mod:`omtwarp.cohort.host`; started when it is first needed."""
 
-    Args:
-        threads: that an item may use.
-    """
-
-    def __init__(self, threads: int = 1):
-        self._threads = threads
+    def __init__(self) -> None:
         self._process: subprocess.Popen[str] | None = None
         self._stopped = threading.Event()
 
@@ -105,7 +100,7 @@ class Host:
                 stderr=subprocess.DEVNULL,
                 text=True,
                 start_new_session=True,  # the driver handles interruptions
-                env=os.environ | {"OMTWARP_THREADS": str(self._threads)},
+                env=os.environ | {"OMTWARP_THREADS": "1"},
             )
             if self._stopped.is_set():  # by another thread, which may not have seen the process
                 self.close()
@@ -146,19 +141,18 @@ class LocalPool:
     """Processes on this machine.
 
     Args:
-        workers: how many items are worked on at once.
-        threads: that each may use.
+        workers: how many items are worked on at once, by a thread each.
     """
 
-    def __init__(self, workers: int, threads: int = 1):
-        self._workers, self._threads = workers, threads
+    def __init__(self, workers: int):
+        self._workers = workers
 
     def records(self, jobs: Sequence[Job]) -> Generator[Record, None, None]:
         waiting: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
         done: queue.SimpleQueue[Record | BaseException] = queue.SimpleQueue()
         for job in jobs:
             waiting.put(job)
-        hosts = [Host(self._threads) for _ in range(min(self._workers, len(jobs)))]
+        hosts = [Host() for _ in range(min(self._workers, len(jobs)))]
         for _ in hosts:
             waiting.put(None)
 

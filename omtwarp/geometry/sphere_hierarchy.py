@@ -1,4 +1,4 @@
-"""Nested triangulations of the sphere from a Platonic solid (paper, section 3.1 and figure 2).
+"""Nested triangulations of the sphere from the icosahedron (paper, section 3.1 and figure 2).
 
 Every level splits each triangle into four by the midpoints of its edges, pushed out to the sphere. In the paper's
 words, K(j) are the nodes of level j, M(j) the midpoints that level j + 1 adds, and K(j + 1) = K(j) ∪ M(j). Nodes are
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,52 +21,30 @@ from omtwarp.mesh.surface import face_neighbours
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int32]
-SOLIDS = ("icosahedron", "octahedron", "tetrahedron")
 HIGHEST_LEVEL = 10  # of an icosahedron that has 10 · 4¹⁰ + 2 nodes, ten million
 
 
-def platonic_solid(solid: str = "icosahedron") -> tuple[FloatArray, IntArray]:
-    """Return the vertices on the unit sphere and outward faces of ``icosahedron``, ``octahedron`` or ``tetrahedron``.
-
-    Raises:
-        OmtwarpError: the solid is unknown.
-    """
-    if solid == "icosahedron":
-        golden = (1 + np.sqrt(5.0)) / 2
-        vertices = np.array(
-            [[0, s * 1.0, t * golden] for s in (-1, 1) for t in (-1, 1)]
-            + [[s * 1.0, t * golden, 0] for s in (-1, 1) for t in (-1, 1)]
-            + [[t * golden, 0, s * 1.0] for s in (-1, 1) for t in (-1, 1)]
-        )
-        edge = 2.0
-    elif solid == "octahedron":
-        vertices = np.concatenate([np.eye(3), -np.eye(3)])
-        edge = np.sqrt(2.0)
-    elif solid == "tetrahedron":
-        vertices = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
-        edge = 2 * np.sqrt(2.0)
-    else:
-        raise OmtwarpError(f"unknown solid '{solid}': use {', '.join(SOLIDS)}")
-    near = np.isclose(np.linalg.norm(vertices[:, None] - vertices[None], axis=2), edge)
-    count = len(vertices)
+def icosahedron() -> tuple[FloatArray, IntArray]:
+    """Return the vertices of an icosahedron on the unit sphere, shape [12, 3], and its outward faces, shape [20, 3]."""
+    signs = [(s, t * (1 + np.sqrt(5.0)) / 2) for s in (-1.0, 1.0) for t in (-1, 1)]
+    corners = [[0, s, t] for s, t in signs] + [[s, t, 0] for s, t in signs] + [[t, 0, s] for s, t in signs]
+    vertices = np.array(corners)
+    near = np.isclose(np.linalg.norm(vertices[:, None] - vertices[None], axis=2), 2.0)
     faces = []
-    for i in range(count):
-        for j in range(i + 1, count):
-            for k in range(j + 1, count):
-                if near[i, j] and near[j, k] and near[i, k]:
-                    outward = np.linalg.det(vertices[[i, j, k]]) > 0
-                    faces.append((i, j, k) if outward else (i, k, j))
+    for i, j, k in combinations(range(len(vertices)), 3):
+        if near[i, j] and near[j, k] and near[i, k]:
+            outward = np.linalg.det(vertices[[i, j, k]]) > 0
+            faces.append((i, j, k) if outward else (i, k, j))
     return vertices / np.linalg.norm(vertices, axis=1)[:, None], np.array(faces, dtype=np.int32)
 
 
 @dataclass(frozen=True, eq=False)
 class SphereHierarchy:
-    """Nested triangulations of the unit sphere, levels 0 (the solid) to ``level``.
+    """Nested triangulations of the unit sphere, levels 0 (the icosahedron) to ``level``.
 
     Build one with :func:`sphere_hierarchy`.
 
     Attributes:
-        solid: name of the solid.
         vertices: nodes of the finest level on the unit sphere, coarse first, shape [N, 3].
         node_counts: number of nodes |K(j)| of each level, ``level + 1`` of them.
         level_faces: triangles of each level, shape [F_j, 3]; triangle ``f`` has children ``4 f + c`` on the next level,
@@ -75,7 +54,6 @@ class SphereHierarchy:
             triangles, then four opposite those triangles' other edges.
     """
 
-    solid: str
     vertices: FloatArray
     node_counts: tuple[int, ...]
     level_faces: tuple[IntArray, ...]
@@ -163,17 +141,17 @@ def _halve_edges(faces: IntArray, node_count: int) -> tuple[IntArray, IntArray, 
 
 
 @lru_cache(maxsize=16)
-def sphere_hierarchy(level: int, solid: str = "icosahedron") -> SphereHierarchy:
-    """Subdivide a solid ``level`` times.
+def sphere_hierarchy(level: int) -> SphereHierarchy:
+    """Subdivide an icosahedron ``level`` times, to 10 · 4^level + 2 nodes.
 
-    An icosahedron has 10 · 4^level + 2 nodes. The result is kept, and shared between callers.
+    The result is kept, and shared between callers.
 
     Raises:
-        OmtwarpError: an unknown solid, or a level outside 0 to 10.
+        OmtwarpError: a level outside 0 to 10.
     """
     if not 0 <= int(level) <= HIGHEST_LEVEL:
         raise OmtwarpError(f"level {level} of the sphere's subdivision is outside 0 to {HIGHEST_LEVEL}")
-    vertices, faces = platonic_solid(solid)
+    vertices, faces = icosahedron()
     counts, all_faces = [len(vertices)], [faces]
     all_parents: list[IntArray] = []
     all_wings: list[IntArray] = []
@@ -189,13 +167,12 @@ def sphere_hierarchy(level: int, solid: str = "icosahedron") -> SphereHierarchy:
         all_faces.append(np.ascontiguousarray(faces))
         all_parents.append(parents)
         all_wings.append(wings)
-    return SphereHierarchy(solid, vertices, tuple(counts), tuple(all_faces), tuple(all_parents), tuple(all_wings))
+    return SphereHierarchy(vertices, tuple(counts), tuple(all_faces), tuple(all_parents), tuple(all_wings))
 
 
-def level_for(node_budget: float, solid: str = "icosahedron", lowest: int = 0) -> int:
+def level_for(node_budget: float, lowest: int = 0) -> int:
     """Return the highest level whose nodes are at most ``node_budget``, at least ``lowest``."""
-    edges = {"icosahedron": 30, "octahedron": 12, "tetrahedron": 6}[solid]
     level = lowest
-    while level < HIGHEST_LEVEL and edges * 4 ** (level + 1) / 3 + 2 <= node_budget:
+    while level < HIGHEST_LEVEL and 10 * 4 ** (level + 1) + 2 <= node_budget:
         level += 1
     return level

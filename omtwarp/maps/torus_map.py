@@ -206,13 +206,9 @@ class TorusMap(StoredMap):
         source = as_path(image) if isinstance(image, str | os.PathLike) else None
         return textured_torus(self.vertices, self.faces, normals, self.coordinates, self.wraps, picture, source)
 
-    def trimesh(self, image: PictureLike | None = None) -> trimesh.Trimesh:
-        """Return the surface with a texture that closes up both ways, as a :class:`trimesh.Trimesh`.
-
-        Args:
-            image: a picture that repeats, path or array, shown once on the torus; a checker by default.
-        """
-        return self.textured(image, pattern="checker" if image is None else None).trimesh()
+    def trimesh(self) -> trimesh.Trimesh:
+        """Return the surface with a checker that closes up both ways, as a :class:`trimesh.Trimesh`."""
+        return self.textured(pattern="checker").trimesh()
 
     def ring(self) -> Floats:
         """Map the vertices to a ring torus, with areas in proportion to those of the surface, shape [V, 3].

@@ -122,9 +122,7 @@ def symmetric_start(
     own = double.half
     faces, areas = surface.faces[: surface.face_count // 2], surface.face_areas[: surface.face_count // 2]
     try:
-        half = hemispherical_embedding(
-            surface.scaled_vertices[own], faces, areas, thorough=True, device=device, progress=progress
-        )
+        half = hemispherical_embedding(surface.scaled_vertices[own], faces, areas, device=device, progress=progress)
     except OmtwarpError:
         return None
     turned = turned_about_pole(half, source[own], surface.vertex_areas[own])

@@ -24,6 +24,8 @@ from omtwarp.start.hierarchical import Embedding, renumbered, sweeps
 from omtwarp.start.hierarchical_kernels import insert_on_equator, relax_vertices, slide_on_equator
 from omtwarp.topology.boundary import boundary_half_edges
 
+AREA_WEIGHT = 10.0  # of area distortion against angle distortion, as by default on the whole sphere
+
 Floats = NDArray[np.float64]
 
 
@@ -32,9 +34,6 @@ def hemispherical_embedding(
     faces: NDArray[np.int32],
     areas: Floats | None = None,
     *,
-    area_weight: float = 10.0,
-    by_distance: bool = False,
-    thorough: bool = False,
     device: str | None = "auto",
     progress: Progress | None = None,
 ) -> Floats:
@@ -45,7 +44,6 @@ def hemispherical_embedding(
         faces: an oriented mesh with one boundary loop, no handle, and no inner edge between boundary vertices, shape
             [F, 3].
         areas: of the triangles on the sphere, in any unit, shape [F]; those of the triangles by default.
-        area_weight, by_distance, thorough: as of :func:`omtwarp.hierarchical_embedding`.
         device: ``auto``, ``cpu`` or ``cuda:N``.
         progress: called as ``progress("start", placed, vertices, {})`` after every level.
 
@@ -70,11 +68,11 @@ def hemispherical_embedding(
     kinds = np.append(np.where(on_rim, RIM, INSIDE), POLE).astype(np.int32)
     order = order_by_place(given)
     surface = renumbered(given, order)
-    hierarchy = simplify(surface, where, by_distance=by_distance, kinds=kinds[order])
+    hierarchy = simplify(surface, where, kinds=kinds[order])
     embedding = _HemisphereEmbedding(
-        surface, hierarchy.levels[-1], hierarchy.coarsest, area_weight, where, kinds=kinds[order]
+        surface, hierarchy.levels[-1], hierarchy.coarsest, AREA_WEIGHT, where, kinds=kinds[order]
     )
-    for placed in embedding.refined(hierarchy, *sweeps(thorough, by_distance)):
+    for placed in embedding.refined(hierarchy, *sweeps(thorough=True)):
         if progress is not None:
             progress("start", placed, surface.vertex_count, {})
     sphere = np.empty((count + 1, 3))

@@ -115,7 +115,7 @@ def hierarchical_embedding(
     return HierarchicalEmbedding(sphere, history)
 
 
-def sweeps(thorough: bool, by_distance: bool) -> tuple[int, int, int]:
+def sweeps(thorough: bool, by_distance: bool = False) -> tuple[int, int, int]:
     """Return how often every vertex is moved on small levels, on others, and at the end."""
     if by_distance:
         return _SWEEPS_BY_DISTANCE

@@ -53,10 +53,8 @@ def map_to_torus(
         progress: called as ``progress(stage, done, total, details)``.
 
     Raises:
-        OmtwarpError: the mesh is too coarse, no map without flips was found, or both exact areas and a refinement.
+        OmtwarpError: the mesh is too coarse, or no map without flips was found.
     """
-    if exact and refine is not None:
-        raise OmtwarpError("exact areas and refinement exclude each other: leave one out")
     run = _Run(surface, progress)
     run.optimal(optimality)
     if exact:

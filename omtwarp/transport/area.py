@@ -25,12 +25,12 @@ class AreaMonitor:
         self._errors = wp.empty((surface.face_count, 1), dtype=wp.float64, device=device)
         self._sums = RowSums(surface.face_count, 1, device)
 
-    def error(self, points: wp.array, largest: float = LARGEST_ERROR) -> float:
-        """Return the mean of D + 1/D - 2 weighted by original area, each triangle counting at most ``largest``."""
+    def error(self, points: wp.array) -> float:
+        """Return the mean of D + 1/D - 2 weighted by original area, each triangle counting at most LARGEST_ERROR."""
         wp.launch(
             capped_area_error,
             dim=len(self._errors),
-            inputs=[points, self._faces, self._areas, wp.float64(largest)],
+            inputs=[points, self._faces, self._areas, wp.float64(LARGEST_ERROR)],
             outputs=[self._errors],
             device=self.device,
         )

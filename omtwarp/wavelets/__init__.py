@@ -1,6 +1,6 @@
 """Spherical wavelets on nested triangulations: the paper's sections 2.4 and 3.1."""
 
-from omtwarp.geometry.sphere_hierarchy import SphereHierarchy, level_for, platonic_solid, sphere_hierarchy
+from omtwarp.geometry.sphere_hierarchy import SphereHierarchy, level_for, sphere_hierarchy
 from omtwarp.wavelets.preconditioner import WaveletPreconditioner
 from omtwarp.wavelets.sampling import SphereSampler
 from omtwarp.wavelets.transform import SphericalWavelets
@@ -11,6 +11,5 @@ __all__ = [
     "SphericalWavelets",
     "WaveletPreconditioner",
     "level_for",
-    "platonic_solid",
     "sphere_hierarchy",
 ]

@@ -285,7 +285,7 @@ def test_exact_and_refined_maps():
     assert refined.distortion().angle["surface"] < plain.distortion().angle["surface"]
     matched = omtwarp.map_surface(surface, refine="match:2.05")
     assert matched.distortion().area["surface"] == pytest.approx(2.05, abs=5e-3)
-    with pytest.raises(omtwarp.OmtwarpError, match="exclude"):
+    with pytest.raises(omtwarp.OmtwarpError, match="exact areas"):
         omtwarp.map_surface(surface, exact=True, refine="area")
     with pytest.raises(omtwarp.OmtwarpError, match="has none"):
         omtwarp.map_surface(surface, until="conformal")

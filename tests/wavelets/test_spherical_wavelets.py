@@ -11,17 +11,15 @@ from omtwarp.device.graphs import GraphsByArray, step_by_step
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import cotangent_laplacian
-from omtwarp.geometry.sphere_hierarchy import SOLIDS
 from omtwarp.wavelets import (
     SphereSampler,
     SphericalWavelets,
     WaveletPreconditioner,
     level_for,
-    platonic_solid,
     sphere_hierarchy,
 )
 
-LEVEL = {"icosahedron": 3, "octahedron": 4, "tetrahedron": 4}
+LEVEL = 3
 
 
 def node_levels(hierarchy) -> np.ndarray:
@@ -38,9 +36,8 @@ def sphere_points(count: int, seed: int = 0) -> np.ndarray:
     return points / np.linalg.norm(points, axis=1)[:, None]
 
 
-@pytest.mark.parametrize("solid", SOLIDS)
-def test_hierarchy_is_nested_closed_and_outward(solid):
-    hierarchy = sphere_hierarchy(LEVEL[solid], solid)
+def test_hierarchy_is_nested_closed_and_outward():
+    hierarchy = sphere_hierarchy(LEVEL)
     assert hierarchy.vertices.shape == (hierarchy.node_count, 3)
     np.testing.assert_allclose(np.linalg.norm(hierarchy.vertices, axis=1), 1, atol=1e-15)
     for j, faces in enumerate(hierarchy.level_faces):
@@ -76,10 +73,9 @@ def test_butterfly_wings_on_a_regular_neighbourhood():
             assert sum(tuple(sorted((node, e, w))) in keys for e in (a, b) for w in (c, d)) == 1
 
 
-@pytest.mark.parametrize("solid", SOLIDS)
 @pytest.mark.parametrize("butterfly", [False, True])
-def test_perfect_reconstruction(solid, butterfly):
-    hierarchy = sphere_hierarchy(LEVEL[solid], solid)
+def test_perfect_reconstruction(butterfly):
+    hierarchy = sphere_hierarchy(LEVEL)
     wavelets = SphericalWavelets(hierarchy, butterfly=butterfly, device="cpu")
     values = np.random.default_rng(1).normal(size=hierarchy.node_count)
     np.testing.assert_allclose(wavelets.inverse(wavelets.forward(values)), values, rtol=0, atol=1e-12)
@@ -131,10 +127,9 @@ def test_hat_wavelet_is_the_formula_of_section_3_1(butterfly):
         assert integral == pytest.approx(wavelets.level_integrals[level][k], rel=1e-12)
 
 
-@pytest.mark.parametrize("solid", SOLIDS)
 @pytest.mark.parametrize("butterfly", [False, True])
-def test_constants_have_no_wavelet_coefficients(solid, butterfly):
-    hierarchy = sphere_hierarchy(LEVEL[solid], solid)
+def test_constants_have_no_wavelet_coefficients(butterfly):
+    hierarchy = sphere_hierarchy(LEVEL)
     wavelets = SphericalWavelets(hierarchy, butterfly=butterfly, device="cpu")
     coefficients = wavelets.forward(np.full(hierarchy.node_count, 3.0))
     np.testing.assert_array_equal(coefficients[hierarchy.node_counts[0] :], 0)
@@ -210,9 +205,8 @@ def test_points_are_found_and_reproduced(seed, level):
     np.testing.assert_allclose(sampler.coordinates.numpy().sum(axis=1), 1, rtol=0, atol=1e-15)
 
 
-@pytest.mark.parametrize("solid", SOLIDS)
-def test_interpolation_and_its_adjoint(solid):
-    hierarchy = sphere_hierarchy(LEVEL[solid], solid)
+def test_interpolation_and_its_adjoint():
+    hierarchy = sphere_hierarchy(LEVEL)
     sampler = SphereSampler(hierarchy, sphere_points(3000), device="cpu")
     rng = np.random.default_rng(1)
     values, weights = rng.normal(size=hierarchy.node_count), rng.normal(size=3000)
@@ -278,13 +272,9 @@ def test_points_may_move():
 
 def test_level_for_a_budget_of_nodes():
     assert [level_for(n) for n in (12, 41, 42, 2562, 2561)] == [0, 0, 1, 4, 3]
-    assert level_for(18, "octahedron") == 1
-    assert sphere_hierarchy(level_for(70, "octahedron"), "octahedron").node_count == 66
 
 
 def test_errors_name_what_is_wrong():
-    with pytest.raises(OmtwarpError, match="unknown solid 'cube'"):
-        platonic_solid("cube")
     with pytest.raises(OmtwarpError, match="outside 0 to 10"):
         sphere_hierarchy(11)
     with pytest.raises(OmtwarpError, match="one value per node"):
