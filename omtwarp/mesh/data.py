@@ -28,7 +28,7 @@ from omtwarp.files.inputs import array_of, read_bytes
 from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.files.output import staged
 from omtwarp.mesh.arrays import single_precision
-from omtwarp.mesh.neuro import gifti_image, nibabel_module, structure_of
+from omtwarp.mesh.neuro import load_gifti, nibabel_module, structure_of
 from omtwarp.mesh.write import ply_bytes
 
 CURV_SUFFIXES = (".curv", ".sulc", ".thickness", ".area", ".volume")
@@ -157,7 +157,7 @@ def _is_number(text: str) -> bool:
 
 def _read_gifti(path: Path) -> VertexData:
     nibabel = nibabel_module()
-    image = gifti_image(path)
+    image = load_gifti(path)
     codes = nibabel.nifti1.intent_codes
     geometry = (codes["NIFTI_INTENT_POINTSET"], codes["NIFTI_INTENT_TRIANGLE"])
     arrays = [array for array in image.darrays if array.intent not in geometry]

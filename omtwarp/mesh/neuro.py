@@ -81,21 +81,31 @@ def gifti_image(path: Path) -> GiftiImage:
     Raises:
         OmtwarpError: the file cannot be read, or is no GIFTI file.
     """
-    nibabel = nibabel_module()
     try:
-        require_files_beside(path)
         with warnings.catch_warnings(action="ignore"):
-            image = nibabel.load(path)
-        if isinstance(image, nibabel.gifti.GiftiImage):
-            return image
-        detail = f"it is {type(image).__name__}"
+            return load_gifti(path)
     except MemoryError:
         raise
     except OmtwarpError as error:
         raise OmtwarpError(f"{path}: {error}") from None
     except Exception as error:  # nibabel, expat and zlib raise many kinds on a damaged file
         detail = " ".join(str(error).split())[:160] or type(error).__name__
-    raise OmtwarpError(f"{path}: cannot be read as GIFTI: {detail}")
+        raise OmtwarpError(f"{path}: cannot be read as GIFTI: {detail}") from None
+
+
+def load_gifti(path: Path) -> GiftiImage:
+    """Read a GIFTI file as :func:`gifti_image` does, whose errors name the file.
+
+    Raises:
+        OmtwarpError: the file cannot be read, or is no GIFTI file.
+        Exception: what nibabel, expat or zlib raise on a damaged file.
+    """
+    nibabel = nibabel_module()
+    require_files_beside(path)
+    image = nibabel.load(path)
+    if not isinstance(image, nibabel.gifti.GiftiImage):
+        raise OmtwarpError("damaged, or no GIFTI file: XML of another kind")
+    return image
 
 
 def require_files_beside(path: Path) -> None:

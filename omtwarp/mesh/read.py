@@ -26,7 +26,7 @@ from omtwarp.files.inputs import read_arrays, read_bytes
 from omtwarp.files.limits import LARGEST_MESH_FILE, MOST_FACES, amount
 from omtwarp.files.output import as_path, scratch
 from omtwarp.mesh.arrays import whole_numbers
-from omtwarp.mesh.neuro import nibabel_module, require_files_beside
+from omtwarp.mesh.neuro import load_gifti, nibabel_module
 from omtwarp.mesh.other_formats import MESHIO_FORMATS, WAYS_ROUND, read_by_meshio
 from omtwarp.mesh.ply import read_ply
 from omtwarp.mesh.polygons import fans
@@ -120,14 +120,15 @@ def mesh_content(file: Path) -> tuple[bytes, str]:
         OmtwarpError: the file cannot be read, or inflates too far.
     """
     data = read_bytes(file, LARGEST_MESH_FILE, "mesh file")
-    name = file.name.lower()
+    name = file.name.lower().removesuffix(".gz")
     if data.startswith(b"\x1f\x8b"):
-        name = name.removesuffix(".gz")
         try:
             with gzip.open(io.BytesIO(data)) as stream:
                 data = stream.read(LARGEST_MESH_FILE + 1)
-        except (OSError, EOFError, zlib.error) as error:
-            raise OmtwarpError(f"{file}: cut short or damaged: {error}") from None
+        except EOFError:
+            raise OmtwarpError(f"{file}: cut short: its compressed data have no end") from None
+        except (OSError, zlib.error) as error:  # also where other bytes follow the end
+            raise OmtwarpError(f"{file}: damaged, or longer than its compressed data: {error}") from None
         if len(data) > LARGEST_MESH_FILE:
             raise OmtwarpError(f"{file}: inflates to more than {amount(LARGEST_MESH_FILE)}, which is the most")
     suffix = name.rpartition(".")[2] if "." in name else ""
@@ -269,11 +270,7 @@ def _stl_text(data: bytes) -> tuple[NDArray[np.float64], int]:
 
 
 def _read_gifti(data: bytes, file: Path) -> _Read:
-    nibabel = nibabel_module()
-    require_files_beside(file)
-    image = nibabel.load(file)
-    if image is None:
-        raise OmtwarpError("damaged, or no GIFTI file: XML of another kind")
+    image = load_gifti(file)
     points, triangles = image.get_arrays_from_intent("pointset"), image.get_arrays_from_intent("triangle")
     if len(points) != 1 or len(triangles) != 1:
         raise OmtwarpError(f"{len(points)} point sets and {len(triangles)} lists of triangles in it, not one of each")
@@ -348,7 +345,8 @@ def _read_scene(data: bytes, file: Path, suffix: str, together: bool) -> _Read:
     if suffix not in known and suffix in WAYS_ROUND:
         raise OmtwarpError(f"'.{suffix}' is not read: {WAYS_ROUND[suffix]}")
     if suffix not in known:
-        raise OmtwarpError(f"unknown format '.{suffix}': known are {', '.join(sorted(known))}")
+        what = f"unknown format '.{suffix}'" if suffix else "unknown format, as its name has no suffix"
+        raise OmtwarpError(f"{what}: known are {', '.join(sorted(known))}")
     return _single_geometry(load_scene(data, file, suffix, pictures=False), together)
 
 

@@ -182,6 +182,8 @@ def read_vtk_xml(data: bytes) -> Polygons:
     """
     file = _Xml(data)
     kind = file.root.get("type", "")
+    if file.root.tag != "VTKFile":
+        raise OmtwarpError(f"no VTK file: XML that begins with <{file.root.tag[:40]}>")
     if kind not in ("PolyData", "UnstructuredGrid"):
         raise OmtwarpError(f"a VTK dataset of the kind {kind[:40]}, which is no surface; {_SURFACE}")
     points, corners, sizes, start = [], [], [], 0

@@ -115,12 +115,13 @@ def options_for(parts: list[Part]) -> list[str]:
     loops, genus = sum(len(part.loops) for part in parts), sum(part.genus for part in parts)
     several = len(parts) > 1
     cut = " (with --cut)" if genus else ""
-    if several:
+    doubled = all(len(part.faces) > 1 for part in parts if part.loops)  # the double of one triangle is no surface
+    if several and doubled:
         lines.append(f"--components: map each of the {len(parts)} parts by itself{cut}")
         lines.append(f"--together: map all parts side by side to one sphere, in proportion to their areas{cut}")
     needed = ["--components"] * several + ["--cut"] * bool(genus)
     more = f" (with {' and '.join(needed)})" if needed else ""
-    if all(part.loops and len(part.faces) > 1 for part in parts):  # the double of one triangle is no surface
+    if doubled and all(part.loops for part in parts):
         of_each = " of each part" if several else ""
         others = ", other holes filled" if loops > len(parts) else ""
         lines.append(f"--hemisphere: the longest boundary loop{of_each} on the equator{others}{more}")

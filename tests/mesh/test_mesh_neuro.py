@@ -187,11 +187,12 @@ def test_what_a_format_cannot_hold_is_one_line(tmp_path):
         ("a.csv", "1,2\n3\n", r"a\.csv: no list of numbers"),
         ("a.txt", "one\n1\ntwo\n", r"a\.txt: no list of numbers.*two"),
         ("b.csv", "# nothing\n", "it is empty"),
+        ("other.gii", "<html></html>", r"^[^:]*: damaged, or no GIFTI file: XML of another kind$"),
     ):
         (tmp_path / name).write_text(text)
         with pytest.raises(OmtwarpError, match=words):
             read_data(tmp_path / name)
-    assert not list(tmp_path.glob("*.gii"))
+    assert not (tmp_path / "a.label.gii").exists()
 
 
 def test_other_hemisphere_is_told(tmp_path):
