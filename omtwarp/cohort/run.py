@@ -96,20 +96,8 @@ def run_cohort(
         >>> run_cohort(read_manifest(f"{folder}/*.ply"), folder + "/out", workers=1, until="moser").counts
         {'ok': 2}
     """
-    part, parts = shard
-    if not 1 <= part <= parts:
-        raise OmtwarpError(f"shard {part}/{parts}: give i/n with i from 1 to n")
-    if not (0.0 < time_limit <= LONGEST and 0.0 <= memory_limit <= LARGEST_LIMIT):
-        raise OmtwarpError(
-            f"the time limit must be above 0 and at most {LONGEST:.0e} seconds, the memory limit from 0 to "
-            f"{LARGEST_LIMIT:.0e} GiB"
-        )
-    taken = next((name for item in items for name in item.fields if name in ORDER), None)
-    if taken is not None:
-        raise OmtwarpError(f"the table of results has a column '{taken}' of its own: rename that of the list of items")
-    workers = core_count() if workers is None else workers
-    if workers < 1:
-        raise OmtwarpError(f"{workers} workers: there must be one at least")
+    (part, parts), workers = shard, core_count() if workers is None else workers
+    _require_possible(items, shard, workers, time_limit, memory_limit)
     chosen = vars(MapOptions.parse(**options))
     asked = {name: str(value) if isinstance(value, str | AreaMatch) else value for name, value in chosen.items()}
     asked["repair"] = repair
@@ -150,6 +138,29 @@ def run_cohort(
         table = write_table(rows, target)
         page = write_page(rows, target)
     return CohortResult(dict(Counter(str(row["status"]) for row in rows)), len(todo), table, page)
+
+
+def _require_possible(
+    items: Sequence[Item], shard: tuple[int, int], workers: int, time_limit: float, memory_limit: float
+) -> None:
+    """Refuse a run that asks for what cannot be.
+
+    Raises:
+        OmtwarpError: a shard, a limit or a number of workers out of bounds, or a column that the table has itself.
+    """
+    part, parts = shard
+    if not 1 <= part <= parts:
+        raise OmtwarpError(f"shard {part}/{parts}: give i/n with i from 1 to n")
+    if not (0.0 < time_limit <= LONGEST and 0.0 <= memory_limit <= LARGEST_LIMIT):
+        raise OmtwarpError(
+            f"the time limit must be above 0 and at most {LONGEST:.0e} seconds, the memory limit from 0 to "
+            f"{LARGEST_LIMIT:.0e} GiB"
+        )
+    taken = next((name for item in items for name in item.fields if name in ORDER), None)
+    if taken is not None:
+        raise OmtwarpError(f"the table of results has a column '{taken}' of its own: rename that of the list of items")
+    if workers < 1:
+        raise OmtwarpError(f"{workers} workers: there must be one at least")
 
 
 def _require_other_inputs(jobs: Sequence[Job], folder: Path) -> None:

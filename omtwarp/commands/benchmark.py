@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -42,8 +43,10 @@ def parse_sizes(text: str) -> tuple[int, ...]:
     return tuple(sizes)
 
 
-def benchmark(
-    *,
+@dataclass(frozen=True)
+class Workload:
+    """What is measured, and how often."""
+
     meshes: Annotated[
         list[Path] | None,
         typer.Argument(
@@ -51,7 +54,7 @@ def benchmark(
             callback=input_file,
             help="Mesh files to measure in addition to generated shapes; - is standard input.",
         ),
-    ] = None,
+    ] = None
     sizes: Annotated[
         str,
         typer.Option(
@@ -59,27 +62,32 @@ def benchmark(
             callback=face_counts,
             help="Numbers of faces of generated shapes, 5k to 2M; none for no shapes.",
         ),
-    ] = "5k,20k,80k",
+    ] = "5k,20k,80k"
     shapes: Annotated[
         str, typer.Option("--shape", metavar="NAME,...", help="Generated shapes: blob, creature, sphere.")
-    ] = "blob",
+    ] = "blob"
     subdivisions: Annotated[
         int,
         typer.Option("--subdivide", metavar="TIMES", min=0, max=6, help="How often to subdivide the given meshes too."),
-    ] = 0,
+    ] = 0
     devices: Annotated[
         str, typer.Option("--device", metavar="cpu,cuda:0", help="Devices to map on; auto is every device there is.")
-    ] = "auto",
+    ] = "auto"
     repeats: Annotated[
         int, typer.Option(min=1, max=MOST_REPEATS, help="Number of maps, of which the median is taken.")
-    ] = 3,
+    ] = 3
+    kernels: Annotated[bool, typer.Option("--kernels", help="Also measure every kernel, and the memory it moves.")] = (
+        False
+    )
+    cold: Annotated[bool, typer.Option("--cold", help="Also measure compilation into an empty cache, and starts.")] = (
+        False
+    )
+
+
+def benchmark(
+    *,
+    workload: Workload,
     mapping: Annotated[MapOptions, Only(("refine",))],
-    kernels: Annotated[
-        bool, typer.Option("--kernels", help="Also measure every kernel, and the memory it moves.")
-    ] = False,
-    cold: Annotated[
-        bool, typer.Option("--cold", help="Also measure compilation into an empty cache, and starts.")
-    ] = False,
     json_output: Annotated[
         Path | None,
         typer.Option(
@@ -98,14 +106,14 @@ def benchmark(
     Takes a minute or two with the sizes it has by default, and no network.
     """
 
-    given = tuple(meshes or ())
+    given = tuple(workload.meshes or ())
     if json_output is not None:
         check_output(json_output, (".json",), *given)
     if output is not None:
         check_output(output, (".md", ".markdown", ".txt"), *given)
     if json_output is not None and output is not None and json_output.resolve() == output.resolve():
         raise OmtwarpError("--json and --output name the same file")
-    wanted = [word.strip() for word in devices.split(",")]
+    wanted = [word.strip() for word in workload.devices.split(",")]
     for name in wanted:
         start_device(name)
     from omtwarp.benchmark import markdown, run
@@ -113,18 +121,10 @@ def benchmark(
 
     if wanted == ["auto"]:
         wanted = ["cpu", "cuda:0"] if wp.is_cuda_available() else ["cpu"]
-    result = run(
-        sizes=parse_sizes(sizes),
-        shapes=tuple(word.strip() for word in shapes.split(",")),
-        meshes=given,
-        subdivisions=subdivisions,
-        devices=wanted,
-        repeats=repeats,
-        refine=str(mapping.refine or Refinement.NONE),
-        kernels=kernels,
-        cold=cold,
-        progress=None if quiet else say,
-    )
+    asked = {"meshes": given, "sizes": parse_sizes(workload.sizes), "devices": wanted}
+    asked["shapes"] = tuple(word.strip() for word in workload.shapes.split(","))
+    refine = str(mapping.refine or Refinement.NONE)
+    result = run(**vars(workload) | asked, refine=refine, progress=None if quiet else say)
     if verbose:
         for mesh in result["meshes"]:
             for times in mesh["runs"]:

@@ -324,16 +324,8 @@ def obj_files(
             there = companion(place, ".png" if alone else f"-{names[number]}-{ending}.png", kept)
             written[id(picture)] = (there, png_bytes(picture))
     library = ["# omtwarp"]
-    for k, part in enumerate(parts):
-        red, green, blue, opacity = part.material.color
-        library += [f"newmtl {names[k]}", f"Kd {red:.6f} {green:.6f} {blue:.6f}"]
-        phong = {"Ks": (0.0, 0.0, 0.0), "illum": (1.0,)} | dict(part.material.phong)
-        library += [" ".join((word, *(f"{number:.9g}" for number in numbers))) for word, numbers in phong.items()]
-        library += [
-            f"d {opacity:.6f}",
-            f"Pr {part.material.roughness:.4f}",
-            f"Pm {part.material.metallic:.4f}",
-        ]
+    for k, (name, part) in enumerate(zip(names, parts, strict=True)):
+        library += _library_entry(name, part.material)
         # No options: several readers take them as a part of the name.
         library += [f"{word} {written[id(picture)][0].name}" for number, word, picture, _ in drawn if number == k]
         library.append("")
@@ -351,6 +343,20 @@ def obj_files(
         start += 0 if part.uv is None else len(part.uv)
         text.append(_lines("f", np.stack(columns, axis=2).reshape(len(v), -1), form))
     return [*written.values(), (beside, "\n".join(library).encode()), (place, "".join(text).encode())]
+
+
+def _library_entry(name: str, material: Material) -> list[str]:
+    """Return the lines of a material's numbers."""
+    red, green, blue, opacity = material.color
+    phong = {"Ks": (0.0, 0.0, 0.0), "illum": (1.0,)} | dict(material.phong)
+    return [
+        f"newmtl {name}",
+        f"Kd {red:.6f} {green:.6f} {blue:.6f}",
+        *(" ".join((word, *(f"{number:.9g}" for number in numbers))) for word, numbers in phong.items()),
+        f"d {opacity:.6f}",
+        f"Pr {material.roughness:.4f}",
+        f"Pm {material.metallic:.4f}",
+    ]
 
 
 def _names(given: list[str]) -> list[str]:
