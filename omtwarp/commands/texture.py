@@ -295,7 +295,7 @@ def _painted(
     wanted = size or max((int(one["width"]) for one in pictures), default=0)
     drawn = [f"{one['material']} {one['what']} {one['width']} x {one['height']}" for one in pictures]
     if any(one["what"] == "occlusion" and int(one["width"]) < wanted for one in pictures):
-        drawn.append(f"occlusion by {MOST_RAYS // 1_000_000} million rays at most")
+        drawn.append(f"occlusion by {MOST_RAYS / 1e6:.3g} million rays at most")
     return made, pictures, ", ".join(dict.fromkeys(drawn)) or "no picture"
 
 

@@ -14,6 +14,7 @@ from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import Arguments, core_count, launch_parts
+from omtwarp.geometry.strips import in_strips
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics import optimality_kernels as kernels
 from omtwarp.solvers.poisson import EdgeLaplacianSolver
@@ -357,19 +358,16 @@ def narrow_parts(points: Array, faces: NDArray[np.int32]) -> tuple[NDArray[np.in
         triangles, corners = triangles[long], corners[long]
         if len(triangles) == 0:
             break
-        arc, turn = arcs[long].max(axis=1), (arcs[long].argmin(axis=1)[:, None] + [2, 0, 1]) % 3
-        apex, *base = np.take_along_axis(corners, turn[:, :, None], axis=1).transpose(1, 0, 2)
+        arc = arcs[long].max(axis=1)
         counts = np.ceil(arc / LONGEST).astype(np.int64)
-        whole = np.repeat(np.arange(len(counts)), counts)
-        strip = np.arange(len(whole)) - np.repeat(np.cumsum(counts) - counts, counts)
-        step = (arc / counts)[whole]
-        # Where the lines between strips cut the sides, so that the arcs of the longest edge are equal
-        ahead, behind = ((np.sin(k * step), np.sin((counts[whole] - k) * step)) for k in (strip, strip + 1))
-        shares = [(one / np.maximum(one + other, np.finfo(float).tiny))[:, None] for one, other in (ahead, behind)]
-        (a, b), (c, d) = ([apex[whole] + share * (end - apex)[whole] for end in base] for share in shares)
-        inner = strip > 0  # the strip at the apex is one triangle
-        corners = np.concatenate([np.stack([a, c, d], axis=1), np.stack([a, d, b], axis=1)[inner]])
-        triangles = np.concatenate([triangles[whole], triangles[whole][inner]])
+        step = arc / counts
+
+        def equal_arcs(strip: NDArray[np.int64], of: NDArray[np.intp], counts=counts, step=step) -> Array:
+            ahead, behind = np.sin(strip * step[of]), np.sin((counts[of] - strip) * step[of])
+            return ahead / np.maximum(ahead + behind, np.finfo(float).tiny)
+
+        of, corners = in_strips(corners, arcs[long].argmin(axis=1), counts, equal_arcs)
+        triangles = triangles[of]
     finished.append((triangles, corners))
     return np.concatenate([part for part, _ in finished]), np.concatenate([part for _, part in finished])
 

@@ -24,8 +24,8 @@ from omtwarp.texturing.openness import open_shares
 
 BAKES = ("normal", "ao", "curvature", "area")
 RAYS = 64  # from a texel: shades of ambient occlusion in steps of 1/64, with noise of 1/16 at most
-LEAST_RAYS = 24  # where many texels have to share them; the noise is two thirds more
-MOST_RAYS = 6_000_000  # of one picture of ambient occlusion; a core casts about a million in a second
+LEAST_RAYS = 16  # where many texels have to share them; the noise is twice as much
+MOST_RAYS = 4_200_000  # of one picture of ambient occlusion; a core casts about a million in a second
 SPREAD = 95.0  # per cent of the vertices whose curvature or area the colours distinguish; few corners have far more
 
 
