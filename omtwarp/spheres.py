@@ -37,11 +37,6 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int32]
 
 NAMES = "ico0 to ico8, fsaverage3 to fsaverage7, healpix:NSIDE, healpix-nested:NSIDE, equiangular:HxW, octahedral:N"
-# Twice the pixels of the finest grid in use (HEALPix with NSIDE 1024); more is a typing error.
-MOST_POINTS = 25_165_824
-
-WHOLE_COVER = 1e-6  # of the sphere: coverings are whole numbers but for the round-off of a million solid angles
-MOST_HEALPIX, MOST_OCTAHEDRAL = 1024, 4096  # pixels along a side: 12.6 and 16.8 million points
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,15 +174,16 @@ def mesh_grid(
     Raises:
         OmtwarpError: not a sphere, faces that name other vertices, or triangles that do not cover the sphere once.
     """
+    whole_cover = 1e-6  # of the sphere: coverings are whole numbers but for the round-off of a million solid angles
     unit = unit_sphere(points, name)
     corners = whole_numbers(faces, f"{name}: faces", (None, 3), below=len(unit)).astype(np.int32)
     if len(corners) == 0:
         raise OmtwarpError(f"{name}: there are no faces")
     a, b, c = (unit[corners[:, k]] for k in range(3))
     cover = float(triangle_solid_angles(a, b, c).sum() / (4.0 * np.pi))
-    if round(cover) == -1 and abs(cover + 1.0) < WHOLE_COVER:
+    if round(cover) == -1 and abs(cover + 1.0) < whole_cover:
         raise OmtwarpError(f"{name}: the triangles are clockwise seen from outside; reverse them")
-    if abs(cover - 1.0) > WHOLE_COVER:
+    if abs(cover - 1.0) > whole_cover:
         raise OmtwarpError(
             f"{name}: its triangles do not cover the sphere once, but {cover:.6g} times: give the sphere of a closed "
             "surface, or the .npz of one with filled holes, which has the filling"
@@ -207,6 +203,9 @@ def named_grid(name: str) -> SphereGrid:
     Raises:
         OmtwarpError: no such grid, or one that is out of range.
     """
+    # Twice the pixels of the finest grid in use (HEALPix with NSIDE 1024); more is a typing error.
+    most_points = 25_165_824
+    most_healpix, most_octahedral = 1024, 4096  # pixels along a side: 12.6 and 16.8 million points
     text = name.strip().lower()
     if match := re.fullmatch(r"ico(\d+)", text):
         level = _within(int(match[1]), 0, 8, name)
@@ -218,14 +217,14 @@ def named_grid(name: str) -> SphereGrid:
         points, faces = freesurfer_icosahedron(level)
         return SphereGrid(text, points, faces, (len(points),))
     if match := re.fullmatch(r"healpix(-nested)?:(\d+)", text):
-        return healpix(_within(int(match[2]), 1, MOST_HEALPIX, name), nested=match[1] is not None)
+        return healpix(_within(int(match[2]), 1, most_healpix, name), nested=match[1] is not None)
     if match := re.fullmatch(r"equiangular:(\d+)x(\d+)", text):
         height, width = int(match[1]), int(match[2])
-        if height < 2 or width < 4 or height * width > MOST_POINTS:
-            raise OmtwarpError(f"'{name}': use at least 2 rows and 4 columns, and no more than {MOST_POINTS} pixels")
+        if height < 2 or width < 4 or height * width > most_points:
+            raise OmtwarpError(f"'{name}': use at least 2 rows and 4 columns, and no more than {most_points} pixels")
         return equiangular(height, width)
     if match := re.fullmatch(r"octahedral:(\d+)", text):
-        size = _within(int(match[1]), 4, MOST_OCTAHEDRAL, name)
+        size = _within(int(match[1]), 4, most_octahedral, name)
         if size % 2:
             raise OmtwarpError(f"'{name}': the number of pixels along a side has to be even")
         return octahedral(size)

@@ -59,15 +59,10 @@ Report = Callable[[str, int, float], None]
 RELAXATION_STEPS = 300  # at most: Newton's method does the rest
 NEWTON_STEPS = 40  # at most; it doubles its digits at each step once it is near
 MOST_STEPS = {"relax": RELAXATION_STEPS, "newton": NEWTON_STEPS}
-RELAXATION_TOLERANCE = 1e-6
-"""The relaxation ends when the root mean square force at right angles to the constraint is below this."""
-NEWTON_TOLERANCE = 1e-12
-"""Newton's method ends at this force on any vertex; a vertex' mean weight sum is 1."""
 
 # Times a length: an angle of π, of a triangle folded flat, has tan(θ/2) = 1.6e16 in float64; more than this is that.
 MOST_WEIGHT = 1e15
 # Of the weights' sums: makes the Laplacian definite, which has constants for its kernel. It is a preconditioner alone.
-REGULARISATION = 0.001
 SUFFICIENT_DECREASE = 1e-4  # share of the decrease by the slope (Nocedal & Wright, Numerical Optimization, section 3.1)
 
 
@@ -326,12 +321,17 @@ def _relax(springs: _Springs, points: Array, masses: Array, report: Report) -> A
 
     Steps are taken at right angles to the Möbius transformations and followed by the one that restores the centroid.
     """
-    solver = Factorization(sparse.diags((1.0 + REGULARISATION) * springs.degree) - springs.matrix)
+    # The relaxation ends when the root mean square force at right angles to the constraint is below this.
+    relaxation_tolerance = 1e-6
+    # Of the weights' sums: makes the Laplacian definite, which has constants for its kernel. It is a preconditioner
+    # alone.
+    regularisation = 0.001
+    solver = Factorization(sparse.diags((1.0 + regularisation) * springs.degree) - springs.matrix)
     state = springs.sweep(points)
     step = 1.0
     for iteration in range(RELAXATION_STEPS):
         force = state.force - _tangential(points, masses[:, None] * _multiplier(points, masses, state.force))
-        if np.sqrt((force**2).sum() / springs.count) <= RELAXATION_TOLERANCE:
+        if np.sqrt((force**2).sum() / springs.count) <= relaxation_tolerance:
             break
         direction = _tangential(points, solver.solve(force))
         # Take out the part along Möbius transformations: centring would undo it.
@@ -361,6 +361,8 @@ def _newton(springs: _Springs, points: Array, masses: Array | None, report: Repo
     Returns:
         The points, the multiplier λ and whether the tolerance was met.
     """
+    # Newton's method ends at this force on any vertex; a vertex' mean weight sum is 1.
+    newton_tolerance = 1e-12
     multiplier = np.zeros(3)
     for iteration in range(NEWTON_STEPS + 1):
         state = springs.sweep(points)
@@ -372,7 +374,7 @@ def _newton(springs: _Springs, points: Array, masses: Array | None, report: Repo
             pull = masses[:, None] * multiplier
             tension = tension - (pull * points).sum(axis=1)
             force = force - _tangential(points, pull)
-        if np.abs(force).max() <= NEWTON_TOLERANCE:
+        if np.abs(force).max() <= newton_tolerance:
             return points, multiplier, True
         if iteration == NEWTON_STEPS:
             break

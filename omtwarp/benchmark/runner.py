@@ -27,8 +27,6 @@ from omtwarp.solvers.cholesky.saddle import expand
 SIZES = (5_000, 20_000, 80_000)  # faces, each four times the one before, as a subdivision has them
 # SuperLU needs about 10 kB per vertex, and minutes, beyond this many faces.
 LARGEST_REFERENCE = 500_000
-# Growth is measured from here on, where there are two sizes: below, fixed costs flatten it.
-ASYMPTOTIC = 20_000
 
 
 def run(
@@ -249,10 +247,12 @@ def growth_exponents(meshes: list[MeshTimes]) -> dict[str, dict[str, dict[str, f
 
     From :data:`ASYMPTOTIC` faces on where at least two meshes of the family are that large.
     """
+    # Growth is measured from here on, where there are two sizes: below, fixed costs flatten it.
+    asymptotic = 20_000
     out: dict[str, dict[str, dict[str, float]]] = {}
     for family in dict.fromkeys(mesh["family"] for mesh in meshes):
         members = [mesh for mesh in meshes if mesh["family"] == family]
-        large = [mesh for mesh in members if mesh["faces"] >= ASYMPTOTIC]
+        large = [mesh for mesh in members if mesh["faces"] >= asymptotic]
         members = large if len(large) > 1 else members
         if len(members) < 2:
             continue

@@ -20,7 +20,6 @@ MESH_SUFFIXES = (
     *(".inp", ".white", ".pial", ".orig"),
 )
 """Files of a folder that are items, also compressed (``.gz``)."""
-MOST_NAMED = 8  # files left out that a warning names
 
 
 @dataclass(frozen=True)
@@ -74,6 +73,7 @@ def _meshes_of(folder: Path) -> list[Path]:
     Raises:
         OmtwarpError: the folder cannot be read.
     """
+    most_named = 8  # files left out that a warning names
     try:
         files = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
     except OSError as error:
@@ -81,7 +81,7 @@ def _meshes_of(folder: Path) -> list[Path]:
     meshes = [path for path in files if Path(path.name.lower().removesuffix(".gz")).suffix in MESH_SUFFIXES]
     others = [path.name for path in files if path not in meshes and not path.is_dir()]
     if others:
-        names = ", ".join(others[:MOST_NAMED]) + (", ..." if len(others) > MOST_NAMED else "")
+        names = ", ".join(others[:most_named]) + (", ..." if len(others) > most_named else "")
         text = f"'{folder}': left out {len(others)} files, which are no meshes by their names: {names}"
         warnings.warn(f"{text}; a table or a pattern takes any", OmtwarpWarning, stacklevel=3)
     return meshes

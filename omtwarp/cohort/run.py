@@ -19,8 +19,6 @@ from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.output import folder_of_results, require_own
 from omtwarp.options import AreaMatch, FillArea, MapKeywords, MapOptions, Progress
 
-LONGEST = 1e8  # seconds of a time limit: three years, and less than timers of the system take
-LARGEST_LIMIT = 1e6  # GiB of a memory limit, in bytes less than 2^63
 RESULTS = ("table.parquet", "table.csv", "report.html")
 TIME_LIMIT = 3600.0  # seconds; the largest surfaces of the field, 330,000 faces, take one to two minutes
 
@@ -148,13 +146,15 @@ def _require_possible(
     Raises:
         OmtwarpError: a shard, a limit or a number of workers out of bounds, or a column that the table has itself.
     """
+    longest = 1e8  # seconds of a time limit: three years, and less than timers of the system take
+    largest_limit = 1e6  # GiB of a memory limit, in bytes less than 2^63
     part, parts = shard
     if not 1 <= part <= parts:
         raise OmtwarpError(f"shard {part}/{parts}: give i/n with i from 1 to n")
-    if not (0.0 < time_limit <= LONGEST and 0.0 <= memory_limit <= LARGEST_LIMIT):
+    if not (0.0 < time_limit <= longest and 0.0 <= memory_limit <= largest_limit):
         raise OmtwarpError(
-            f"the time limit must be above 0 and at most {LONGEST:.0e} seconds, the memory limit from 0 to "
-            f"{LARGEST_LIMIT:.0e} GiB"
+            f"the time limit must be above 0 and at most {longest:.0e} seconds, the memory limit from 0 to "
+            f"{largest_limit:.0e} GiB"
         )
     taken = next((name for item in items for name in item.fields if name in ORDER), None)
     if taken is not None:

@@ -10,8 +10,6 @@ from collections.abc import Callable, Iterator
 from omtwarp.commands._streams import say
 from omtwarp.options import Progress, Record
 
-BAR, NARROW_BAR = 30, 8  # characters of a bar; on a terminal of 80 columns the narrow one leaves room for the figures
-
 
 @contextlib.contextmanager
 def progress_bar(quiet: bool = False, verbose: bool = False) -> Iterator[Progress | None]:
@@ -63,6 +61,8 @@ def step_times(verbose: bool) -> Iterator[Callable[[str], None]]:
 @contextlib.contextmanager
 def _bars(quiet: bool) -> Iterator[Progress | None]:
     """Draw bars on standard error, where that is a terminal."""
+    # characters of a bar; on a terminal of 80 columns the narrow one leaves room for the figures
+    bar, narrow_bar = 30, 8
     if quiet or not sys.stderr.isatty():
         yield None
         return
@@ -77,7 +77,7 @@ def _bars(quiet: bool) -> Iterator[Progress | None]:
 
     console = CalmConsole(stderr=True)
     # Wide: columns of a terminal from which on the wide bar fits beside all figures
-    width = BAR if console.width >= 104 else NARROW_BAR
+    width = bar if console.width >= 104 else narrow_bar
     columns = (
         TextColumn("{task.description}", table_column=Column(min_width=10, no_wrap=True)),
         BarColumn(width, table_column=Column(min_width=width)),

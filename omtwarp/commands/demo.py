@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 UP, FRONT, VIEW = "z", "-y", (40.0, 15.0)
 """The creature stands on its feet and looks past the viewer's right shoulder."""
 
-PICTURE_WIDTH = 2048  # texels around the sphere, as textures have by default
-
 
 NAMES = ("creature.ply", "map.npz", "report.json", "globe.glb", "globe.png", "circles.png", "comparison.png")
 
@@ -50,6 +48,7 @@ def demo(
 
 def _make(output: Path, faces: int, device: str, printing: Printing) -> None:
     """Make the files of the demo; arguments are those of the command."""
+    picture_width = 2048  # texels around the sphere, as textures have by default
     from omtwarp.mesh.shapes import demo_shape
     from omtwarp.mesh.write import write_mesh
 
@@ -83,7 +82,7 @@ def _make(output: Path, faces: int, device: str, printing: Printing) -> None:
     for file_to_be, textured in ((globe_file, globe), (circles_file, circles)):
         preview(textured.trimesh(), file_to_be, up=UP, front=FRONT, views=VIEW, device=device)
         notify(f"{file_to_be}")
-    circles_picture = rasterize("circles", PICTURE_WIDTH, device=device)
+    circles_picture = rasterize("circles", picture_width, device=device)
     comparison(result, comparison_file, image=circles_picture, up=UP, front=FRONT, views=VIEW, device=device)
     notify(f"{comparison_file}: the conformal and the area-preserving map")
     if printing.as_json:

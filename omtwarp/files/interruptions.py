@@ -20,9 +20,7 @@ from types import FrameType
 from omtwarp.errors import INTERRUPTED
 
 # That Python's own handler has to end the process, before a thread does; felt as at once.
-SECONDS_FOR_HANDLER = 0.4
 LINE = "omtwarp: interrupted"
-STANDARD_ERROR = 2  # its descriptor
 
 Handler = Callable[[int, FrameType | None], object] | int | signal.Handlers | None
 
@@ -109,6 +107,7 @@ def _let_go(handler: Handler) -> None:
 
 def _tidy(number: int) -> bool:
     """Remove what is staged, and say why the process ends; return False if another thread is doing so."""
+    standard_error = 2  # its descriptor
     if not _ending.acquire(blocking=False):
         return False
     for folder in list(_staged):
@@ -116,7 +115,7 @@ def _tidy(number: int) -> bool:
     if number == signal.SIGINT:
         with contextlib.suppress(OSError):
             # Not through sys.stderr, which the interrupted code may have locked. A terminal shows ^C, or a bar, before.
-            os.write(STANDARD_ERROR, (("\n" if os.isatty(STANDARD_ERROR) else "") + LINE + "\n").encode())
+            os.write(standard_error, (("\n" if os.isatty(standard_error) else "") + LINE + "\n").encode())
     return True
 
 
@@ -131,11 +130,13 @@ def _end(number: int, frame: FrameType | None = None) -> None:
 
 
 def _watch(readable: int) -> None:
+    # That Python's own handler has to end the process, before a thread does; felt as at once.
+    seconds_for_handler = 0.4
     while received := os.read(readable, 1):
         number = received[0]
         if number == 0:
             return
         if signal.getsignal(number) is _end:
-            time.sleep(SECONDS_FOR_HANDLER)
+            time.sleep(seconds_for_handler)
             if _tidy(number):
                 os._exit(INTERRUPTED - signal.SIGINT + number)

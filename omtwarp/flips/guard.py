@@ -13,7 +13,6 @@ from omtwarp.flips.rings import is_bijective
 from omtwarp.mesh.surface import Surface
 
 # A vertex whose step was halved this often stays where it was.
-MAX_HALVINGS = 6
 MAX_ROUNDS = 500
 # A step that leaves a triangle a hundredth of its area counts as a flip: on scanned shapes one such triangle raises the
 # area distortion of the map by more than the step lowers it.
@@ -98,6 +97,8 @@ class StepGuard:
 
         Launches are kept by addresses and lengths, so that they also serve new arrays at the addresses of old ones.
         """
+        # A vertex whose step was halved this often stays where it was.
+        max_halvings = 6
         key = (old.ptr, new.ptr, rounds)
         if key not in self._ready:
             threads = list_threads(wp.get_device(self.device))
@@ -108,7 +109,7 @@ class StepGuard:
 
             end = prepare(end_round, 1, [rounds], [self._counters, self._again])
             find = prepare(find_bad, self.face_count, [old, new, *mesh], [self._counters, self._bad])
-            inputs = [old, self._faces, self._bad, MAX_HALVINGS, rounds, threads]
+            inputs = [old, self._faces, self._bad, max_halvings, rounds, threads]
             both = [self._counters, self._vertex_rounds, self._halvings, self._wanted, new]
             shorten = prepare(shorten_steps, threads, inputs, [*both, self._changed])
             inputs = [old, new, *mesh, self._offsets, self._corners, self._changed, threads]

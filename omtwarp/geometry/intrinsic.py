@@ -19,8 +19,6 @@ from omtwarp.device.start import wp
 from omtwarp.geometry.intrinsic_kernels import flip_to_delaunay
 from omtwarp.mesh.surface import Surface
 
-LEAST, MOST = 1e-9, 1e6  # of cotangents; those of triangles without area are not finite
-
 
 @dataclass(frozen=True)
 class WeightedEdges:
@@ -47,6 +45,7 @@ def delaunay_edges(surface: Surface, jumps: NDArray[np.int64] | None = None) -> 
         jumps: of coordinates that are no functions on the surface, whole numbers at corners, shape [F, 3, 2]; their
             differences along an edge agree on both of its sides. Zero if left out.
     """
+    least, most = 1e-9, 1e6  # of cotangents; those of triangles without area are not finite
     jumps = np.zeros((surface.face_count, 3, 2), dtype=np.int64) if jumps is None else jumps
     faces, count = surface.faces, 3 * surface.face_count
     opposite = surface.edge_corners.astype(np.int64)
@@ -78,7 +77,7 @@ def delaunay_edges(surface: Surface, jumps: NDArray[np.int64] | None = None) -> 
     cotangents = _opposite_cotangents(long, long[after], long[after[after]])
     return WeightedEdges(
         ends=np.stack([own[first], own[twins[first]]], axis=1).astype(np.int64),
-        weights=0.5 * np.clip(cotangents[first] + cotangents[twins[first]], LEAST, MOST),
+        weights=0.5 * np.clip(cotangents[first] + cotangents[twins[first]], least, most),
         steps=steps.numpy()[first].astype(np.int64),
         flips=int(flips.numpy()[0]),
     )

@@ -21,8 +21,6 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from omtwarp.mesh.surface import Surface
 
-LEAST_SHARE = 0.01  # smaller caps have few triangles
-
 
 @dataclass(frozen=True)
 class Ring:
@@ -50,6 +48,7 @@ def rings(surface: Surface) -> Iterator[Ring]:
     The vertices farther than a distance form pieces, one for every limb, each with one ring around it. As many edges
     cross the ring as there are vertices on both of its sides together.
     """
+    least_share = 0.01  # smaller caps have few triangles
     start, end = surface.edges.astype(np.int64).T
     count = surface.vertex_count
     points = surface.scaled_vertices
@@ -68,7 +67,7 @@ def rings(surface: Surface) -> Iterator[Ring]:
         outer = np.where(far[start], start, end)[crossing]
         shares = np.bincount(piece[far], areas[far], minlength=pieces)
         crossings = np.bincount(piece[outer], minlength=pieces)
-        for k in np.flatnonzero((shares > LEAST_SHARE) & (shares < 1.0 - LEAST_SHARE)):
+        for k in np.flatnonzero((shares > least_share) & (shares < 1.0 - least_share)):
             yield Ring(float(crossings[k]) / 2.0, float(shares[k]), int(outer[np.argmax(piece[outer] == k)]))
 
 

@@ -64,11 +64,6 @@ from omtwarp.topology.handles import cut_handles, slit_open
 from omtwarp.topology.kind import Part, described, numbered_in_space, options_for, parts_of, places_of
 from omtwarp.torus.mapping import map_to_torus
 
-SLITS = (1.0, 0.5, 0.25)  # of a path across a closed part that is slit open; loops around handles avoid it
-# Where sides of large triangles reach from one cap into another, caps are made smaller by this factor, at most so many
-# times.
-ROUNDS_APART, LESS_COVERED = 6, 0.85
-
 Floats = NDArray[np.float64]
 
 
@@ -228,9 +223,10 @@ def _finished(maps: list[MapResult], given: list[Part], exact: bool) -> list[Map
 
 def _slit(part: Part) -> Part:
     """Slit a closed part open along a path, as long as its handles can still be cut; return others unchanged."""
+    slits = (1.0, 0.5, 0.25)  # of a path across a closed part that is slit open; loops around handles avoid it
     if part.loops:
         return part
-    for share in SLITS:
+    for share in slits:
         cut = slit_open(part.vertices, part.faces, share)
         try:
             cut_handles(cut.vertices, cut.faces, part.genus)
@@ -281,11 +277,14 @@ def _side_by_side(maps: list[MapResult], masses: list[float], exact: bool) -> tu
     Raises:
         OmtwarpError: triangles reach from one cap to another, or turn over.
     """
+    # Where sides of large triangles reach from one cap into another, caps are made smaller by this factor, at most so
+    # many times.
+    rounds_apart, less_covered = 6, 0.85
     # A cap holds the fillings of the part's other holes, too.
     own = [triangle_areas(each.sphere, each.faces).sum() / triangle_areas(*_whole(each)).sum() for each in maps]
     wanted = np.array(masses) / np.array(own)
     centres, covered = pack_caps(wanted / wanted.sum())
-    for _ in range(ROUNDS_APART):
+    for _ in range(rounds_apart):
         shares = covered * wanted / wanted.sum()
         carried = _on_caps_exactly if exact else _on_caps
         capped, shares = carried(maps, shares, wanted)
@@ -294,7 +293,7 @@ def _side_by_side(maps: list[MapResult], masses: list[float], exact: bool) -> tu
         apart = np.arccos(np.clip(centres @ centres.T, -1.0, 1.0)) - reach[:, None] - reach
         if apart[np.triu_indices(len(maps), 1)].min() > 0.0:
             return placed, centres, shares
-        covered *= LESS_COVERED
+        covered *= less_covered
     raise OmtwarpError("triangles at the rims of parts reach into other parts: use finer meshes, or map each by itself")
 
 

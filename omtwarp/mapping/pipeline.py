@@ -68,9 +68,6 @@ from omtwarp.transport.cost import transport_cost
 from omtwarp.untangling.untangle import RepairBudget, untangle
 from omtwarp.version import package_version
 
-# One pass of Moser's flow leaves an area error of the order of the mesh; a second, from where the first ended, about
-# halves it; a third gains little.
-MOSER_PASSES = 2
 # What the measurement after the last stage is called in progress and in the records of stages.
 OPTIMALITY = "optimality"
 # What the map of the quartered mesh is called there.
@@ -423,16 +420,19 @@ class _Run:
 
     def moser(self) -> None:
         """Run Moser's flow from the start, again from its own result, and repair flips after each pass."""
+        # One pass of Moser's flow leaves an area error of the order of the mesh; a second, from where the first ended,
+        # about halves it; a third gains little.
+        moser_passes = 2
         from omtwarp.moser import moser_map  # its kernels are read for maps with this stage alone
 
         sphere = self.sphere
         least = self.area_error(sphere)
         steps = repaired = 0
         fewest = self.surface.face_count  # flips of a pass so far
-        for k in range(MOSER_PASSES):
+        for k in range(moser_passes):
 
             def notify(stage: str, done: int, total: int, details: Record, before: int = k) -> None:
-                self.notify(stage, before * total + done, MOSER_PASSES * total, {})
+                self.notify(stage, before * total + done, moser_passes * total, {})
 
             flowed = moser_map(
                 self.surface, self.points(sphere), target=self.target, device=self.device, progress=notify

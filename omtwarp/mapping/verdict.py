@@ -21,19 +21,9 @@ from omtwarp.spheres import triangle_solid_angles
 # Mean of r + 1/r, r the area of a triangle's image over the area wanted. Smooth shapes of a few hundred triangles are
 # below 2.04, where flat triangles are a coarse picture of the sphere, and fine ones at 2.001.
 MAX_AREA_DISTORTION = 2.05
-# Relative error of the area around a vertex. Where the optimal map is found it is at round-off.
-MAX_VERTEX_AREA_ERROR = 0.10
-# Triangles count as long where the longest edge is so many times the height over it, and matter where they have this
-# share of the area, as on flat sides that are triangulated without a vertex inside, and where radii are noise: on
-# spheres with log-normal radii of 0.2, 0.32 and 0.5 the share is 0.08, 0.23 and 0.65, the distortion 2.04, 2.08, 2.11.
-LONG_TRIANGLE, LONG_SHARE = 5.0, 0.2
 # With so few faces shorter ones matter too: an ellipsoid of 80 is at 2.20 where 0.76 of its area is in triangles of
 # three times the height, and one of 180 at 2.001.
 FEW_FACES, LONG_OF_FEW, SHARE_OF_FEW = 150, 3.0, 0.5
-# Triangles count as folded where a neighbour turns away by more degrees than this. Bodies with limbs that were
-# decimated to 80 to 300 faces reach 2.05 where 0.19 of the area is folded, and 2.1 to 2.3 at 0.3 to 0.5; on scans it is
-# below 0.03.
-FOLD, FOLDED_SHARE = 100.0, 0.18
 # Of so few triangles those that are long and folded in the mean may be too many although few are at either limit above:
 # flipped tubes, creatures and flipped spheres of 80 to 132 faces are at 2.05 to 2.14 where the mean ratio of length to
 # height is 2.4 to 3.2 and the mean fold 62 to 74 degrees; beside them spheres of 80 faces with 2.3 and 59 at 2.04.
@@ -73,6 +63,11 @@ def foretell(surface: Surface) -> list[Finding]:
     Of 200 generated meshes, all whose maps reach an area distortion above 2.05 are named, beside some that stay below.
     Whether a solver converges is foretold for needles alone.
     """
+    # Triangles count as long where the longest edge is so many times the height over it, and matter where they have
+    # this share of the area, as on flat sides that are triangulated without a vertex inside, and where radii are noise:
+    # on spheres with log-normal radii of 0.2, 0.32 and 0.5 the share is 0.08, 0.23 and 0.65, the distortion 2.04, 2.08,
+    # 2.11.
+    long_triangle, long_share = 5.0, 0.2
     found = []
     share = surface.own_areas / SPHERE_AREA
     worst = int(np.argmax(share))
@@ -96,7 +91,7 @@ def foretell(surface: Surface) -> list[Finding]:
             remedy = "remesh with more vertices around the limb, or use refine='area'"
             found.append(Finding("coarse-limb", number, text, remedy))
     long = elongation(surface)
-    limits = [(LONG_TRIANGLE, LONG_SHARE), (LONG_OF_FEW, SHARE_OF_FEW)][: 1 + (surface.face_count <= FEW_FACES)]
+    limits = [(long_triangle, long_share), (LONG_OF_FEW, SHARE_OF_FEW)][: 1 + (surface.face_count <= FEW_FACES)]
     for limit, most in limits:
         share_long = float(share[long > limit].sum())
         if not share_long > most:
@@ -114,18 +109,22 @@ def foretell(surface: Surface) -> list[Finding]:
 
 def _coarse_findings(surface: Surface, long: NDArray[np.float64]) -> list[Finding]:
     """Find triangles that are large for how the surface bends or how thick it is; ``long`` is their elongation."""
+    # Triangles count as folded where a neighbour turns away by more degrees than this. Bodies with limbs that were
+    # decimated to 80 to 300 faces reach 2.05 where 0.19 of the area is folded, and 2.1 to 2.3 at 0.3 to 0.5; on scans
+    # it is below 0.03.
+    fold, folded_share = 100.0, 0.18
     found = []
     share = surface.own_areas / SPHERE_AREA
     corners = surface.scaled_vertices[surface.faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), TINY)
     bend = np.clip((normals[:, None] * normals[surface.face_neighbours]).sum(axis=2).min(axis=1), -1.0, 1.0)
-    folded = bend < np.cos(np.radians(FOLD))
-    if share[folded].sum() > FOLDED_SHARE:
+    folded = bend < np.cos(np.radians(fold))
+    if share[folded].sum() > folded_share:
         worst = int(np.argmax(np.where(folded, share, 0.0)))
         number, name = named_face(surface.origins, worst)
         text = (
-            f"triangles folded by more than {FOLD:.0f} degrees against a neighbour have {share[folded].sum():.0%} of "
+            f"triangles folded by more than {fold:.0f} degrees against a neighbour have {share[folded].sum():.0%} of "
             f"the area, the largest is {name} {_place_of_face(surface, worst)}"
         )
         found.append(Finding("folded-triangles", number, text, "remesh with more triangles where the surface bends"))
@@ -218,17 +217,19 @@ def _area_findings(goal: Surface, sphere: NDArray[np.float64], uniform: bool, pa
 
     A triangle is made of so many faces in a row, its ``parts``; areas around vertices are judged where it is one.
     """
+    # Relative error of the area around a vertex. Where the optimal map is found it is at round-off.
+    max_vertex_area_error = 0.10
     found = []
     if uniform and parts == 1:
         around = goal.sum_to_vertices(triangle_solid_angles(*sphere[goal.faces].transpose(1, 0, 2)))
         error = np.abs(around / (3.0 * goal.vertex_areas) - 1.0)
         worst = int(np.argmax(error))
-        off = int((error > MAX_VERTEX_AREA_ERROR).sum())
+        off = int((error > max_vertex_area_error).sum())
         if off:
             number, name = named_vertex(goal.origins, worst)
             text = (
                 f"areas around vertices are off by up to {error[worst]:.0%}, the most at {name} "
-                f"{_place(goal.vertices[worst])}, and by more than {MAX_VERTEX_AREA_ERROR:.0%} at {off} of {len(error)}"
+                f"{_place(goal.vertices[worst])}, and by more than {max_vertex_area_error:.0%} at {off} of {len(error)}"
             )
             found.append(Finding("vertex-areas", number, text, ""))
     image = triangle_areas(sphere, goal.faces).reshape(-1, parts).sum(axis=1)

@@ -12,12 +12,9 @@ from omtwarp.texturing.atlas import check_size, is_power_of_two
 from omtwarp.texturing.export import split_corners
 from omtwarp.texturing.textured import TexturedSurface
 
-MOST_TUBE = 0.8  # radius of the tube over the ring's: a fatter one hides its inside
-
 Floats = NDArray[np.float64]
 
 PATTERNS = ("circles", "checker")
-CHECKS = 6  # fields along the shorter lattice vector, an even number so that the picture closes up
 LIGHT = np.array([0.96, 0.94, 0.90])  # sRGB between the circles, and of every other field
 
 
@@ -60,8 +57,9 @@ def _nearest_power(number: float) -> int:
 
 def _checks(lattice: Floats, u: Floats, v: Floats) -> Floats:
     """Draw a checker: 1 on its dark cells, which are as nearly square as even numbers allow, shape [H, W]."""
+    checks = 6  # fields along the shorter lattice vector, an even number so that the picture closes up
     along = np.linalg.norm(lattice, axis=1)
-    columns, rows = (max(2, 2 * round(CHECKS / 2 * float(side / along.min()))) for side in along)
+    columns, rows = (max(2, 2 * round(checks / 2 * float(side / along.min()))) for side in along)
     return ((np.floor(rows * v)[:, None] + np.floor(columns * u)[None, :]) % 2.0).astype(np.float64)
 
 
@@ -132,8 +130,9 @@ def textured_torus(
 
 def tube_radius(lattice: Floats) -> float:
     """Return the radius of the tube of a lattice's ring torus; that of the ring is 1."""
+    most_tube = 0.8  # radius of the tube over the ring's: a fatter one hides its inside
     along = np.linalg.norm(lattice, axis=1)
-    return min(float(along.min() / along.max()), MOST_TUBE)
+    return min(float(along.min() / along.max()), most_tube)
 
 
 def ring_torus(coordinates: Floats, lattice: Floats) -> Floats:

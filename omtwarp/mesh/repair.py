@@ -26,8 +26,6 @@ from omtwarp.mesh.validate import (
 
 LARGEST_HOLE = 64
 """Holes with more edges than this are left open: their filling would be arbitrary."""
-CRUMBS = 8
-"""Parts of at most so many faces are dropped from a surface that may have several: artefacts of scanners."""
 
 NOTED_LOSS = 0.01  # share of the area above which the repair says how much of it is gone
 
@@ -247,11 +245,13 @@ class _Work:
             self.actions.append(f"dropped {number(others, 'face')} at edges of more than two")
 
     def drop_crumbs(self) -> None:
+        # Parts of at most so many faces are dropped from a surface that may have several: artefacts of scanners.
+        crumbs = 8
         if not len(self.faces):
             return
         _, labels = Topology(self.faces, len(self.points)).components
         sizes = np.bincount(labels)
-        self.keep((sizes[labels] > CRUMBS) | (sizes[labels] == sizes.max()), "in tiny components")
+        self.keep((sizes[labels] > crumbs) | (sizes[labels] == sizes.max()), "in tiny components")
 
     def split_touching_vertices(self) -> None:
         """Give every fan of faces around a vertex a vertex of its own."""

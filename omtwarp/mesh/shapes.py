@@ -21,9 +21,6 @@ Points = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
 GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
-# Diameter of the tail over that of the head, and the angle of the arc in radians.
-HIPPOCAMPUS_TAPER = 0.45
-HIPPOCAMPUS_BEND = 1.8
 
 # In cells: a node nearer to the surface is moved inside, as triangles around it would have no area; and the step of
 # one-sided differences, whose error is that part of a slope's change over a cell.
@@ -290,10 +287,13 @@ def hippocampus(
         >>> bool(0.1 < moved.max() < 0.4), bool(np.median(moved) < 0.3 * moved.max())
         (True, True)
     """
+    # Diameter of the tail over that of the head, and the angle of the arc in radians.
+    hippocampus_taper = 0.45
+    hippocampus_bend = 1.8
     if not 0.0 <= variation <= 0.15 or bump <= -1.0 or width <= 0.0:
         raise ValueError(f"variation {variation}, bump {bump}, width {width}: use 0 to 0.15, above -1, above 0")
     length = 3.0
-    base = tube(length, girth=1.0, taper=HIPPOCAMPUS_TAPER, face_count=face_count)
+    base = tube(length, girth=1.0, taper=hippocampus_taper, face_count=face_count)
     points = base.vertices
     across, along = points[:, :2], points[:, 2]
     rng = np.random.default_rng(seed)
@@ -303,11 +303,11 @@ def hippocampus(
     strengths = variation * np.clip(rng.normal(size=6), -2.5, 2.5) / np.sqrt(6 / 2)
     factor = np.exp(np.cos(points @ waves.T + phases) @ strengths)
     share, angle = place[0], np.radians(place[1])
-    radius = 0.5 + (HIPPOCAMPUS_TAPER - 1.0) * 0.5 * share
+    radius = 0.5 + (hippocampus_taper - 1.0) * 0.5 * share
     centre = np.array([radius * np.cos(angle), radius * np.sin(angle), share * length])
     factor *= 1.0 + bump * np.exp(-((points - centre) ** 2).sum(axis=1) / (2.0 * width * width))
     shaped = np.column_stack([across * factor[:, None] * [1.0, 0.8 * flatness], along])
-    bent = _bend(shaped, HIPPOCAMPUS_BEND * bend / length, length)
+    bent = _bend(shaped, hippocampus_bend * bend / length, length)
     return Surface(bent * [1.0, 1.0, stretch], base.faces)
 
 

@@ -13,7 +13,6 @@ from omtwarp.mesh.arrays import whole_numbers
 Numbers = NDArray[np.generic]
 
 _MZ3_HEADER = "<HHIII"  # the magic number, what is in the file, and the numbers of faces, vertices and bytes to skip
-_MZ3_BOTH = 3  # bits of faces and vertices in what is in the file
 
 
 def read_mz3(data: bytes) -> tuple[Numbers, Numbers]:
@@ -25,12 +24,13 @@ def read_mz3(data: bytes) -> tuple[Numbers, Numbers]:
     Raises:
         OmtwarpError: no such file, one without a surface, or one cut short.
     """
+    mz3_both = 3  # bits of faces and vertices in what is in the file
     size = struct.calcsize(_MZ3_HEADER)
     magic, content, faces, vertices, skipped = struct.unpack(_MZ3_HEADER, data[:size].ljust(size, b"\0"))
     # Mz3 magic: "MZ" as a little-endian number
     if magic != 23117:
         raise OmtwarpError("no header of an mz3 file")
-    if content & _MZ3_BOTH != _MZ3_BOTH:
+    if content & mz3_both != mz3_both:
         raise OmtwarpError("not a triangle mesh: an mz3 file of data alone")
     start = size + skipped
     need = start + 12 * (faces + vertices)

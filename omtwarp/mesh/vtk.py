@@ -32,7 +32,6 @@ _XML_TYPES = {
 }  # fmt: skip
 
 # Numbers of VTK's kinds of cells that are points, lines, polygons, strips and pixels (squares numbered row by row).
-_NO_AREA = (1, 2, 3, 4)
 _STRIP, _PIXEL = 6, 8
 _FLAT = (5, 7, 9)
 _SURFACE = "extract its surface first, in ParaView by 'Extract Surface'"
@@ -154,8 +153,10 @@ def _of_kinds(corners: Numbers, sizes: NDArray[np.int64], kinds: Numbers) -> tup
     Raises:
         OmtwarpError: cells that are no flat polygons.
     """
+    # Numbers of VTK's kinds of cells that are points, lines, polygons, strips and pixels (squares numbered row by row).
+    no_area = (1, 2, 3, 4)
     types = whole_numbers(kinds, "CELL_TYPES", (len(sizes),))
-    other = ~np.isin(types, (*_NO_AREA, *_FLAT, _STRIP, _PIXEL))
+    other = ~np.isin(types, (*no_area, *_FLAT, _STRIP, _PIXEL))
     if other.any():
         first = int(np.argmax(other))
         what = (

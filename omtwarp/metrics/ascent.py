@@ -17,18 +17,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-TRIALS, SHORTER = 6, 0.4  # lengths of a step that are tried, each so many times the one before
-# The first step is this long, in units of what would bring a straight line to zero. Above so many points it is as long
-# as the third number says: a parabola whose least excess is zero has it at 2, and a bound takes long. On a bunny of
-# 35,000 vertices one step of that length leaves a gap of 0.083 of 0.357 %, one of half of it 0.172. Small meshes end
-# farther above zero.
-FIRST, MANY_POINTS, FIRST_OF_MANY = 0.4, 8_000, 2.0
 # Few steps go on, up to so many times as many, while each takes away this share of the excess: on half of a caudate
 # nucleus the gap falls from 5.8 to 1.97, 1.03, 0.46 % in three, whose map is nearer than that.
 FEW_STEPS, LONGEST, LARGE_GAIN = 3, 3, 0.25
-# Steps end where so many times what the last two gained would not reach what is wanted, or where that was less than
-# this share of the excess.
-PACE, STALLED = 8.0, 2e-3
 
 
 class Bounded(Protocol):
@@ -78,6 +69,9 @@ def ascend(
     Returns:
         The best bound, and the steps taken.
     """
+    # Steps end where so many times what the last two gained would not reach what is wanted, or where that was less than
+    # this share of the excess.
+    pace, stalled = 8.0, 2e-3
     pairs = _Pairs(dual)
     slope = dual.slope(best)
     excesses, done = [best.excess], 0
@@ -94,7 +88,7 @@ def ascend(
         pairs.add(found.potential - best.potential, slope - after)
         best, slope, done = found, after, done + 1
         excesses.append(best.excess)
-        if len(excesses) > 3 and excesses[-3] - best.excess < max((best.excess - enough) / PACE, STALLED * best.excess):
+        if len(excesses) > 3 and excesses[-3] - best.excess < max((best.excess - enough) / pace, stalled * best.excess):
             break
     return best, done
 
@@ -107,19 +101,25 @@ def _goes_on(excesses: list[float], most: int) -> bool:
 
 def _step(dual: DualProblem[Found], pairs: _Pairs, best: Found, slope: Array, most: int) -> Found | None:
     """Return the bound after one step, or None where no length raises it."""
+    trials, shorter = 6, 0.4  # lengths of a step that are tried, each so many times the one before
+    # The first step is this long, in units of what would bring a straight line to zero. Above so many points it is as
+    # long as the third number says: a parabola whose least excess is zero has it at 2, and a bound takes long. On a
+    # bunny of 35,000 vertices one step of that length leaves a gap of 0.083 of 0.357 %, one of half of it 0.172. Small
+    # meshes end farther above zero.
+    first, many_points, first_of_many = 0.4, 8_000, 2.0
     direction = pairs.direction(slope)
     along = float(direction @ slope)
     if not along > 0.0:
         return None
     length = 1.0
     if pairs.empty:
-        many = most <= FEW_STEPS and len(slope) > MANY_POINTS
-        length = (FIRST_OF_MANY if many else FIRST) * best.excess / along
-    for _ in range(TRIALS):
+        many = most <= FEW_STEPS and len(slope) > many_points
+        length = (first_of_many if many else first) * best.excess / along
+    for _ in range(trials):
         found = dual.bound(best.potential + length * direction)
         if found.excess < best.excess:
             return found
-        length *= SHORTER
+        length *= shorter
     return None
 
 

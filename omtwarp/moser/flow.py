@@ -19,9 +19,6 @@ from omtwarp.moser.kernels import face_areas, integrate_particles, sources_and_d
 from omtwarp.options import Progress, Record
 from omtwarp.solvers.poisson import PoissonSolver, cotangent_solver, solve_arrays
 
-COURANT = 0.5  # of a triangle's size: a particle moves by at most this in a step
-PARTS = 4  # of the work in progress reports: half is the factorisation
-
 
 @dataclass(frozen=True)
 class MoserMap:
@@ -85,10 +82,12 @@ def moser_map(
         >>> after - 2 < 0.2 * (before - 2)
         True
     """
+    courant = 0.5  # of a triangle's size: a particle moves by at most this in a step
+    parts = 4  # of the work in progress reports: half is the factorisation
     surface = as_surface(surface)
     where = resolve_device(device)
     if progress is not None:
-        progress("moser", 0, PARTS, {})
+        progress("moser", 0, parts, {})
     vertices, triangles = surface.vertex_count, surface.face_count
     points = vectors(as_sphere(sphere, surface), where)
     mesh = surface.on(where)
@@ -96,7 +95,7 @@ def moser_map(
     if solver is None:
         solver = cotangent_solver(surface, points)
     if progress is not None:
-        progress("moser", 2, PARTS, {})
+        progress("moser", 2, parts, {})
     areas = wp.empty(triangles, dtype=wp.float64, device=where)
     total = wp.empty(1, dtype=wp.float64, device=where)
     sources, mu, excess = (wp.empty(vertices, dtype=wp.float64, device=where) for _ in range(3))
@@ -112,7 +111,7 @@ def moser_map(
     wp.launch(sources_and_density, dim=vertices, inputs=inputs, outputs=[sources, mu, excess], device=where)
     (potential,) = solve_arrays(solver, [sources])
     if progress is not None:
-        progress("moser", 3, PARTS, {})
+        progress("moser", 3, parts, {})
 
     field = wp.empty(vertices, dtype=wp.vec3d, device=where)
     sizes = wp.empty(vertices, dtype=wp.float64, device=where)
@@ -125,7 +124,7 @@ def moser_map(
     steps = wp.empty(vertices, dtype=wp.int32, device=where)
     # In s = -log(1 - t) the remaining motion falls as e^-s: at s = 14 it is 1e-6 of ∇Θ.
     # Largest step, at the start; it grows with s
-    limits = [wp.float64(0.25), wp.float64(COURANT), wp.float64(14.0)]
+    limits = [wp.float64(0.25), wp.float64(courant), wp.float64(14.0)]
 
     def arguments(part: slice) -> Arguments:
         own = [points[part], rows[0][part]]
@@ -135,5 +134,5 @@ def moser_map(
     launch_parts(integrate_particles, vertices, arguments, where)
     longest = int(steps.numpy().max())
     if progress is not None:
-        progress("moser", PARTS, PARTS, {"steps": longest})
+        progress("moser", parts, parts, {"steps": longest})
     return MoserMap(moved.numpy(), potential.numpy(), longest)

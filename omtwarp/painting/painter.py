@@ -51,12 +51,6 @@ OPACITY = 0.5
 OVERLAP = 0.002
 """Part of the covered texels in more than one triangle above which a warning says so; rounding gives less."""
 
-MOST_DIVIDED = 400_000
-"""Triangles up to which a mesh is divided for smooth lines; those of larger meshes are small on the picture."""
-
-NEUTRAL = (0.8, 0.8, 0.8, 1.0)
-"""Colour of a mesh that has no material, on which ambient occlusion shows: a light grey."""
-
 
 def paint(
     result: SphereMap | TorusMap | tuple[ArrayLike, ArrayLike, ArrayLike],
@@ -255,6 +249,8 @@ class _Job:
 
     def _drawn(self, look: Look) -> Callable[[NDArray, Floats, tuple[int, int]], Picture]:
         """Return what draws the pattern on triangles, shape [T], with coordinates [T, 3, 2], on a picture of a size."""
+        # Triangles up to which a mesh is divided for smooth lines; those of larger meshes are small on the picture.
+        most_divided = 400_000
         if self.torus is not None:
             own, shown = self.torus.corners, Material(picture=torus_picture(self.torus, replace(look, size=None)))
 
@@ -265,7 +261,7 @@ class _Job:
 
             return on_torus
         turn = rotation_matrix(cast(ArrayLike | None, look.rotate))
-        parts = next((n for n in (4, 2) if n * n * len(self.faces) <= MOST_DIVIDED), 1)
+        parts = next((n for n in (4, 2) if n * n * len(self.faces) <= most_divided), 1)
         smooth = smooth_map(self.vertices, self.faces, self.sphere, parts)
 
         def on_sphere(which: NDArray, uv: Floats, size: tuple[int, int]) -> Picture:
@@ -314,6 +310,8 @@ class _Job:
         self, material: Material, color: NDArray[np.float32] | None, target: bakes.Target, tangents: Floats | None
     ) -> Material:
         """Complete a material by its new colour and the bakes that were asked for."""
+        # Colour of a mesh that has no material, on which ambient occlusion shows: a light grey.
+        neutral = (0.8, 0.8, 0.8, 1.0)
         wanted = self.wanted
         if color is not None:
             found = replace(material, picture=_opaque_if_it_is(as_bytes(color)), color=WHITE)
@@ -323,7 +321,7 @@ class _Job:
             number = bakes.scalar(wanted.color, self.vertices, self.faces, self.on_map, self.parts, self.origins)
             found = replace(material, picture=number.picture(target, self.faces), color=WHITE)
         elif self.own is None:
-            found = replace(material, color=NEUTRAL)
+            found = replace(material, color=neutral)
         else:
             found = material
         if "ao" in wanted.names:

@@ -30,12 +30,6 @@ PADDING = 16
 SAMPLES = 2
 """Side of the grid of samples in a texel that a picture is carried over with."""
 
-MOST_TILES = 16
-"""Copies of the picture that one triangle may reach over, along either side."""
-
-INSIDE = 0.02
-"""Texels by which a centre lies inside a triangle for certain: neighbours share their sides to round-off."""
-
 
 def tiled_copies(uv: Floats) -> tuple[NDArray[np.int64], Floats]:
     """Copy triangles so that each copy covers its part of the unit square, for pictures that repeat.
@@ -50,14 +44,16 @@ def tiled_copies(uv: Floats) -> tuple[NDArray[np.int64], Floats]:
     Raises:
         OmtwarpError: a triangle reaches over more than :data:`MOST_TILES` pictures along a side.
     """
+    # Copies of the picture that one triangle may reach over, along either side.
+    most_tiles = 16
     low = np.floor(uv.min(axis=1) + ROUND_OFF).astype(np.int64)
     high = np.maximum(np.ceil(uv.max(axis=1) - ROUND_OFF).astype(np.int64), low + 1)
     count = high - low
-    if len(count) and count.max() > MOST_TILES:
+    if len(count) and count.max() > most_tiles:
         face = int(np.argmax(count.max(axis=1)))
         raise OmtwarpError(
             f"texture coordinates: face {face} reaches over {count[face].max()} copies of the picture, and "
-            f"{MOST_TILES} is the most"
+            f"{most_tiles} is the most"
         )
     number = count.prod(axis=1)
     which = np.repeat(np.arange(len(uv)), number)
@@ -68,6 +64,8 @@ def tiled_copies(uv: Floats) -> tuple[NDArray[np.int64], Floats]:
 
 def overlap(uv: Floats, width: int, height: int, where: wp.Device) -> float:
     """Return the share of the covered texels that lie in more than one triangle, from 0 to 1."""
+    # Texels by which a centre lies inside a triangle for certain: neighbours share their sides to round-off.
+    inside = 0.02
     if not len(uv):
         return 0.0
     texels = np.stack([uv[..., 0] * width, (1.0 - uv[..., 1]) * height], axis=-1)
@@ -76,7 +74,7 @@ def overlap(uv: Floats, width: int, height: int, where: wp.Device) -> float:
     wp.launch(
         kernels.count_claims,
         dim=len(uv),
-        inputs=[corners, width, height, wp.float64(INSIDE), claims],
+        inputs=[corners, width, height, wp.float64(inside), claims],
         device=where,
     )
     counts = claims.numpy()
@@ -202,11 +200,6 @@ def over(top: NDArray[np.float32], bottom: NDArray[np.float32], opacity: float) 
 SIZE = 2048
 """Texels of a side of a picture for own coordinates where the material has none whose size could be taken."""
 
-GAP = 8
-"""Texels around the atlas of a part: seen by bilinear samples at the third mip level yet, as the least gutters are."""
-
-STEP, FEWEST = 48, 2
-"""Widths of atlases of parts are multiples of so many texels, which every atlas takes, and at least two of them."""
 
 PLAIN = np.zeros((16, 32, 3), dtype=np.uint8)
 """A picture for coordinates alone: one of one colour is the fastest."""
@@ -307,16 +300,20 @@ def sheet_of_parts(vertices: Floats, faces: Ints, sphere: Floats, parts: NDArray
     Raises:
         OmtwarpError: the picture is too small for so many parts.
     """
+    # Texels around the atlas of a part: seen by bilinear samples at the third mip level yet, as the least gutters are.
+    gap = 8
+    # Widths of atlases of parts are multiples of so many texels, which every atlas takes, and at least two of them.
+    step, fewest = 48, 2
     (side,) = check_size(SIZE if look.size is None else look.size)
-    one = make_atlas(look.atlas, FEWEST * STEP)
+    one = make_atlas(look.atlas, fewest * step)
     height = one.height / one.width
     least = np.array([one.width, one.height])
     sizes = np.sqrt(np.bincount(parts, triangle_areas(vertices, faces)))[:, None] * [1.0, height]
     try:
-        corner, scale = on_shelves(sizes, 1.0, GAP / side, least / side)
+        corner, scale = on_shelves(sizes, 1.0, gap / side, least / side)
     except OmtwarpError:
         raise OmtwarpError(f"a picture of {side} x {side} texels has no room for {len(sizes)} parts") from None
-    wide = np.maximum((sizes[:, 0] * (scale * side / STEP)).astype(np.int64), FEWEST) * STEP
+    wide = np.maximum((sizes[:, 0] * (scale * side / step)).astype(np.int64), fewest) * step
     left, bottom = np.rint(corner * side).astype(np.int64).T
     picture = None
     found = []
@@ -330,10 +327,10 @@ def sheet_of_parts(vertices: Floats, faces: Ints, sphere: Floats, parts: NDArray
             if picture is None:
                 picture = np.zeros((side, side, sheet.picture.shape[2]), dtype=np.uint8)
                 picture[:] = np.rint(sheet.picture.mean(axis=(0, 1)))
-            aside = (0, 0), (GAP - 1, GAP - 1), (0, 0)
+            aside = (0, 0), (gap - 1, gap - 1), (0, 0)
             drawn = np.pad(sheet.picture, aside, "wrap") if one.wraps else np.pad(sheet.picture, aside, "edge")
-            drawn = np.pad(drawn, ((GAP - 1, GAP - 1), (0, 0), (0, 0)), "edge")
-            row, column = side - int(bottom[part]) - high - GAP + 1, int(left[part]) - GAP + 1
+            drawn = np.pad(drawn, ((gap - 1, gap - 1), (0, 0), (0, 0)), "edge")
+            row, column = side - int(bottom[part]) - high - gap + 1, int(left[part]) - gap + 1
             picture[row : row + drawn.shape[0], column : column + drawn.shape[1]] = drawn
         uv = (sheet.uv * (across, high) + (left[part], bottom[part])) / side
         found.append(replace(sheet, uv=uv, source_face=mine[sheet.source_face]))

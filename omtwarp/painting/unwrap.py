@@ -20,14 +20,9 @@ from omtwarp.texturing.textured import SphereMap, as_map, spheres_of
 MARGIN = 1.0 / 128.0
 """Free space around a chart, in heights of the picture: 8 texels at 1024, enough for three levels of mip maps."""
 
-FARTHEST = np.deg2rad(87.0)
-"""From the middle of a chart: what lies 90 degrees away lies on no plane in front of it."""
 
 ASPECTS, MOST_MARGIN = (0.1, 10.0), 0.1
 """Widths of the picture over its height, and free room in heights of it: beyond these charts have next to no room."""
-
-MOST_STRIPS, FEWER_CUTS = 12, 0.9
-"""Pieces of a torus at most, and the share of the largest scale at which fewer of them are taken."""
 
 
 @dataclass(frozen=True)
@@ -133,20 +128,22 @@ def _cubes(vertices: Floats, faces: Ints, sphere: Floats, parts: NDArray[np.intp
         vertices, faces, sphere: the map, shapes [V, 3], [F, 3] and [V, 3].
         parts: the sphere of every triangle, shape [F].
     """
+    # From the middle of a chart: what lies 90 degrees away lies on no plane in front of it.
+    farthest = np.deg2rad(87.0)
     corners = sphere[faces]
     middle = corners.sum(axis=1)
     chart = np.argmax(middle @ CUBE_FRAMES[:, 0].T, axis=1)
     angle = _angles(corners, chart)
-    far = np.abs(angle).max(axis=(1, 2)) > FARTHEST
+    far = np.abs(angle).max(axis=(1, 2)) > farthest
     if far.any():  # a long triangle may fit better on a neighbouring chart
         at = np.flatnonzero(far)
         reach = [np.abs(_angles(corners[at], np.full(len(at), k))).max(axis=(1, 2)) for k in range(len(CUBE_FRAMES))]
         chart[at] = np.argmin(reach, axis=0)
         angle[at] = _angles(corners[at], chart[at])
-        far = np.abs(angle).max(axis=(1, 2)) > FARTHEST
+        far = np.abs(angle).max(axis=(1, 2)) > farthest
     if far.any():
         raise OmtwarpError(
-            f"{far.sum()} of {len(faces)} faces reach more than {np.rad2deg(FARTHEST):.0f} degrees from the middle of "
+            f"{far.sum()} of {len(faces)} faces reach more than {np.rad2deg(farthest):.0f} degrees from the middle of "
             f"their chart, first face {int(np.argmax(far))}: quarter the mesh first, or use texture, which cuts faces"
         )
     # In gnomonic coordinates great circles are straight lines, so that no triangle flips that was not flipped.
@@ -173,6 +170,8 @@ def _strips(result: TorusMap, aspect: float) -> _Charts:
 
     A triangle lies where its centroid is in the rectangle; no two overlap, as the map is one to one.
     """
+    # Pieces of a torus at most, and the share of the largest scale at which fewer of them are taken.
+    most_strips, fewer_cuts = 12, 0.9
     lattice = result.lattice
     long, other = lattice[::-1] if np.linalg.norm(lattice[1]) > np.linalg.norm(lattice[0]) else lattice
     length = float(np.linalg.norm(long))
@@ -182,9 +181,9 @@ def _strips(result: TorusMap, aspect: float) -> _Charts:
     plane -= np.floor(plane[..., 1].mean(axis=1) / other[1])[:, None, None] * other
     plane[..., 0] -= length * np.floor(plane[..., 0].mean(axis=1) / length)[:, None]
     height = abs(float(other[1]))
-    count = np.arange(1, MOST_STRIPS + 1)
+    count = np.arange(1, most_strips + 1)
     scale = np.minimum(aspect * count / length, 1.0 / (count * height))
-    strips = int(count[np.argmax(scale >= FEWER_CUTS * scale.max())])
+    strips = int(count[np.argmax(scale >= fewer_cuts * scale.max())])
     at = np.floor(plane[..., 0].mean(axis=1) * (strips / length)).astype(np.intp)
     return _Charts(plane, np.clip(at, 0, strips - 1))
 
@@ -229,9 +228,6 @@ def _packed(charts: _Charts, aspect: float, margin: float) -> Floats:
     return moved / (aspect, 1.0)
 
 
-HALVINGS = 40  # of the interval of scales, which is then known to rounding
-
-
 def on_shelves(sizes: Floats, width: float, margin: float, least: Floats | float = 0.0) -> tuple[Floats, float]:
     """Place boxes on a picture of height 1, as large as rows of them allow, all at one scale.
 
@@ -257,12 +253,13 @@ def on_shelves(sizes: Floats, width: float, margin: float, least: Floats | float
     .. [1] E. G. Coffman, M. R. Garey, D. S. Johnson and R. E. Tarjan, "Performance bounds for level-oriented
        two-dimensional packing algorithms", SIAM J. Comput. 9 (1980).
     """
+    halvings = 40  # of the interval of scales, which is then known to rounding
     if _rows(np.maximum(0.0 * sizes, least), width, margin) is None:
         raise OmtwarpError(f"a margin of {margin} leaves no room for {len(sizes)} charts")
     low, high = 0.0, float((np.array([width, 1.0]) / np.maximum(sizes.max(axis=0), TINY)).min())
     found = _rows(np.maximum(high * sizes, least), width, margin)
     low = high if found is not None else low
-    for _ in range(HALVINGS if found is None else 0):
+    for _ in range(halvings if found is None else 0):
         middle = 0.5 * (low + high)
         placed = _rows(np.maximum(middle * sizes, least), width, margin)
         if placed is None:

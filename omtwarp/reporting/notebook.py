@@ -27,11 +27,8 @@ PATTERN = "circles"
 # A notebook holds all of its outputs: the surface of a view is simplified above this many triangles, and its texture
 # has this many texels along each of six faces.
 MOST_FACES = 20_000
-FACE_TEXELS = 256
-HEIGHT = 460  # pixels of the view
 STILL = (640, 360)
 SIZE = (640, 480)  # of pictures that are asked for without a size
-PICTURE_WIDTH = 1024  # texels around the sphere of the texture of still pictures
 
 
 def notebook_view(result: MapResult | TorusMap) -> str:
@@ -43,6 +40,7 @@ def notebook_view(result: MapResult | TorusMap) -> str:
     Args:
         result: a map to the sphere, or any other map of a surface, of which there is the picture alone.
     """
+    height = 460  # pixels of the view
     caption = html("<p style='margin:.3em 0;font-size:90%'>{}</p>", repr(result))
     if not isinstance(result, MapResult):
         return str(html('<div><img alt="{}" src="{}">{}</div>', repr(result), data_uri(plot(result), "webp"), caption))
@@ -54,7 +52,7 @@ def notebook_view(result: MapResult | TorusMap) -> str:
             '<img alt="{name}" src="{poster}" style="width:100%;height:100%;object-fit:contain">'
             '<iframe title="{name}" srcdoc="{page}" sandbox="allow-scripts" '
             'style="position:absolute;inset:0;width:100%;height:100%;border:0"></iframe></div>{caption}</div>',
-            height=HEIGHT,
+            height=height,
             name=repr(result),
             poster=poster,
             page=view_page(result, stages, poster),
@@ -65,7 +63,8 @@ def notebook_view(result: MapResult | TorusMap) -> str:
 
 def view_page(result: MapResult, stages: list[Stage], poster: str) -> str:
     """Make the page in the notebook's frame, which holds only the viewer of the report page."""
-    scene = make_scene(result, stages, PATTERN, most_faces=MOST_FACES, texels=FACE_TEXELS)
+    face_texels = 256
+    scene = make_scene(result, stages, PATTERN, most_faces=MOST_FACES, texels=face_texels)
     three, viewer = script("three/three.min.js"), script("viewer.js")
     return fill_page(
         asset("notebook.html"),
@@ -82,13 +81,14 @@ def view_page(result: MapResult, stages: list[Stage], poster: str) -> str:
 
 def plot(result: MapResult | TorusMap, *, pattern: str = PATTERN, **options: Unpack[PreviewOptions]) -> Image:
     """Draw a map; see :meth:`omtwarp.maps.display.Shown.plot`."""
+    picture_width = 1024  # texels around the sphere of the texture of still pictures
     options.setdefault("size", SIZE)
     image = options.pop("image", None)
     if options.get("scalar") is not None:
         return cast("Image", preview(SurfaceView(result.vertices, result.faces), **options))
     if not isinstance(result, MapResult):
         return cast("Image", preview(torus_view(result, image, pattern=pattern), **options))
-    shown = map_view(result, rasterize(pattern, PICTURE_WIDTH) if image is None else image)
+    shown = map_view(result, rasterize(pattern, picture_width) if image is None else image)
     return cast("Image", preview(shown, **options))
 
 

@@ -31,8 +31,6 @@ from omtwarp.texturing.image import PictureLike
 from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.patterns import pattern as pattern_by_name
 
-PICTURE_WIDTH = 1536  # texels around the sphere of the texture of still pictures: three for each pixel of the surface
-
 
 def write_report(
     result: MapResult | TorusMap,
@@ -211,6 +209,8 @@ def _stills(
     background: Executor,
 ) -> Mapping[str, str]:
     """Begin the pictures of the first and the last stage, by key: the surface, and ``sphere KEY``."""
+    # texels around the sphere of the texture of still pictures: three for each pixel of the surface
+    picture_width = 1536
     begun: dict[str, Callable[[], str]] = {}
 
     def begin(key: str, subject: SurfaceView) -> None:
@@ -235,7 +235,7 @@ def _stills(
     picture: NDArray[np.generic]
     if isinstance(texture, Pattern):
         # Picture samples, along the side of a texel: pictures average over several texels besides
-        picture = rasterize(texture, PICTURE_WIDTH, supersample=2, device=device)
+        picture = rasterize(texture, picture_width, supersample=2, device=device)
     else:
         picture = texture
     for stage in shown:

@@ -16,9 +16,7 @@ from omtwarp.reporting.markup import Markup, html, join
 from omtwarp.reporting.scene import log2_angle_ratio, log2_area_ratio
 from omtwarp.reporting.stages import Stage
 
-NINE_TENTHS = (0.05, 0.95)  # quantiles between which nine tenths of a distribution lie, as the words say
 PLAIN = (1e-3, 1e5)  # sizes of numbers that are written without a power of ten
-AS_MILLISECONDS, AS_SECONDS = 0.1, 120  # seconds below which a time is written in these
 
 
 def figures(stages: Sequence[Stage], report: MapReport) -> Markup:
@@ -83,8 +81,9 @@ def pictures(stages: Sequence[Stage], stills: Mapping[str, str], shown: str) -> 
 
 
 def _picture_caption(stage: Stage) -> str:
+    nine_tenths = (0.05, 0.95)  # quantiles between which nine tenths of a distribution lie, as the words say
     ratio = log2_area_ratio(stage)
-    low, high = _weighted_quantiles(ratio, stage.weights, NINE_TENTHS)
+    low, high = _weighted_quantiles(ratio, stage.weights, nine_tenths)
     spread = 2.0 ** (high - low)
     times = f"{spread:.2f}" if spread < 10 else f"{spread:,.0f}" if spread < 1e6 else _number(spread)
     return html("Scale of area varies by a factor of {} over nine tenths of the surface.", times)
@@ -337,9 +336,10 @@ def _number(value: float | None) -> str:
 
 
 def seconds_text(value: float) -> str:
+    as_milliseconds, as_seconds = 0.1, 120  # seconds below which a time is written in these
     value = float(value)
-    if value < AS_MILLISECONDS:
+    if value < as_milliseconds:
         return f"{1000 * value:.0f} ms"
-    if value < AS_SECONDS:
+    if value < as_seconds:
         return f"{value:.2g} s" if value < 1 else f"{value:.1f} s"
     return f"{value / 60:.1f} min"

@@ -40,8 +40,6 @@ LAST = {
     "exact": ("Exact areas", "--after"),
     "refine": ("Refined", "--after"),
 }
-PICTURE_WIDTH = 1024  # texels of a pattern along the first vector; a picture of more is made smaller
-LINES = 12  # of the lattice along its shorter vector
 
 
 def torus_stages(result: TorusMap) -> list[Stage]:
@@ -79,6 +77,7 @@ def torus_scene(
         pattern: of the torus, where there is no image.
         pose: the surface's axes.
     """
+    lines = 12  # of the lattice along its shorter vector
     cut = result.textured(image, pattern=None if image is not None else pattern)
     used, axes = cut.welded, view_axes(pose)
     placed = placed_in_view(result.vertices, used, axes)
@@ -104,7 +103,7 @@ def torus_scene(
     header: dict[str, object] = {
         "stages": [{"key": stage.key, "label": stage.label, "flat": False} for stage in stages],
         "radius": radius,
-        "ring": {"radius": ring, "lines": np.maximum(np.rint(LINES * along / along.min()), 1.0).tolist()},
+        "ring": {"radius": ring, "lines": np.maximum(np.rint(lines * along / along.min()), 1.0).tolist()},
         "picture": [_picture(cut.image)],
     }
     return packed_scene(arrays, header, alignment(stages[-1].sphere[used], placed), len(cut.faces))
@@ -112,13 +111,14 @@ def torus_scene(
 
 def _picture(image: NDArray[np.uint8]) -> str:
     """Write a picture that repeats as a data URI, no wider than the view shows."""
+    picture_width = 1024  # texels of a pattern along the first vector; a picture of more is made smaller
     from PIL import Image as pil
 
     drawn = pil.fromarray(image).convert("RGB")
     kind = picture_kind(np.asarray(drawn))
-    if drawn.width > PICTURE_WIDTH:
+    if drawn.width > picture_width:
         drawn = drawn.resize(
-            (PICTURE_WIDTH, max(round(drawn.height * PICTURE_WIDTH / drawn.width), 1)), pil.Resampling.BOX
+            (picture_width, max(round(drawn.height * picture_width / drawn.width), 1)), pil.Resampling.BOX
         )
     return data_uri(drawn, kind)
 

@@ -13,10 +13,6 @@ from omtwarp.spheres import SphereGrid
 
 Floats = NDArray[np.float64]
 
-# Barycentric coordinate up to which a point is on a side of a triangle: single precision puts vertices of the rim of a
-# filled hole so far into its filling.
-RIM = 1e-6
-
 
 def barycentric(source: SphereGrid, target: SphereGrid, device: str | None = "auto") -> sparse.csr_matrix:
     """Return the matrix of linear interpolation in the flat triangle nearest to each target point, shape [T, S].
@@ -24,13 +20,16 @@ def barycentric(source: SphereGrid, target: SphereGrid, device: str | None = "au
     The weights are those of Connectome Workbench's BARYCENTRIC. Constants are kept, integrals are not. Rows of points
     in what fills holes of the source are empty.
     """
+    # Barycentric coordinate up to which a point is on a side of a triangle: single precision puts vertices of the rim
+    # of a filled hole so far into its filling.
+    rim = 1e-6
     faces = source.triangles
     found = Locator(source.points, faces, device=device).find_closest(target.points)
     matrix = found.matrix(faces, len(source.points))
     if source.own is None:
         return matrix
     of_surface = np.where(faces[found.faces] < source.own[0], found.coordinates, 0.0).sum(axis=1)
-    on_rim = (found.coordinates.min(axis=1) < RIM) & (of_surface > 1.0 - RIM)
+    on_rim = (found.coordinates.min(axis=1) < rim) & (of_surface > 1.0 - rim)
     return _without_rows(matrix, (found.faces >= source.own[1]) & ~on_rim)
 
 

@@ -20,7 +20,6 @@ from omtwarp.shape_analysis.distance import DEGREE, distance_matrix, transport_m
 Floats = NDArray[np.float64]
 
 PERMUTATIONS = 999  # the smallest p value is then 0.001
-FEWEST = 5  # shapes; with four there are six labellings, and no p value below a sixth
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,13 +199,14 @@ def two_groups(labels: Sequence[str], count: int) -> tuple[str, str]:
     Raises:
         OmtwarpError: labels are missing, there are not two groups, or they are too small to be compared.
     """
+    fewest = 5  # shapes; with four there are six labellings, and no p value below a sixth
     if len(labels) != count:
         raise OmtwarpError(f"{len(labels)} labels for {count} maps")
     names = sorted(set(labels))
     if len(names) != 2 or "" in names:
         raise OmtwarpError(f"the groups are {', '.join(repr(n) for n in names[:5])}: differences need two, named")
-    if count < FEWEST or min(list(labels).count(name) for name in names) < 2:
-        raise OmtwarpError(f"too few shapes for a difference: at least {FEWEST}, and 2 in each group")
+    if count < fewest or min(list(labels).count(name) for name in names) < 2:
+        raise OmtwarpError(f"too few shapes for a difference: at least {fewest}, and 2 in each group")
     return names[0], names[1]
 
 

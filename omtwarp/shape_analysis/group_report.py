@@ -21,7 +21,6 @@ from omtwarp.shape_analysis.group import GroupStudy, mirrored_words
 SHOWN = 2.0  # standard deviations to either side of the mean
 SIGNIFICANT = 0.05  # level of the corrected p values, the customary one
 PICTURE = (420, 300)  # pixels
-MOST_ROWS = 200  # of the table on the page; table.csv has all
 
 
 def write_group_report(
@@ -89,6 +88,7 @@ def _write_csv(path: Path, columns: Sequence[str], rows: Sequence[Sequence[str |
 
 
 def _body(study: GroupStudy, columns: Sequence[str], rows: Sequence[Sequence[str | float]]) -> list[Markup]:
+    most_rows = 200  # of the table on the page; table.csv has all
     known = study.components
     body = [
         element("p", f"{len(rows)} shapes, {len(study.alignment.mean)} corresponding points."),
@@ -113,10 +113,10 @@ def _body(study: GroupStudy, columns: Sequence[str], rows: Sequence[Sequence[str
         pair = [(f"component {k + 1}, {word}", sign) for word, sign in (("minus", -1.0), ("plus", 1.0))]
         drawn = [_picture(study.along(k, sign * SHOWN), name, sign * outward) for name, sign in pair]
         body.append(pictures(drawn))
-    shown = [[f"{cell:.4g}" if isinstance(cell, float) else cell for cell in row] for row in rows[:MOST_ROWS]]
+    shown = [[f"{cell:.4g}" if isinstance(cell, float) else cell for cell in row] for row in rows[:most_rows]]
     body += [element("h2", "Shapes"), table(columns, shown)]
-    if len(rows) > MOST_ROWS:
-        body.append(element("p", f"The first {MOST_ROWS} of {len(rows)}; table.csv has all."))
+    if len(rows) > most_rows:
+        body.append(element("p", f"The first {most_rows} of {len(rows)}; table.csv has all."))
     return body
 
 

@@ -29,18 +29,10 @@ from omtwarp.start.decimation_kernels import MAX_VALENCE
 from omtwarp.start.hierarchical_kernels import insert_vertices, relax_vertices, triangle_coefficients
 
 # Levels with fewer vertices than this are cheap and determine the global layout: they get more sweeps.
-_SMALL_LEVEL = 1000
 _SMALL_SWEEPS = 30
 _SWEEPS = 8
-_FINAL_SWEEPS = 20
-# Where asked to be thorough: on an octopus of 17,000 vertices, with an area weight of 30, area distortion is 2.64 in
-# place of 3.14, and angle distortion 24 in place of 20.
-_THOROUGH_SWEEPS = (60, 30, 100)
-# Of vertices that were removed by distance: there needles slow the moves down.
-_SWEEPS_BY_DISTANCE = (60, 20, 100)
 # A determinant below this after an insertion is not safely positive in float64.
 _LEAST_DETERMINANT = 1e-15
-_INSERTION_ATTEMPTS = 8
 
 
 @dataclass(frozen=True)
@@ -117,9 +109,15 @@ def hierarchical_embedding(
 
 def sweeps(thorough: bool, by_distance: bool = False) -> tuple[int, int, int]:
     """Return how often every vertex is moved on small levels, on others, and at the end."""
+    final_sweeps = 20
+    # Where asked to be thorough: on an octopus of 17,000 vertices, with an area weight of 30, area distortion is 2.64
+    # in place of 3.14, and angle distortion 24 in place of 20.
+    thorough_sweeps = (60, 30, 100)
+    # Of vertices that were removed by distance: there needles slow the moves down.
+    sweeps_by_distance = (60, 20, 100)
     if by_distance:
-        return _SWEEPS_BY_DISTANCE
-    return _THOROUGH_SWEEPS if thorough else (_SMALL_SWEEPS, _SWEEPS, _FINAL_SWEEPS)
+        return sweeps_by_distance
+    return thorough_sweeps if thorough else (_SMALL_SWEEPS, _SWEEPS, final_sweeps)
 
 
 def renumbered(surface: Surface, order: NDArray[np.intp]) -> Surface:
@@ -177,17 +175,20 @@ class Embedding:
             hierarchy: the levels.
             small, usual, final: moves of every vertex on small levels, on others, and at the end.
         """
+        # Levels with fewer vertices than this are cheap and determine the global layout: they get more sweeps.
+        small_level = 1000
         for level, removal in zip(hierarchy.levels[-2::-1], hierarchy.removals[::-1], strict=True):
             self.insert(removal)
             self.enter(level)
             self.relax(removal.vertices)
-            self.sweep(small if len(level.vertices) < _SMALL_LEVEL else usual)
+            self.sweep(small if len(level.vertices) < small_level else usual)
             yield len(level.vertices)
         self.sweep(final)
 
     def insert(self, removal: Removal) -> None:
         """Insert removed vertices; where a kernel is too thin for float64, relax the coarser map and try again."""
-        for _ in range(_INSERTION_ATTEMPTS):
+        insertion_attempts = 8
+        for _ in range(insertion_attempts):
             worst = self.put_back(removal)
             if worst > _LEAST_DETERMINANT:
                 return

@@ -23,7 +23,6 @@ from omtwarp.texturing.projection import check_projection, direction_from_angles
 Bytes = NDArray[np.uint8]
 Ints = NDArray[np.int32]
 
-STEPS = (16, 4)  # texels along the side of the blocks that are filled at once, coarse before fine
 PARTS = 4  # of a block along a side, one level finer
 
 
@@ -66,12 +65,13 @@ class _Baking:
 
     def calm(self, given: PatternSource) -> Ints:
         """Fill the parts without an edge; return the texels that remain."""
-        side = STEPS[0] * PARTS
+        steps = (16, 4)  # texels along the side of the blocks that are filled at once, coarse before fine
+        side = steps[0] * PARTS
         x, y = np.arange(0, self._width, side), np.arange(0, self._height, side)
         covered = x < self._row_lengths[y][:, None]
         corners = (y[:, None] * self._width + x[None, :])[covered].astype(np.int32)
         lattice = np.arange(PARTS + 1)
-        for step in STEPS:
+        for step in steps:
             left = []
             at_once = max(SAMPLES_AT_ONCE // (PARTS + 1) ** 2, 1)
             for start in range(0, len(corners), at_once):
@@ -85,7 +85,7 @@ class _Baking:
                 left.append(some[which] + part // PARTS * step * self._width + part % PARTS * step)
             corners = np.concatenate(left) if left else np.zeros(0, dtype=np.int32)
         row, column = np.divmod(corners, self._width)
-        offsets = np.arange(STEPS[-1])
+        offsets = np.arange(steps[-1])
         rows, columns = row[:, None] + offsets, column[:, None] + offsets
         texels = rows[:, :, None] * self._width + columns[:, None, :]
         lengths = np.where(rows < self._height, self._row_lengths[np.minimum(rows, self._height - 1)], 0)

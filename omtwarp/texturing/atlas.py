@@ -52,7 +52,6 @@ CUBE_FRAMES = np.array(
 )
 
 SIZE = 2048  # texels across a picture where no size is given
-LEAST_SQUARE = 32  # texels: in a square one that is smaller no three cells of a cube map fit with their gutters
 
 
 def _triple(values: Floats) -> tuple[float, float, float]:
@@ -361,17 +360,18 @@ def make_atlas(name: str, size: int | tuple[int, int] | None = None, *, seam: fl
 
 def _cube(sides: tuple[int, ...]) -> Cube:
     """Return a cube map of a width, or of a width and a height."""
+    least_square = 32  # texels: in a square one that is smaller no three cells of a cube map fit with their gutters
     width = sides[0]
     cell = max(width // 12, 2) * 4  # a multiple of four: so many mip maps have whole texels along the borders of cells
-    square = width >= LEAST_SQUARE and is_power_of_two(width) if len(sides) == 1 else sides[1] == width
+    square = width >= least_square and is_power_of_two(width) if len(sides) == 1 else sides[1] == width
     if square and 3 * cell <= width:
         return Cube(cell, size=(width, width))
     if len(sides) == 1 or sides == (3 * cell, 2 * cell):
         return Cube(cell)
-    if width == 2 * sides[1] and width % 16 == 0 and width >= LEAST_SQUARE:
+    if width == 2 * sides[1] and width % 16 == 0 and width >= least_square:
         return Cube(width // 4, size=(width, sides[1]))
     raise OmtwarpError(
-        f"texture size {sides}: a cube map is a square of at least {LEAST_SQUARE} texels, 2 : 1 with a width that is a "
+        f"texture size {sides}: a cube map is a square of at least {least_square} texels, 2 : 1 with a width that is a "
         f"multiple of 16, or 3 : 2 with one that is a multiple of 12"
     )
 

@@ -19,9 +19,7 @@ from omtwarp.texturing.smooth import SmoothCurves
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-LEAST_MOVED = 0.2  # texels: triangles in which the smooth map stays nearer to the linear one are left linear
 PARTS = (3, 8)  # 8 are 45 points in every triangle; more would turn by less than 5 degrees from one to the next
-HINT_BLOCK = 8  # texels along the side of a block that has a triangle of its own at which searches begin
 
 
 class Look:
@@ -71,6 +69,7 @@ class Bending:
     """
 
     def __init__(self, curves: SmoothCurves, atlas: Atlas):
+        least_moved = 0.2  # texels: triangles in which the smooth map stays nearer to the linear one are left linear
         self.curves, self.atlas = curves, atlas
         texel = atlas.texel_angle
         away = np.linalg.norm(curves.sphere - curves.given, axis=1)[curves.faces].max(axis=1)
@@ -78,7 +77,7 @@ class Bending:
         # Divided into n parts, a curve that leaves a straight one by b texels is followed to b / n² texels.
         wanted = np.ceil(np.sqrt(bend / 0.1)).astype(np.int64)
         divided = np.zeros(len(curves.faces), dtype=np.int32)
-        divided[(away > LEAST_MOVED * texel) | (bend > LEAST_MOVED)] = 1
+        divided[(away > least_moved * texel) | (bend > least_moved)] = 1
         least = 1
         for parts in PARTS:
             divided[(divided > 0) & (wanted > least)] = parts
@@ -121,13 +120,14 @@ class BentLook(Look):
     """
 
     def __init__(self, bending: Bending, cut: Unwrapped, rotation: Floats, where: wp.Device):
+        hint_block = 8  # texels along the side of a block that has a triangle of its own at which searches begin
         atlas, curves = bending.atlas, bending.curves
         super().__init__(atlas, where)
         faces, given = curves.faces, curves.given @ rotation
-        across, down = -(-atlas.width // HINT_BLOCK), -(-atlas.height // HINT_BLOCK)
+        across, down = -(-atlas.width // hint_block), -(-atlas.height // hint_block)
         corner_uv = cut.uv[cut.faces]
         blocks = np.stack([corner_uv[..., 0] * atlas.width, (1.0 - corner_uv[..., 1]) * atlas.height], axis=-1) / float(
-            HINT_BLOCK
+            hint_block
         )
         corners = wp.array(np.ascontiguousarray(blocks), dtype=wp.vec2d, device=where)
         part = claimed(corners, across, down, GROW, where)
@@ -135,7 +135,7 @@ class BentLook(Look):
         part = np.where(part == NOBODY, claimed(corners, across, down, 1.0, where), part)
         hints = np.where(part == NOBODY, -1, cut.source_face[np.minimum(part, len(cut.source_face) - 1)])
         self._kernel = kernels.bent_sample_directions
-        self._tables = [HINT_BLOCK, across]
+        self._tables = [hint_block, across]
         self._tables += [
             wp.array(np.ascontiguousarray(table), dtype=kind, device=where)
             for table, kind in (

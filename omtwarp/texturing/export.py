@@ -26,7 +26,6 @@ from omtwarp.texturing.materials import Bytes, Floats, Ints, Material, linear
 
 SUFFIXES = (".glb", ".obj", ".ply")  # the last of which holds colours at the vertices alone
 # Numbers of OpenGL that glTF 2.0 uses: wrapping and filters of samplers, types of components, modes.
-REPEAT, CLAMP = 10497, 33071
 LINEAR, LINEAR_MIPMAP_LINEAR = 9729, 9987
 FLOAT, UNSIGNED_INT = 5126, 5125
 TRIANGLES = 4
@@ -171,6 +170,8 @@ class GltfFile:
     """
 
     def __init__(self, wraps: tuple[bool, bool], texture_format: TextureFormat):
+        # Numbers of OpenGL that glTF 2.0 uses: wrapping and filters of samplers, types of components, modes.
+        repeat, clamp = 10497, 33071
         self._format = texture_format
         self._buffer = bytearray()
         self._views: list[dict[str, object]] = []
@@ -178,7 +179,7 @@ class GltfFile:
         self._images: list[dict[str, object]] = []
         self._known: dict[int, int] = {}
         self._sampler = {"magFilter": LINEAR, "minFilter": LINEAR_MIPMAP_LINEAR}
-        self._sampler |= {name: REPEAT if on else CLAMP for name, on in zip(("wrapS", "wrapT"), wraps, strict=True)}
+        self._sampler |= {name: repeat if on else clamp for name, on in zip(("wrapS", "wrapT"), wraps, strict=True)}
 
     def _view(self, content: bytes, **more: int) -> int:
         """Append bytes and return the number of their view."""

@@ -30,7 +30,6 @@ FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "TGA")
 
 # Bytes of an image above which it is compressed on all cores: below, Pillow takes a tenth of a second or two.
 MOST_FOR_ONE_CORE = 4_000_000
-LONGEST_WEBP = 16383  # texels: a side has 14 bits in the format
 SOFTWARE = b"omtwarp"  # named in the files
 STRIP = 64  # rows; what lies more than 32 kB back is not looked at by the compression anyway
 COLOUR_TYPES = {3: 2, 4: 6}  # of the format, by the number of channels
@@ -186,11 +185,12 @@ def webp_bytes(image: NDArray[np.uint8]) -> bytes:
     Raises:
         OmtwarpError: a side is longer than the format allows.
     """
+    longest_webp = 16383  # texels: a side has 14 bits in the format
     from PIL import Image
 
-    if max(image.shape[:2]) > LONGEST_WEBP:
+    if max(image.shape[:2]) > longest_webp:
         height, width = image.shape[:2]
-        raise OmtwarpError(f"WebP holds {LONGEST_WEBP} texels a side, the texture has {width} x {height}: write PNG")
+        raise OmtwarpError(f"WebP holds {longest_webp} texels a side, the texture has {width} x {height}: write PNG")
     stream = io.BytesIO()
     # More effort saves a tenth of the bytes and takes twice as long.
     Image.fromarray(image).save(stream, format="WEBP", lossless=True, method=0)

@@ -20,7 +20,6 @@ from omtwarp.texturing.export import Part, export, split_corners
 from omtwarp.texturing.materials import Bytes, Floats, Ints, Material, corner_tangents
 
 # Of the extent of the mesh: corners of two copies of a mesh that are farther apart are not the same corner.
-SAME_PLACE = 1e-5
 ELSEWHERE = "the map's vertices are not where the mesh's are: it is a map of another mesh"
 
 
@@ -217,7 +216,9 @@ class PaintedMesh:
     @property
     def _same_place(self) -> float:
         """Return the distance within which two vertices count as copies of each other."""
-        return SAME_PLACE * self._extent
+        # Of the extent of the mesh: corners of two copies of a mesh that are farther apart are not the same corner.
+        same_place = 1e-5
+        return same_place * self._extent
 
     @property
     def _extent(self) -> float:

@@ -24,8 +24,6 @@ Ints = NDArray[np.int32]
 
 # Corners, edge midpoints and the centroid, where the linear coordinates are compared with the exact ones.
 PROBES = np.array([[0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5], [1 / 3, 1 / 3, 1 / 3]])
-MOST_PASSES = 24
-MERIDIANS = 180  # compared for the seam, evenly spaced
 
 
 @dataclass
@@ -99,11 +97,12 @@ def _face_charts(mesh: CutMesh, atlas: Atlas, which: NDArray | slice = slice(Non
 
 def _refine(mesh: CutMesh, atlas: Atlas) -> None:
     """Divide triangles until texture coordinates are linear over each to within a third of a texel."""
+    most_passes = 24
     # Faces that are added to four times the mesh's, at most: room for coarse meshes, while a folded or collapsed map is
     # not refined without end.
     limit = 4 * len(mesh.faces) + 100_000
     fresh = np.ones(len(mesh.faces), dtype=bool)
-    for _ in range(MOST_PASSES):
+    for _ in range(most_passes):
         which = np.flatnonzero(fresh)
         points = mesh.points[mesh.faces[which]]
         chart = _face_charts(mesh, atlas, which)
@@ -139,12 +138,13 @@ def least_visible_meridian(vertices: Floats, faces: Ints, sphere: Floats) -> flo
         faces: shape [F, 3].
         sphere: the map, in the frame in which longitude is meant, shape [V, 3].
     """
+    meridians = 180  # compared for the seam, evenly spaced
     # Least openness, added to every face's: where nothing is hidden the shortest seam wins; 0 lets it wander in folds
     weight = 0.1 + face_openness(vertices, faces)
     scale = np.ptp(vertices, axis=0).max()
     x = (vertices - vertices.min(axis=0)) / scale
-    longitudes = (np.arange(MERIDIANS) + 1) / MERIDIANS * 2.0 * np.pi - np.pi
-    costs = np.empty(MERIDIANS)
+    longitudes = (np.arange(meridians) + 1) / meridians * 2.0 * np.pi - np.pi
+    costs = np.empty(meridians)
     for k, longitude in enumerate(longitudes):
         c, s = np.cos(longitude), np.sin(longitude)
         height = sphere[:, 1] * c - sphere[:, 0] * s

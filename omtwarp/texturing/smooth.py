@@ -36,8 +36,6 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 # The derivatives' system is as well conditioned as that of a spline: each step of the iteration gains a digit or so.
-MOST_STEPS = 60
-TOLERANCE = 1e-5  # relative residual; a line moves by less than that share of an edge
 SHORTEST_EDGE = (
     1e-9  # in extents of the mesh: shorter edges count as that long, so that divisions by their length do not overflow
 )
@@ -45,10 +43,7 @@ HALVINGS = 4  # of the difference from the linear map, before the map is linear 
 # The filter 1 / (1 + a x^p) of the eigenvalues x of the mesh's Laplacian, 0 to 2: a row of evenly spaced vertices
 # has x = 1 - cos(2 pi / w) for waves of w edges, on even triangles two thirds of that. Where x is 1 or more,
 # a tenth or less of a wave's amplitude remains; at x = 0.5 it is 0.86, and below 0.3 all of it.
-FILTER_STRENGTH, FILTER_POWER = 10.0, 6
-FILTER_DEGREE = 24  # of the polynomial that approximates it to 0.0002
 FARTHEST = 0.3  # mean edges of a vertex on the sphere by which its image is moved at most
-COTANGENTS = (0.1, 5.0)  # weights of edges are kept in these bounds, so that all are positive
 
 
 @dataclass(frozen=True)
@@ -238,7 +233,13 @@ def _divided(
 
 def _without_waves(places: Floats, faces: Ints, sphere: Floats) -> Floats:
     """Filter waves of a few edges' length out of the vertices' images without a new flip; unit vectors [V, 3]."""
-    count, (low, high) = len(places), COTANGENTS
+    # The filter 1 / (1 + a x^p) of the eigenvalues x of the mesh's Laplacian, 0 to 2: a row of evenly spaced vertices
+    # has x = 1 - cos(2 pi / w) for waves of w edges, on even triangles two thirds of that. Where x is 1 or more, a
+    # tenth or less of a wave's amplitude remains; at x = 0.5 it is 0.86, and below 0.3 all of it.
+    filter_strength, filter_power = 10.0, 6
+    filter_degree = 24  # of the polynomial that approximates it to 0.0002
+    cotangents = (0.1, 5.0)  # weights of edges are kept in these bounds, so that all are positive
+    count, (low, high) = len(places), cotangents
     ends, weights = [], []
     for k in range(3):
         a, b, c = (faces[:, (k + i) % 3] for i in range(3))
@@ -253,9 +254,9 @@ def _without_waves(places: Floats, faces: Ints, sphere: Floats) -> Floats:
     both = upper + upper.T
     root = np.sqrt(np.maximum(np.asarray(both.sum(axis=1)).ravel(), np.finfo(float).tiny))
     mean = sparse.diags_array(1.0 / root) @ both @ sparse.diags_array(1.0 / root)  # 1 minus the Laplacian: -1 to 1
-    nodes = np.polynomial.chebyshev.chebpts1(FILTER_DEGREE + 1)
-    kept_of = 1.0 / (1.0 + FILTER_STRENGTH * (1.0 - nodes) ** FILTER_POWER)
-    series = np.polynomial.chebyshev.chebfit(nodes, kept_of, FILTER_DEGREE)
+    nodes = np.polynomial.chebyshev.chebpts1(filter_degree + 1)
+    kept_of = 1.0 / (1.0 + filter_strength * (1.0 - nodes) ** filter_power)
+    series = np.polynomial.chebyshev.chebfit(nodes, kept_of, filter_degree)
     before, now = root[:, None] * sphere, mean @ (root[:, None] * sphere)
     total = series[0] * before + series[1] * now
     for coefficient in series[2:]:
@@ -347,6 +348,10 @@ def _solve(blocks: Floats, above: sparse.bsr_matrix, right: Floats) -> Floats:
         above: the part of the symmetric matrix above them.
         right: right-hand sides, shape [2 V, 3].
     """
+    # The derivatives' system is as well conditioned as that of a spline: each step of the iteration gains a digit or
+    # so.
+    most_steps = 60
+    tolerance = 1e-5  # relative residual; a line moves by less than that share of an edge
     upper = above.tocsr()
     beside = upper + upper.T
     # Vertices without two directions of edges: undetermined derivatives are 0.
@@ -360,8 +365,8 @@ def _solve(blocks: Floats, above: sparse.bsr_matrix, right: Floats) -> Floats:
     residual = right.copy()
     z = conditioned(residual)
     direction, product = z, np.einsum("ij,ij->j", residual, z)
-    goal = TOLERANCE**2 * product
-    for _ in range(MOST_STEPS):
+    goal = tolerance**2 * product
+    for _ in range(most_steps):
         if np.all(product <= goal):
             break
         image = _by_blocks(blocks, direction) + beside @ direction

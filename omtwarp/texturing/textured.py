@@ -49,11 +49,6 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 
-# Of the picture's width. Octahedral textures then have as many texels, 0.56 widths squared beside 0.5; three cells of a
-# cube map without their gutters as many along the equator as three quarters of the picture.
-OCTAHEDRAL_SHARE, CUBE_SHARE = 0.75, 0.75 * 12.0 / 11.0
-
-
 @dataclass(repr=False)
 class TexturedSurface:
     """A mesh cut along the seams of its texture, and the texture.
@@ -422,9 +417,12 @@ def spheres_of(result: object) -> NDArray[np.intp] | None:
 
 def _natural_size(picture: NDArray, atlas: str) -> int | tuple[int, int] | None:
     """Return the size of a texture whose texels are about as large as those of the image."""
+    # Of the picture's width. Octahedral textures then have as many texels, 0.56 widths squared beside 0.5; three cells
+    # of a cube map without their gutters as many along the equator as three quarters of the picture.
+    octahedral_share, cube_share = 0.75, 0.75 * 12.0 / 11.0
     height, width = picture.shape[:2]
     if atlas == "equirectangular":
         return (width, height) if min(width, height) >= 16 else (max(width, 64), max(height, 32))
-    share = OCTAHEDRAL_SHARE if atlas == "octahedral" else CUBE_SHARE
+    share = octahedral_share if atlas == "octahedral" else cube_share
     # Most side, texels of a picture's own size: what browsers and game engines load (WebGL 2)
     return picture_size(share * width, atlas, 16384)[0]

@@ -21,7 +21,6 @@ from scipy.sparse.linalg import spsolve
 from omtwarp.geometry.operators import corner_cotangents
 from omtwarp.mesh.origins import Derived
 
-COARSENING = 0.8  # a ring has at least so many times the vertices of the ring around it
 LEAST_WEIGHT = 1e-3  # of an edge: positive, so that a vertex lies among its neighbours
 
 
@@ -71,6 +70,7 @@ def _beginning(points: NDArray[np.float64]) -> int:
 
 def _rings(turns: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Triangulate the unit disk, its first vertices on the circle at the turns given, in [0, 1), ascending."""
+    coarsening = 0.8  # a ring has at least so many times the vertices of the ring around it
     rings, radius = [turns], 1.0
     points = [np.stack([np.cos(2 * np.pi * turns), np.sin(2 * np.pi * turns), 0.0 * turns], axis=1)]
     # Fan: a ring of so few vertices is closed by one vertex in the middle
@@ -79,8 +79,8 @@ def _rings(turns: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.
         # Near-equilateral triangles: the next ring is sqrt(3)/2 of an edge further in.
         shrink = 1.0 - np.sqrt(3.0) * np.pi / around
         radius *= shrink
-        fewer = max(round(COARSENING * around), round(shrink * around), 3) if shrink < COARSENING else 0
-        fewer = fewer or max(round(COARSENING * around), 3)
+        fewer = max(round(coarsening * around), round(shrink * around), 3) if shrink < coarsening else 0
+        fewer = fewer or max(round(coarsening * around), 3)
         rings.append((np.arange(fewer) + 0.5) / fewer)
         angle = 2 * np.pi * rings[-1]
         points.append(radius * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1))

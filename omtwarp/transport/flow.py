@@ -50,10 +50,6 @@ from omtwarp.wavelets.filter import WaveletFilter
 
 MAXIMUM_ITERATIONS = {"default": 60, "plain": 1000}
 
-# A wavelet is used in full where it spans several mesh edges, and faded out where it does not: vertices cannot follow
-# a motion finer than the mesh, and a cost that falls by aliasing is no progress.
-RESOLVED_EDGES = 3.0
-FADING = 3
 
 # The flow stops when the part of the displacement that a mass-preserving motion could still remove is this small
 # relative to the displacement, or when three steps together no longer lower the cost by a noticeable part.
@@ -63,9 +59,7 @@ COST_TOLERANCE = {"default": 1e-4, "plain": 3e-7}  # plain steps are short: smal
 NEGLIGIBLE = {"default": 1e-7, "plain": 1e-10}
 # The flow ends when the area error has grown by more than AREA_LOSS of its first value plus AREA_PRICE times the share
 # of the cost that was gained: beyond that the cost falls at the expense of area.
-AREA_LOSS = 0.1
 AREA_PRICE = 0.02
-LONGEST_STEP = 4.0
 # Where iterations are a graph on the device, the host reads the records of this many at a time.
 ITERATIONS_AT_ONCE = 10
 # Why the flow ended, in the order of the kernels; after the first three the map may be optimal.
@@ -84,12 +78,6 @@ SETTLED_ENDINGS = ENDINGS[1:4]
 OPTIMAL_CURL = 0.025
 # The numbers that an iteration records, in the order of the kernels.
 RECORD = ("cost", "curl", "step", "held", "area_error")
-
-# First steps, in units of a Newton step on a flat density, and of the plain scheme in squared spacings of nodes.
-# Measured with the geodesic cost on a scan of 6,000 triangles: 0.05 ends after as many iterations as 0.4, and 2 after
-# two, at a cost that is 0.3 % higher; plain, 0.01 takes 429 iterations and 0.5 takes 155, for a cost that is 0.07 %
-# lower than 0.1's in 16.
-FIRST_STEP, FIRST_PLAIN_STEP = 0.4, 0.1
 
 
 @dataclass(frozen=True)
@@ -357,6 +345,15 @@ class _Flow:
 
     def prepare(self, most: int, tolerance: float) -> None:
         """Measure the start, and set the state."""
+        # The flow ends when the area error has grown by more than AREA_LOSS of its first value plus AREA_PRICE times
+        # the share of the cost that was gained: beyond that the cost falls at the expense of area.
+        area_loss = 0.1
+        longest_step = 4.0
+        # First steps, in units of a Newton step on a flat density, and of the plain scheme in squared spacings of
+        # nodes. Measured with the geodesic cost on a scan of 6,000 triangles: 0.05 ends after as many iterations as
+        # 0.4, and 2 after two, at a cost that is 0.3 % higher; plain, 0.01 takes 429 iterations and 0.5 takes 155, for
+        # a cost that is 0.07 % lower than 0.1's in 16.
+        first_step, first_plain_step = 0.4, 0.1
         self.guard.held.zero_()
         cost, error = (float(x) for x in self.measure(self.points).numpy().sum(axis=0))
         # In the squared cost a unit of the preconditioned gradient, halved, is a Newton step on a flat density.
@@ -372,16 +369,16 @@ class _Flow:
             "cost_tolerance": COST_TOLERANCE[self.scheme],
             "negligible": NEGLIGIBLE[self.scheme],
             "scale": scale,
-            "longest": LONGEST_STEP / scale if not self.plain else np.inf,
+            "longest": longest_step / scale if not self.plain else np.inf,
             "first_cost": cost,
-            "largest_error": (1.0 + AREA_LOSS) * area_error,
+            "largest_error": (1.0 + area_loss) * area_error,
             "area_price": AREA_PRICE,
             "cost": cost,
             "area_error": area_error,
             "last_gain": np.inf,
             "last_gains": np.inf,
             "gains": np.inf,
-            "step": FIRST_STEP / scale if not self.plain else FIRST_PLAIN_STEP * self.grid.spacing**2,
+            "step": first_step / scale if not self.plain else first_plain_step * self.grid.spacing**2,
         }
         for name, value in values.items():
             state[name] = value
@@ -428,6 +425,10 @@ def resolution_damping(
     A wavelet of node spacing h over a mesh whose edges are e long there counts (1 + (3 e / h)^2)^-3: close to 1 where
     it spans many edges, close to 0 where it spans one. Nodes far from every vertex (inside a large triangle) get 0.
     """
+    # A wavelet is used in full where it spans several mesh edges, and faded out where it does not: vertices cannot
+    # follow a motion finer than the mesh, and a cost that falls by aliasing is no progress.
+    resolved_edges = 3.0
+    fading = 3
     longest = np.full(hierarchy.node_count, -np.inf)
     nodes = hierarchy.faces[places]
     np.maximum.at(longest, nodes.ravel(), np.repeat(squares, 3))
@@ -439,6 +440,6 @@ def resolution_damping(
         around = np.maximum(longest[first:last], longest[parents].max(axis=1))
         spacing = 4.0 * np.pi / last
         with np.errstate(over="ignore"):
-            ratio = np.where(np.isfinite(around), RESOLVED_EDGES**2 * around / spacing, np.inf)
-        damping[first:last] = (1.0 + ratio) ** -FADING
+            ratio = np.where(np.isfinite(around), resolved_edges**2 * around / spacing, np.inf)
+        damping[first:last] = (1.0 + ratio) ** -fading
     return damping

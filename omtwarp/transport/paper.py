@@ -53,7 +53,6 @@ from omtwarp.wavelets import SphereSampler, SphericalWavelets, level_for, sphere
 
 V_CYCLE = (1, 2, 3, 4, 5, 4, 3, 2, 1)  # levels of wavelets in turn, as the paper's Algorithm 2 goes through them
 COURANT = 0.1  # of the size of the triangle that a point crosses: the longest way it goes in a step
-GROWTH = 1.5  # of the step after one that was accepted; it is halved after one that was not
 # How much the mean area distortion may grow where no bound is given: a constant, and a share of what it is above 2. The
 # paper's tables show a growth of 0.003 on Max Planck, from 2.004, and of 0.10 on Gargoyle, from 2.51.
 AREA_LOSS, RELATIVE_AREA_LOSS = 0.002, 0.15
@@ -378,6 +377,7 @@ class _Descent:
         self, number: int, smallest_hamiltonian: float, tolerance: float, most: int, progress: Progress | None
     ) -> str:
         """Take a step at every resolution, and return why the flow ends here; an empty text where it does not."""
+        growth = 1.5  # of the step after one that was accepted; it is halved after one that was not
         before, taken, tried = self._cost, 0, 0
         for resolution in self._resolutions:
             if self._steps[resolution] < self._least[resolution]:
@@ -395,7 +395,7 @@ class _Descent:
                     return "area"
                 self._flow.accept()
                 self._cost, self._area = reached, area
-            self._steps[resolution] = (GROWTH if accepted else 0.5) * step
+            self._steps[resolution] = (growth if accepted else 0.5) * step
             tried, taken = tried + 1, taken + accepted
             self._record(number, resolution, step, accepted)
             if progress is not None:

@@ -43,14 +43,9 @@ MAX_ROUNDS = 18  # at most; it ends sooner where a round gains too little
 # not lower the curl, or loses area, is undone and tried again at half the share; areas are restored with twice the
 # step.
 STEP = 0.7
-SHORTEST_STEP = 0.1
-# A round has to lower the curl by at least this share for another to follow.
-MIN_CURL_REDUCTION = 0.03
-NEGLIGIBLE_CURL = 1e-3
 # The area error must not grow, neither with triangles counting at most 0.1 each, which measures most of the map, nor
 # with up to 10 each, which measures the worst triangles, except by a negligible amount and by the share of the gain in
 # cost that the flow allows too.
-MAX_COUNTED_ERROR = 10.0
 AREA_SLACK = 1e-4
 
 
@@ -83,6 +78,8 @@ def polish_transport(
     Raises:
         OmtwarpError: the mesh or a map cannot be used.
     """
+    # A round has to lower the curl by at least this share for another to follow.
+    min_curl_reduction = 0.03
     surface = as_surface(surface)
     where = resolve_device(device)
     origin, points = (vectors(as_sphere(array, surface), where) for array in (start, sphere))
@@ -105,7 +102,7 @@ def polish_transport(
         slack = AREA_SLACK + AREA_PRICE * max(0.0, 1.0 - cost / max(first_cost, TINY))
         tried = step
         if removable < least and errors[0] <= largest[0] + slack and errors[1] <= largest[1] + slack:
-            last = removable > (1.0 - MIN_CURL_REDUCTION) * least
+            last = removable > (1.0 - min_curl_reduction) * least
             wp.copy(best, points)
             least = removable
             potentials = solved
@@ -134,11 +131,13 @@ def _end(curl: float, exhausted: bool, step: float, most: bool) -> str:
         step: of the next round.
         most: whether the most rounds were made.
     """
-    if curl <= NEGLIGIBLE_CURL:
+    shortest_step = 0.1
+    negligible_curl = 1e-3
+    if curl <= negligible_curl:
         return "the curl is negligible"
     if exhausted:
         return "a round took next to nothing off the curl"
-    if step < SHORTEST_STEP:
+    if step < shortest_step:
         return "no step lowers the curl without harm to areas"
     return "most rounds made" if most else ""
 
@@ -166,7 +165,11 @@ class _Curl:
 
     def cost_and_errors(self, points: wp.array) -> tuple[float, float, float]:
         """Return cost and area errors of a map: with triangles counting little each, and with up to ten each."""
-        limits = [wp.float64(LARGEST_ERROR), wp.float64(MAX_COUNTED_ERROR)]
+        # The area error must not grow, neither with triangles counting at most 0.1 each, which measures most of the
+        # map, nor with up to 10 each, which measures the worst triangles, except by a negligible amount and by the
+        # share of the gain in cost that the flow allows too.
+        max_counted_error = 10.0
+        limits = [wp.float64(LARGEST_ERROR), wp.float64(max_counted_error)]
 
         def of_triangles(part: slice) -> Arguments:
             inputs = [self.origin, points, self.mesh.faces[part], self.mesh.face_areas[part], *limits]

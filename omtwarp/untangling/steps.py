@@ -14,7 +14,6 @@ from omtwarp.mesh.surface import Surface
 from omtwarp.solvers.triangle_newton.motion_kernels import LEAST_SHARE, hold_back, retract_to_sphere, triangle_trouble
 from omtwarp.untangling.untangle import STEP_WORK, RepairBudget, Schedule, untangle_patches
 
-HOLDS = 30  # halvings of the shares of corners of triangles in trouble
 # With 0.02 and 0.1 the map of a creature of 2,000 vertices has the same bits.
 REPAIRS = (
     Schedule(rings=2, factor=0.3, steps=2, thinnest=0.0, largest=0.1),
@@ -123,15 +122,16 @@ class FlipFreeSteps:
             The map and the shares, float64, shape [V], on the device; None where no shares were found. Arguments as of
             :meth:`untangled`.
         """
+        holds = 30  # halvings of the shares of corners of triangles in trouble
         count, device = self._surface.vertex_count, self._device
         share, other = (wp.full(count, 1.0, dtype=wp.float64, device=device) for _ in range(2))
-        for done in range(HOLDS):
+        for done in range(holds):
             moved = self._moved(points, direction, share, length)
             trouble = self._marked(moved, volume)
             if trouble is None:
                 return moved, share
             if device.is_cpu and self._independent:
-                return self._held_nearby(points, direction, volume, length, moved, trouble.numpy(), HOLDS - 1 - done)
+                return self._held_nearby(points, direction, volume, length, moved, trouble.numpy(), holds - 1 - done)
             wp.launch(hold_back, dim=count, inputs=[*self._rows, trouble, share], outputs=[other], device=device)
             share, other = other, share
         return None

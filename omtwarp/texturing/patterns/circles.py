@@ -16,7 +16,6 @@ from omtwarp.texturing.projection import direction_from_angles
 wp.set_module_options(KERNEL_OPTIONS)
 
 STORED = 162  # circles, the default, whose places are in a file: computing them takes 0.05 s
-WITHIN = 1e-9  # chord that is added to a circle's reach, so that rounding leaves no cell's list without it
 
 
 @wp.kernel
@@ -115,6 +114,7 @@ class Circles(Pattern):
         return np.where(distance <= 2.0 * np.sin(0.5 * self.radius), index, -1).astype(np.int64)
 
     def _tables(self) -> list[object]:
+        within = 1e-9  # chord that is added to a circle's reach, so that rounding leaves no cell's list without it
         # Cell: side, in radii of circles, of the cells of a cube on which circles are looked up
         # Most cells: along the side of a face of that cube
         side = int(np.clip(2.0 / (0.7 * self.radius), 1, 128))
@@ -128,7 +128,7 @@ class Circles(Pattern):
         beyond = 0.5 * half  # and of circles outside of a cell's list no edge is nearer to it than this
         from scipy.spatial import cKDTree
 
-        chord = 2.0 * np.sin(min(self.radius + half + beyond, np.pi) / 2.0) + WITHIN
+        chord = 2.0 * np.sin(min(self.radius + half + beyond, np.pi) / 2.0) + within
         tree = cKDTree(self.centres)
         lists = tree.query_ball_point(normalised(cells.reshape(-1, 3)), chord, return_sorted=True)
         offsets = np.concatenate([[0], np.cumsum([len(x) for x in lists])]).astype(np.int32)

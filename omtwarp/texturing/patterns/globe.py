@@ -17,8 +17,6 @@ from omtwarp.texturing.patterns.base import Pattern, cell_of, latitude, longitud
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-NO_REACH = 1e-6  # degrees that an edge of the map, which is no coast, is seen from
-
 
 @wp.func
 def crosses(px: wp.float64, py: wp.float64, qx: wp.float64, qy: wp.float64, a: wp.vec4d):
@@ -200,6 +198,7 @@ def _coast_table(columns: int, rows: int, reach: float) -> tuple[NDArray, ...]:
         pieces [S, 4] (two ends, degrees), which of them are coast rather than edge of the map [S], offsets and members
         of the cells' lists, and whether the centre of every cell is land.
     """
+    no_reach = 1e-6  # degrees that an edge of the map, which is no coast, is seen from
     segments = coastline_segments()
     a, b = segments[:, 0], segments[:, 1]
     height = 180.0 / rows
@@ -222,7 +221,7 @@ def _coast_table(columns: int, rows: int, reach: float) -> tuple[NDArray, ...]:
     low, high = pieces.min(axis=1), pieces.max(axis=1)
     farthest = np.minimum(np.maximum(np.abs(low[:, 1]), np.abs(high[:, 1])) + reach, 88.0)
     wide = reach / np.cos(np.deg2rad(farthest))
-    wide, tall = np.where(real == 1, wide, NO_REACH), np.where(real == 1, reach, NO_REACH)
+    wide, tall = np.where(real == 1, wide, no_reach), np.where(real == 1, reach, no_reach)
     first = np.stack([(low[:, 0] - wide + 180.0) * columns / 360.0, (low[:, 1] - tall + 90.0) / height], axis=1)
     last = np.stack([(high[:, 0] + wide + 180.0) * columns / 360.0, (high[:, 1] + tall + 90.0) / height], axis=1)
     limit = np.array([columns - 1, rows - 1])
