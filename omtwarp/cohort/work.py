@@ -23,6 +23,7 @@ from omtwarp.cohort.item import (
     write_record,
 )
 from omtwarp.errors import OmtwarpError, OmtwarpWarning, choose, unexpected
+from omtwarp.files.memory import address_space
 from omtwarp.files.output import digest_of, staged
 from omtwarp.mapping.any_surface import map_surface
 from omtwarp.mapping.pipeline import map_to_sphere
@@ -124,8 +125,7 @@ def _limit_memory(limit: int) -> None:
     if limit and sys.platform == "linux":
         import resource
 
-        pages = int(Path("/proc/self/statm").read_text().split()[0])
-        resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + limit,) * 2)
+        resource.setrlimit(resource.RLIMIT_AS, (address_space() + limit,) * 2)
 
 
 def _peak_memory() -> int:

@@ -143,6 +143,8 @@ def input_file(given: object) -> object:
     Raises:
         OmtwarpError: standard input is empty, too large, or asked for twice.
     """
+    from omtwarp.files.inputs import read_up_to
+
     if isinstance(given, list | tuple):
         return [input_file(path) for path in given]
     if isinstance(given, str):
@@ -153,7 +155,7 @@ def input_file(given: object) -> object:
         raise OmtwarpError("'-' is given for two inputs: standard input can be only one")
     if sys.stdin is None or sys.stdin.isatty():
         raise OmtwarpError("standard input is a terminal: pipe a file into it, or name one")
-    data = sys.stdin.buffer.read(LARGEST_MESH_FILE + 1)
+    data = read_up_to(sys.stdin.buffer.read, LARGEST_MESH_FILE)
     _current.taken = True
     if not data:
         raise OmtwarpError("standard input is empty")

@@ -75,9 +75,27 @@ def read_bytes(path: str | os.PathLike[str], most: int, kind: str = "file") -> b
     """
     with open_input(path, most, kind) as stream:
         try:
-            return stream.read(most)
+            return stream.read(os.fstat(stream.fileno()).st_size)  # room is made for as much as is asked for
         except OSError as error:
             raise OmtwarpError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def read_up_to(read: Callable[[int], bytes], most: int) -> bytes:
+    """Read a stream of unknown length in blocks, until its end or one byte beyond a bound.
+
+    Python makes room for as much as is asked for at once.
+
+    Args:
+        read: the stream's own function.
+        most: the bound, in bytes.
+    """
+    blocks: list[bytes] = []
+    left = most + 1
+    # Bytes of a block
+    while left > 0 and (block := read(min(left, 2**24))):
+        blocks.append(block)
+        left -= len(block)
+    return b"".join(blocks)
 
 
 def file_beside(file: str | os.PathLike[str], name: str) -> Path | None:

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import array_of, read_bytes
 from omtwarp.files.limits import LARGEST_MESH_FILE
+from omtwarp.files.memory import memory_for_file
 from omtwarp.files.output import staged
 from omtwarp.mesh.arrays import single_precision
 from omtwarp.mesh.neuro import load_gifti, nibabel_module, structure_of
@@ -78,8 +79,7 @@ def read_data(path: Path) -> VertexData:
     data = read_bytes(path, LARGEST_MESH_FILE, "data file")
     name = path.name.lower()
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with warnings.catch_warnings(action="ignore"), memory_for_file(len(data)):
             if name.endswith(".npy"):
                 found = from_npy(io.BytesIO(data), path.stem)
             elif name.endswith(TEXT_SUFFIXES):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import re
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,9 +48,11 @@ def read_by_meshio(data: bytes, name: str) -> tuple[NDArray[np.generic], NDArray
         Points [V, 3], the corners of all polygons one after another, and how many each has.
 
     Raises:
-        OmtwarpError: meshio is not installed, or the file has cells with a volume.
+        OmtwarpError: meshio is not installed, the file names others, or it has cells with a volume.
         Exception: what meshio raises on a damaged file.
     """
+    if name == "abaqus" and re.search(rb"^[ \t]*\*[ \t]*INCLUDE", data, re.M | re.I):
+        raise OmtwarpError("names other files by *INCLUDE, which are not read: export it as one file")
     try:
         import meshio
     except ImportError:

@@ -22,8 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files.inputs import read_arrays, read_bytes
+from omtwarp.files.inputs import read_arrays, read_bytes, read_up_to
 from omtwarp.files.limits import LARGEST_MESH_FILE, MOST_FACES, amount
+from omtwarp.files.memory import memory_for_file
 from omtwarp.files.output import as_path, scratch
 from omtwarp.mesh.arrays import whole_numbers
 from omtwarp.mesh.neuro import load_gifti, nibabel_module
@@ -82,7 +83,8 @@ def read_mesh(path: str | os.PathLike[str], *, together: bool = False) -> MeshFi
     file = as_path(path)
     data, suffix = mesh_content(file)
     try:
-        with warnings.catch_warnings(action="ignore"):  # about guesses of parsers; results are checked below
+        # Warnings are about guesses of parsers; results are checked below.
+        with warnings.catch_warnings(action="ignore"), memory_for_file(len(data)):
             if suffix in _OWN:
                 vertices, faces, notes = _OWN[suffix](data, file)
             else:
@@ -124,7 +126,7 @@ def mesh_content(file: Path) -> tuple[bytes, str]:
     if data.startswith(b"\x1f\x8b"):
         try:
             with gzip.open(io.BytesIO(data)) as stream:
-                data = stream.read(LARGEST_MESH_FILE + 1)
+                data = read_up_to(stream.read, LARGEST_MESH_FILE)
         except EOFError:
             raise OmtwarpError(f"{file}: cut short: its compressed data have no end") from None
         except (OSError, zlib.error) as error:  # also where other bytes follow the end
@@ -337,7 +339,6 @@ _OWN: dict[str, Callable[[bytes, Path], _Read]] = {
     **dict.fromkeys(MESHIO_FORMATS, _read_by_meshio),
 }
 """The formats that are not read through trimesh, by suffix."""
-OWN_FORMATS = frozenset(_OWN)
 
 
 def _read_scene(data: bytes, file: Path, suffix: str, together: bool) -> _Read:

@@ -23,9 +23,8 @@ from omtwarp.mesh.accessors import Document, pictures_of, with_document, with_pl
 if TYPE_CHECKING:
     import trimesh
 
-# Drawings without surfaces, points without triangles, and archives of unknown content.
-# Readers of the last two open pictures of their archives themselves.
-_NOT_MESHES = {"dxf", "xyz", "zip", "bz2", "tar.gz", "tar.bz2", "3dxml", "zae"}
+# Of what trimesh reads, those that open no other file themselves, as readers of archives and of simulations do.
+_SCENES = {"glb", "gltf", "dae", "3mf", "xaml", "ctm", "json"}
 ROLES = ("baseColorTexture", "metallicRoughnessTexture", "normalTexture", "occlusionTexture", "emissiveTexture")
 # Parts of glTF that are read, or that change nothing about triangles and little about their look.
 _READ = ("KHR_mesh_quantization", "EXT_texture_webp", "KHR_materials_", "KHR_lights_")
@@ -41,7 +40,7 @@ def scene_formats() -> set[str]:
     """Return the suffixes, without the dot, of the formats that :func:`load_scene` reads."""
     import trimesh
 
-    return set(trimesh.available_formats()) - _NOT_MESHES
+    return set(trimesh.available_formats()) & _SCENES
 
 
 def load_scene(data: bytes, file: Path, suffix: str, *, pictures: bool = True) -> trimesh.Scene:

@@ -21,7 +21,7 @@ Ints = NDArray[np.int64]
 
 # Formats that double vertices along seams of a texture. In others equal positions that remain open when they are joined
 # may be intended.
-_DOUBLED = (".glb", ".gltf", ".dae", ".3mf", ".zae", ".json")
+_DOUBLED = (".glb", ".gltf", ".dae", ".3mf", ".json")
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import file_beside, read_bytes
 from omtwarp.files.limits import LARGEST_MESH_FILE, MOST_FACES
+from omtwarp.files.memory import memory_for_file
 from omtwarp.mesh.arrays import whole_numbers
 from omtwarp.mesh.ply import Column, ply_columns, polygons_of
 from omtwarp.mesh.polygons import fans
-from omtwarp.mesh.read import OWN_FORMATS, mesh_content, read_mesh, require_counted_from_one, utf8
+from omtwarp.mesh.read import mesh_content, read_mesh, require_counted_from_one, utf8
 from omtwarp.mesh.scenes import gltf_header, gltf_pictures, load_scene, placed_meshes, scene_formats
 from omtwarp.srgb import to_linear, to_srgb
 from omtwarp.texturing.image import decoded, read_image
@@ -189,10 +190,9 @@ def read_painted_mesh(path: str | os.PathLike[str]) -> PaintedMesh:
     """
     file = Path(path)
     data, suffix = mesh_content(file)
-    # trimesh offers some of these too, where meshio is installed.
-    plain = suffix not in ("obj", "ply") and (suffix in OWN_FORMATS or suffix not in scene_formats())
+    plain = suffix not in ("obj", "ply", *scene_formats())
     try:
-        with warnings.catch_warnings(action="ignore"):  # of what parsers guess
+        with warnings.catch_warnings(action="ignore"), memory_for_file(len(data)):  # of what parsers guess
             if plain:
                 mesh = read_mesh(file)
                 found = PaintedMesh(mesh.vertices, corners_of(mesh.faces, len(mesh.vertices)), notes=mesh.notes)
