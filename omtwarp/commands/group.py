@@ -46,9 +46,9 @@ def group(
 ) -> None:
     """Compare a group of maps: mean shape, principal components, distances, and where two groups differ.
 
-    The folder gets table.csv, distances.csv, transport.csv where asked for, the mean and the components as .ply, and
-    report.html. Two groups, named in the table's column 'group', are compared point by point with Student's t and
-    permutations.
+    The folder gets table.csv, distances.csv, transport.csv where asked for, the mean and the components as .ply, .vtk
+    and GIFTI, and report.html. Two groups, named in the table's column 'group', are compared point by point
+    with Student's t and permutations.
     """
     from omtwarp.shape_analysis.group import mirrored_words, study_group, two_groups
     from omtwarp.shape_analysis.group_report import SIGNIFICANT, write_group_report
@@ -78,7 +78,7 @@ def group(
             progress=progress,
         )
         with folder_of_results(output):
-            files = write_group_report(found, output, names, labels)
+            files = write_group_report(found, output, names, labels, _of_one_structure(paths))
     mirrored = mirrored_words(found.alignment, names)
     if mirrored:
         say(f"warning: {mirrored}")
@@ -100,6 +100,13 @@ def group(
         shares = ", ".join(f"{100 * share:.0f} %" for share in found.components.explained)
         told = "" if smallest is None else f"; smallest corrected p of a difference {smallest:.3g}"
         print(f"{output / 'report.html'}: {len(paths)} shapes, components with {shares} of the variance{told}")
+
+
+def _of_one_structure(paths: Sequence[Path]) -> Path | None:
+    """Return the first of the maps where all name the same part of the brain as their content."""
+    from omtwarp.mesh.neuro import structure_of
+
+    return paths[0] if len({structure_of(path) for path in paths}) == 1 else None
 
 
 def _members(sources: list[str]) -> tuple[list[str], list[Path], list[str] | None]:

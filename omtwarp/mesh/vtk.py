@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import re
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
@@ -37,13 +37,23 @@ _FLAT = (5, 7, 9)
 _SURFACE = "extract its surface first, in ParaView by 'Extract Surface'"
 
 
-def write_vtk(file: Path, points: NDArray[np.float64], faces: NDArray[np.int32]) -> None:
-    """Write legacy VTK PolyData, binary, in double precision."""
+def write_vtk(
+    file: Path,
+    points: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    beside: Mapping[str, NDArray[np.generic]] | None = None,
+) -> None:
+    """Write legacy VTK PolyData, binary, in double precision, with numbers at the points by name."""
     cells = np.empty((len(faces), 4), dtype=">i4")
     cells[:, 0], cells[:, 1:] = 3, faces
     head = f"# vtk DataFile Version 3.0\nomtwarp\nBINARY\nDATASET POLYDATA\nPOINTS {len(points)} double\n"
     polygons = f"\nPOLYGONS {len(faces)} {4 * len(faces)}\n"
     body = [head.encode("ascii"), points.astype(">f8").tobytes(), polygons.encode("ascii"), cells.tobytes(), b"\n"]
+    if beside:
+        body.append(f"POINT_DATA {len(points)}\nFIELD FieldData {len(beside)}\n".encode("ascii"))
+        for name, values in beside.items():
+            body.append(f"{'_'.join(name.split()) or 'value'} 1 {len(points)} double\n".encode())
+            body += [np.asarray(values).astype(">f8").tobytes(), b"\n"]
     file.write_bytes(b"".join(body))
 
 

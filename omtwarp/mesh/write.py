@@ -36,7 +36,7 @@ def write_mesh(
             FreeSurfer surface (lh.sphere, ...), which have single precision.
         vertices: float64, shape [V, 3].
         faces: shape [F, 3].
-        beside: further numbers per vertex by name, each shape [V]; for .ply alone.
+        beside: further numbers per vertex by name, each shape [V]; for .ply and .vtk alone.
         spherical: it is a sphere, which GIFTI records.
         like: the file that the mesh comes from; GIFTI keeps its metadata, FreeSurfer's format its volume geometry.
 
@@ -48,15 +48,15 @@ def write_mesh(
     points, triangles = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int32)
     if suffix not in SUFFIXES:
         raise OmtwarpError(f"cannot write '{file}': unknown suffix '{file.suffix}', use {', '.join(SUFFIXES)}")
-    if beside and suffix != ".ply":
-        raise OmtwarpError(f"cannot write '{file}': only .ply holds numbers at the vertices")
+    if beside and suffix not in (".ply", ".vtk"):
+        raise OmtwarpError(f"cannot write '{file}': only .ply and .vtk hold numbers at the vertices")
     with staged(file) as place:
         if suffix == ".gii":
             write_gifti_surface(place, points, triangles, spherical, like)
         elif suffix in FREESURFER_SUFFIXES:
             write_freesurfer_surface(place, points, triangles, like)
         elif suffix == ".vtk":
-            write_vtk(place, points, triangles)
+            write_vtk(place, points, triangles, beside)
         else:
             _write(place, suffix, points, triangles, beside)
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,8 @@ from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import staged
+from omtwarp.mesh.data import VertexData, write_data
+from omtwarp.mesh.neuro import structure_of
 from omtwarp.mesh.surface import Surface, vertex_normals
 from omtwarp.mesh.write import write_mesh
 from omtwarp.render import preview
@@ -24,7 +27,11 @@ PICTURE = (420, 300)  # pixels
 
 
 def write_group_report(
-    study: GroupStudy, folder: Path, names: Sequence[str], labels: Sequence[str] | None = None
+    study: GroupStudy,
+    folder: Path,
+    names: Sequence[str],
+    labels: Sequence[str] | None = None,
+    like: Path | None = None,
 ) -> list[Path]:
     """Write a study into a folder.
 
@@ -33,12 +40,13 @@ def write_group_report(
         folder: made if there is none; files of the same names are replaced.
         names: of the shapes, one each.
         labels: their groups.
+        like: a file that names the part of the brain that all of them are, for GIFTI.
 
     Returns:
         The files: ``table.csv`` (distance from the mean, and scores), ``distances.csv`` and, where transport was
-        measured, ``transport.csv`` (all pairs), ``mean.ply`` (with the
-        difference of two groups at its vertices), ``component_K_minus.ply`` and ``component_K_plus.ply`` (the mean less
-        and plus two standard deviations), ``report.html``.
+        measured, ``transport.csv`` (all pairs); ``mean``, ``component_K_minus`` and ``component_K_plus`` (the mean less
+        and plus two standard deviations) as ``.ply``, ``.vtk`` and, where nibabel is installed, ``.surf.gii``; the
+        difference of two groups is at the mean's vertices, of GIFTI in ``mean.shape.gii``; ``report.html``.
 
     Raises:
         OmtwarpError: another number of names, or a folder that cannot be written to.
@@ -65,17 +73,31 @@ def write_group_report(
     if study.difference is not None:
         found = study.difference
         beside = {"difference": found.outward, "t": found.statistic, "p": found.p_values}
-    files.append(folder / "mean.ply")
-    write_mesh(files[-1], study.alignment.mean, study.alignment.faces, beside=beside)
+    files += _write_shape(folder, "mean", study.mean, like, beside)
     for k in range(len(study.components.deviations)):
         for word, sign in (("minus", -1.0), ("plus", 1.0)):
-            moved = study.along(k, sign * SHOWN)
-            files.append(folder / f"component_{k + 1}_{word}.ply")
-            write_mesh(files[-1], moved.vertices, moved.faces)
+            files += _write_shape(folder, f"component_{k + 1}_{word}", study.along(k, sign * SHOWN), like, {})
     body = _body(study, columns, rows)
     if study.alignment.mirrored.any():
         body.insert(1, element("p", f"Warning: {mirrored_words(study.alignment, names)}."))
     files.append(write_plain_page(folder / "report.html", "Group of shapes", body))
+    return files
+
+
+def _write_shape(
+    folder: Path, name: str, surface: Surface, like: Path | None, beside: Mapping[str, NDArray[np.float64]]
+) -> list[Path]:
+    """Write a surface, with numbers at its vertices, in the formats of its readers elsewhere; return the files."""
+    files = [folder / f"{name}.ply", folder / f"{name}.vtk"]
+    for file in files:
+        write_mesh(file, surface.vertices, surface.faces, beside=beside)
+    if find_spec("nibabel") is not None:
+        files.append(folder / f"{name}.surf.gii")
+        write_mesh(files[-1], surface.vertices, surface.faces, like=like)
+        if beside:
+            data = VertexData(np.column_stack([*beside.values()]), tuple(beside), structure=structure_of(like))
+            files.append(folder / f"{name}.shape.gii")
+            write_data(files[-1], data)
     return files
 
 

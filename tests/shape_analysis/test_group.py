@@ -9,11 +9,13 @@ import time
 import numpy as np
 import pytest
 from sphere_truths import pushed_north, random_rotation
+from trimesh.exchange.ply import load_ply
 
 import omtwarp
 from omtwarp.cohort.table import write_table
 from omtwarp.commands._cli import main
 from omtwarp.measures import TargetDensity
+from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.shapes import hippocampus, icosphere
 from omtwarp.mesh.surface import vertex_normals
 from omtwarp.shape_analysis.distance import coefficient_distance, density_distance, shape_distance
@@ -177,6 +179,30 @@ def run(*words: str) -> int:
     return ended.value.code or 0
 
 
+def read_elsewhere(folder):
+    """Compare VTK, by its own rules, and GIFTI, by nibabel, with the PLY that trimesh reads."""
+    with open(folder / "mean.ply", "rb") as stream:
+        wanted = load_ply(stream)["metadata"]["_ply_raw"]["vertex"]["data"]
+    places = np.column_stack([wanted[name] for name in "xyz"])
+    content = (folder / "mean.vtk").read_bytes()
+    points = np.frombuffer(content, ">f8", places.size, content.index(b" double\n") + len(b" double\n"))
+    np.testing.assert_array_equal(points.reshape(-1, 3), places)
+    at = content.index(f"POINT_DATA {len(places)}\nFIELD FieldData 3\n".encode())
+    for name in ("difference", "t", "p"):
+        head = f"{name} 1 {len(places)} double\n".encode()
+        at = content.index(head, at) + len(head)
+        np.testing.assert_array_equal(np.frombuffer(content, ">f8", len(places), at), wanted[name])
+    assert content[at + 8 * len(places) :] == b"\n"
+    np.testing.assert_array_equal(
+        read_mesh(folder / "component_1_plus.vtk").faces, read_mesh(folder / "mean.vtk").faces
+    )
+    nibabel = pytest.importorskip("nibabel")
+    surface, data = (nibabel.load(folder / f"mean.{kind}.gii") for kind in ("surf", "shape"))
+    np.testing.assert_allclose(surface.agg_data("pointset"), places, atol=1e-6 * np.abs(places).max())
+    assert [array.meta["Name"] for array in data.darrays] == ["difference", "t", "p"]
+    np.testing.assert_allclose(data.darrays[2].data, wanted["p"], rtol=1e-6)
+
+
 def test_commands_write_what_they_say(tmp_path, monkeypatch, capsys, pair):
     monkeypatch.chdir(tmp_path)
     rows = ["path,group"]
@@ -205,6 +231,7 @@ def test_commands_write_what_they_say(tmp_path, monkeypatch, capsys, pair):
     assert capsys.readouterr().out == ""
     assert run("group", "subjects.csv", "-o", "study", *options, "-q") == 0
     assert (tmp_path / "study" / "mean.ply").read_bytes() == first
+    read_elsewhere(tmp_path / "study")
     assert run("distance", "m0.npz", "m1.npz", "--degree", "6", "--json") == 0
     between = json.loads(capsys.readouterr().out)
     assert between["coefficients"] > 0.01
