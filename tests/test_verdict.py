@@ -147,3 +147,33 @@ def test_what_is_foretold_does_not_depend_on_the_scale(scale):
     vertices, faces = large_face(0.3, 4)
     same = foretell(Surface(vertices, faces)), foretell(Surface(scale * vertices, faces))
     assert [(a.kind, a.where) for a in same[0]] == [(a.kind, a.where) for a in same[1]]
+
+
+@pytest.mark.parametrize("area", [2.0000001, 100.0])
+def test_an_area_distortion_that_no_map_has_is_said(area):
+    """With the one that the nearest map has; with strict it is an error."""
+    surface = blob(seed=3, sphere=320)
+    with pytest.warns(OmtwarpWarning, match="no map with the area distortion"):
+        result = map_to_sphere(surface, refine=f"match:{area}", optimality=False, device="cpu")
+    (said,) = result.report["warnings"]
+    reached = result.distortion().area["surface"]
+    words = rf"no map with the area distortion {area:.9g} was found: the nearest has ([\d.]+); (remesh|ask for less)"
+    found, remedy = re.match(words, said["text"]).groups()
+    assert said["kind"] == "not-matched" and float(found) == pytest.approx(reached, abs=1e-7)
+    assert (reached > area) == (remedy == "remesh")
+    with pytest.raises(OmtwarpError, match="--strict: no map with the area distortion"):
+        map_to_sphere(surface, refine=f"match:{area}", optimality=False, device="cpu", strict=True)
+
+
+def test_an_area_distortion_between_the_refined_and_the_conformal_map_is_matched():
+    """A weight of areas down to a thousandth leads to it, in silence."""
+    surface, area = blob(seed=3, sphere=1280), 2.6
+    conformal, least = (
+        map_to_sphere(surface, device="cpu", **one) for one in ({"until": "conformal"}, {"refine": 0.1})
+    )
+    assert least.distortion().area["surface"] < area < conformal.distortion().area["surface"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", OmtwarpWarning)
+        result = map_to_sphere(surface, refine=f"match:{area}", optimality=False, device="cpu", strict=True)
+    assert area - 2e-3 <= result.distortion().area["surface"] <= area + 1e-9
+    assert result.distortion().angle["surface"] < least.distortion().angle["surface"]

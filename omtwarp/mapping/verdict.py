@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.limbs import thinnest_ring, vertices_needed
 from omtwarp.maps.result import StageRecord, Warned
+from omtwarp.measures.target import mass_distortion
 from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.origins import named_face, named_vertex
 from omtwarp.mesh.quarter import PARTS
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
-from omtwarp.options import MapOptions, Method, Refinement, Stage
+from omtwarp.options import AreaMatch, MapOptions, Method, Refinement, Stage
+from omtwarp.refine.matching import not_matched
 from omtwarp.spheres import triangle_solid_angles
 
 # Mean of r + 1/r, r the area of a triangle's image over the area wanted. Smooth shapes of a few hundred triangles are
@@ -36,8 +38,8 @@ class Finding:
     """A warning about a map or a mesh.
 
     Attributes:
-        kind: a short, stable name: ``area-distortion``, ``vertex-areas`` or ``not-converged`` of a map; ``large-face``,
-            ``coarse-limb``, ``long-triangles``, ``folded-triangles``, ``few-triangles``,
+        kind: a short, stable name: ``area-distortion``, ``vertex-areas``, ``not-converged`` or ``not-matched`` of a
+            map; ``large-face``, ``coarse-limb``, ``long-triangles``, ``folded-triangles``, ``few-triangles``,
             ``needle`` or ``thin-sheet`` of a mesh.
         where: index of the worst face or vertex, as the message says; -1 where there is none to name.
         message: the measure and the worst place.
@@ -170,7 +172,7 @@ def judge(
     *,
     uniform: bool = True,
 ) -> list[Finding]:
-    """List the warnings about a map; those about areas only where the options ask for a map that keeps them.
+    """List the warnings about a map; those about areas only where the options ask for a map that keeps them, or some.
 
     Args:
         goal: the surface, with the area that each of its triangles is to have on the sphere.
@@ -179,8 +181,13 @@ def judge(
         options: how it was made.
         uniform: whether the sphere is to be filled evenly; areas around vertices are not judged otherwise.
     """
+    records = list(records)
+    unmatched = []
+    if isinstance(options.refine, AreaMatch) and any(record.name == Stage.REFINE for record in records):
+        missed = not_matched(options.refine.area, mass_distortion(goal, sphere)["mean"])
+        unmatched = [Finding("not-matched", -1, *missed)] if missed is not None else []
     if options.method is not Method.OMT or Stage.OMT not in options.stages:
-        return []
+        return unmatched
     found = []
     remedy = ""
     if options.refine in (None, Refinement.AREA):
@@ -195,7 +202,7 @@ def judge(
         if record.details.get("gave_up"):
             text += f", {record.details['gave_up']}"
         found.append(Finding("not-converged", -1, text, ""))
-    return [Finding(each.kind, each.where, each.message, remedy) for each in found]
+    return [Finding(each.kind, each.where, each.message, remedy) for each in found] + unmatched
 
 
 def _remedy(goal: Surface, refinable: bool) -> str:

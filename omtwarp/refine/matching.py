@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import numpy as np
 
-LEAST_WEIGHT, MOST_WEIGHT = 0.1, 1000.0  # between which the weight is looked for, by bisection of its logarithm
+LEAST_WEIGHT, MOST_WEIGHT = 1e-3, 1000.0  # between which the weight is looked for, by bisection of its logarithm
 
 Map = TypeVar("Map")
 
@@ -61,4 +61,19 @@ def match_area(
     return best, weight
 
 
-__all__ = ["LEAST_WEIGHT", "MOST_WEIGHT", "match_area"]
+def not_matched(area: float, reached: float) -> tuple[str, str] | None:
+    """Say that a map has another area distortion than it was to match, and what would help; None where it has it.
+
+    Args:
+        area: the mean of r + 1/r that was asked for.
+        reached: that of the map.
+    """
+    # How far below the one asked for that of a map may be: refinement ends within it.
+    missed = 2e-3
+    if -missed <= reached - area <= 0.0:
+        return None
+    text = f"no map with the area distortion {area:.9g} was found: the nearest has {reached:.9g}"
+    return text, "remesh with more triangles, or ask for more" if reached > area else "ask for less"
+
+
+__all__ = ["LEAST_WEIGHT", "MOST_WEIGHT", "match_area", "not_matched"]

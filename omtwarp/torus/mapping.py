@@ -16,7 +16,8 @@ from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.quarter import quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.optimal.solver import OptimalMap
-from omtwarp.options import AreaMatch, Progress, Record, continued
+from omtwarp.options import AreaMatch, Progress, Record, continued, parse_refinement
+from omtwarp.refine.matching import not_matched
 from omtwarp.torus.harmonic import QUANTUM, FlatTorus, conformal_torus, embedded_torus, quantised
 from omtwarp.torus.optimality import torus_optimality
 from omtwarp.torus.quartering import quartered_torus
@@ -76,6 +77,7 @@ class _Run:
         self.shape_weight = 0.0  # of the last stage
         self.largest_ring_error = 0.0  # after the optimal map
         self.measured: dict[str, float | None] | None = None
+        self.warnings: list[str] = []
         self.notify("conformal")(0, 1, {})
         self.conformal = conformal_torus(surface)
         self.torus = embedded_torus(surface, self.conformal)
@@ -121,6 +123,9 @@ class _Run:
         found, used = refine_on_torus(self.surface, self.conformal, points, weight, progress=self.notify("refine"))
         self.measured, self.shape_weight = None, 1.0
         self.take("refine", found, {"weight": used})
+        wanted = parse_refinement(weight)
+        if isinstance(wanted, AreaMatch) and (missed := not_matched(wanted.area, found.history[-1]["area"])):
+            self.warnings.append("; ".join(missed))
 
     def take(self, name: str, found: OptimalMap, details: StageReport) -> None:
         """Continue with a map that was found."""
@@ -174,6 +179,8 @@ class _Run:
         wrong = self.largest_ring_error
         if wrong > WRONG_AREA:
             text = f"areas around vertices are kept to {wrong:.1%} at worst: remesh with more triangles, evenly shaped"
+            self.warnings.insert(0, text)
+        for text in self.warnings:
             if strict:
                 raise OmtwarpError(f"the map is not as good as --strict requires: {text}")
             warnings.warn(OmtwarpWarning(text), stacklevel=5)
