@@ -303,7 +303,7 @@ def weights_of(mass: Mass, sound: Input) -> tuple[NDArray[np.float64], WeightsAt
         OmtwarpError: the file holds no numbers, or not as many as the mesh's file has vertices or triangles; or parts
             of the repaired mesh have no weights.
     """
-    from omtwarp.measures.weights import read_numbers, weights_belong_to
+    from omtwarp.measures import read_numbers, weights_belong_to
 
     assert mass.weights is not None
     weights = read_numbers(mass.weights)

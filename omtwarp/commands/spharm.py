@@ -99,7 +99,7 @@ def save(path: Path, found: Expansion) -> None:
 
     from omtwarp.files.inputs import write_arrays
     from omtwarp.harmonics import degrees
-    from omtwarp.shape_analysis.coef_file import write_coef
+    from omtwarp.shape_analysis.expansion import write_coef
 
     suffix = path.suffix.lower()
     if suffix == ".coef":

@@ -1,7 +1,7 @@
 """Kernels of the conformal map: inverse stereographic projection, Möbius transformations and moments for centring."""
 
 from omtwarp.device.start import KERNEL_OPTIONS, ONE, TWO, wp
-from omtwarp.device.sum_kernels import GROUP, LANES, first_row
+from omtwarp.device.sums import GROUP, LANES, first_row
 
 wp.set_module_options(KERNEL_OPTIONS)
 

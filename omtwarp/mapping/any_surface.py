@@ -20,7 +20,7 @@ from omtwarp.mapping.joined import joined
 from omtwarp.mapping.pipeline import map_double, map_to_sphere
 from omtwarp.maps.result import MapResult, MeshReport, StageReport, SurfaceReport
 from omtwarp.maps.torus_map import TorusMap
-from omtwarp.measures.weights import face_weights
+from omtwarp.measures import face_weights
 from omtwarp.mesh.arrays import edge_keys
 from omtwarp.mesh.checks import MeshLike
 from omtwarp.mesh.origins import Derived, Origins

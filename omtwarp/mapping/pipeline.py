@@ -26,8 +26,7 @@ from omtwarp.geometry.axes import principal_axes, rotation_onto_axes, turned_tow
 from omtwarp.geometry.space_order import OrderedSurface, in_space_order
 from omtwarp.mapping.verdict import judge, refusal
 from omtwarp.maps.result import MapReport, MapResult, StageRecord, renumbered
-from omtwarp.measures import TargetDensity, weighted_surface
-from omtwarp.measures.target import mass_distortion
+from omtwarp.measures import TargetDensity, mass_distortion, weighted_surface
 from omtwarp.mesh.arrays import TINY, normalised
 from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.quarter import quarter
@@ -754,7 +753,7 @@ class _Run:
 
     def barycentric(self) -> None:
         """Compute the whole map by one of the spherical barycentric systems that the paper compares with."""
-        from omtwarp.baselines.barycentric import Weights, barycentric_map  # its kernels are read for these maps alone
+        from omtwarp.baselines import Weights, barycentric_map  # its kernels are read for these maps alone
 
         method = self.options.method
         weights: Weights = "tutte" if method is Method.TUTTE else "mean-value"

@@ -1,8 +1,7 @@
 """Shapes as sums of spherical harmonics, SPHARM-PDM's files, distances of shapes, and the statistics of groups."""
 
-from omtwarp.shape_analysis.coef_file import read_coef, write_coef
 from omtwarp.shape_analysis.distance import ShapeDistance, shape_distance
-from omtwarp.shape_analysis.expansion import Expansion, expand
+from omtwarp.shape_analysis.expansion import Expansion, expand, read_coef, write_coef
 from omtwarp.shape_analysis.group import GroupStudy, study_group
 from omtwarp.shape_analysis.group_report import write_group_report
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -10,6 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.files.inputs import read_bytes
+from omtwarp.files.output import as_path, staged
 from omtwarp.harmonics import check_degree, degree_of, power_per_degree, real_harmonics
 from omtwarp.mesh.shapes import icosphere
 from omtwarp.mesh.surface import Surface, triangle_areas
@@ -190,3 +194,54 @@ def _chunks(points: Floats, degree: int) -> Iterator[tuple[slice, Floats]]:
     for first in range(0, len(points), chunk):
         part = slice(first, first + chunk)
         yield part, real_harmonics(points[part], degree)
+
+
+def write_coef(path: str | os.PathLike[str], expansion: Expansion) -> None:
+    """Write the coefficients of a surface for SPHARM-PDM, with all digits.
+
+    Raises:
+        OmtwarpError: the expansion is not of three coordinates, or the file cannot be written.
+    """
+    if expansion.coefficients.shape[1] != 3:
+        raise OmtwarpError("a .coef file holds surfaces: give three components per coefficient")
+    rows, factors = _order(expansion.degree)
+    numbers = expansion.coefficients[rows] * factors[:, None]
+    lines = ",\n".join("{" + ", ".join(repr(float(x)) for x in row) + "}" for row in numbers)
+    with staged(as_path(path)) as file:
+        file.write_text(f"{{ {len(numbers)},{lines}}}", "ascii")
+
+
+def read_coef(path: str | os.PathLike[str]) -> Expansion:
+    """Read the coefficients of a surface that SPHARM-PDM, or :func:`write_coef`, wrote.
+
+    Raises:
+        OmtwarpError: no such file, or no coefficients in it.
+    """
+    # Largest file: bytes; degree 500 has 251,001 rows of at most 80
+    text = read_bytes(path, 2**26, "file of coefficients").decode("ascii", "replace")
+    head = re.match(r"\s*\{\s*(\d{1,9})\s*,", text)
+    if head is None:
+        raise OmtwarpError(f"'{path}' is no .coef file: it does not begin with '{{ COUNT,'")
+    try:
+        numbers = [[float(x) for x in row.split(",")] for row in re.findall(r"\{([^{}]*)\}", text[head.end() :])]
+        values = np.array(numbers, dtype=np.float64)
+    except ValueError as error:
+        raise OmtwarpError(f"'{path}' is a damaged .coef file: {error}") from None
+    if values.shape != (int(head[1]), 3):
+        raise OmtwarpError(f"'{path}' announces {head[1]} coefficients and holds an array of {list(values.shape)}")
+    rows, factors = _order(degree_of(len(values)))
+    coefficients = np.empty_like(values)
+    coefficients[rows] = values / factors[:, None]
+    return Expansion(coefficients)
+
+
+def _order(degree: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return, for each row of the file, the package's row and the factor between the two."""
+    rows, factors = [], []
+    for n in range(degree + 1):
+        rows.append(n * n + n)
+        factors.append(1.0)
+        for m in range(1, n + 1):
+            rows += [n * n + n + m, n * n + n - m]
+            factors += [np.sqrt(2.0) * (-1.0) ** m] * 2
+    return np.array(rows), np.array(factors)

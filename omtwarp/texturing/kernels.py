@@ -3,7 +3,7 @@
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, PI, TWO, ZERO, wp
 from omtwarp.geometry.spherical import TINY
-from omtwarp.location.kernels import clamped, spherical_coordinates
+from omtwarp.location import clamped, spherical_coordinates
 
 wp.set_module_options(KERNEL_OPTIONS)
 

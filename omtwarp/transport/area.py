@@ -5,7 +5,7 @@ from __future__ import annotations
 from omtwarp.device.start import wp
 from omtwarp.device.sums import RowSums
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
-from omtwarp.transport.cost_kernels import capped_area_error
+from omtwarp.transport.cost import capped_area_error
 
 # A triangle's area error D + 1/D - 2 counts at most this much, so that a few degenerate triangles do not decide.
 LARGEST_ERROR = 0.1

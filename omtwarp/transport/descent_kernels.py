@@ -1,7 +1,7 @@
 """Kernels of a descent that decides on the device: inner products, directions, and acceptance of steps."""
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
-from omtwarp.device.sum_kernels import GROUP, LANES, column_sum, first_row
+from omtwarp.device.sums import GROUP, LANES, column_sum, first_row
 from omtwarp.geometry.spherical import TINY
 
 wp.set_module_options(KERNEL_OPTIONS)

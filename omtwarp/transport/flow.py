@@ -46,7 +46,7 @@ from omtwarp.transport.kernels import (
     values_at_points,
 )
 from omtwarp.wavelets import SphereHierarchy, SphereSampler, WaveletPreconditioner, level_for, sphere_hierarchy
-from omtwarp.wavelets.filter import WaveletFilter
+from omtwarp.wavelets.transform import WaveletFilter
 
 MAXIMUM_ITERATIONS = {"default": 60, "plain": 1000}
 

@@ -2,7 +2,7 @@
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import logarithm, triple_product
-from omtwarp.transport.cost_kernels import area_error, centre
+from omtwarp.transport.cost import area_error, centre
 from omtwarp.transport.descent_kernels import FlowState
 from omtwarp.wavelets.sampling_kernels import spherical_coordinates
 

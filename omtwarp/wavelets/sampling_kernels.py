@@ -3,7 +3,7 @@
 # mypy: ignore-errors
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ZERO, wp
 from omtwarp.geometry.spherical import TINY, hat_gradient, tangential, triple_product
-from omtwarp.location.kernels import spherical_coordinates
+from omtwarp.location import spherical_coordinates
 
 wp.set_module_options(KERNEL_OPTIONS)
 

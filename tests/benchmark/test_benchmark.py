@@ -66,7 +66,7 @@ def test_kernels_of_all_stages_are_recorded(result):
     (kernels,) = result["kernels"]
     names = {row["name"] for row in kernels["kernels"]}
     assert {
-        "moser.kernels.integrate_particles",
+        "moser.integrate_particles",
         "optimal.kernels.transport_gradient",
         "refine.kernels.triangle_hessian",
     } <= names

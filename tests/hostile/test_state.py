@@ -16,7 +16,7 @@ from omtwarp.mesh import shapes
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.write import write_mesh
 from omtwarp.resampling import resample
-from omtwarp.shape_analysis.coef_file import read_coef
+from omtwarp.shape_analysis.expansion import read_coef
 
 BALL = shapes.icosphere(2)
 

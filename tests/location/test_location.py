@@ -15,7 +15,7 @@ from omtwarp.geometry.sphere_hierarchy import sphere_hierarchy
 from omtwarp.location import Locator
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import Surface
-from omtwarp.moser.kernels import walk as moser_walk
+from omtwarp.moser import walk as moser_walk
 from omtwarp.wavelets.sampling import SphereSampler
 
 
@@ -105,7 +105,7 @@ def test_location_on_a_hierarchy_agrees():
 
 
 def test_moving_points_share_the_kernels():
-    from omtwarp.location import kernels
+    from omtwarp import location as kernels
 
     assert moser_walk is kernels.walk
 

@@ -6,8 +6,7 @@ from sphere_truths import mean_edge, pushed_north, random_rotation, rms, turned,
 
 import omtwarp
 from omtwarp.errors import OmtwarpError
-from omtwarp.measures import TargetDensity
-from omtwarp.measures.target import mass_distortion
+from omtwarp.measures import TargetDensity, mass_distortion
 from omtwarp.mesh.shapes import blob, icosphere
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.texturing.density import as_target, image_density, vertex_density

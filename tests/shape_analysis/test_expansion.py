@@ -10,8 +10,7 @@ from sphere_truths import SHARED, random_rotation
 from omtwarp.errors import OmtwarpError
 from omtwarp.harmonics import real_harmonics
 from omtwarp.mesh.shapes import blob, icosphere, random_sphere
-from omtwarp.shape_analysis.coef_file import read_coef, write_coef
-from omtwarp.shape_analysis.expansion import Expansion, expand
+from omtwarp.shape_analysis.expansion import Expansion, expand, read_coef, write_coef
 
 SPHERE = icosphere(16)
 

@@ -8,7 +8,7 @@ import pytest
 import omtwarp
 from omtwarp.commands._cli import main
 from omtwarp.mesh.shapes import blob
-from omtwarp.shape_analysis.coef_file import read_coef
+from omtwarp.shape_analysis.expansion import read_coef
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import pytest
 
 from omtwarp.device.start import wp
 from omtwarp.wavelets import SphericalWavelets, sphere_hierarchy
-from omtwarp.wavelets.filter import WaveletFilter
+from omtwarp.wavelets.transform import WaveletFilter
 
 
 def filtered(values: np.ndarray, filter_: WaveletFilter, device: str, adjoint: bool = False) -> np.ndarray:

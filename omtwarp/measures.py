@@ -1,7 +1,8 @@
-"""Weights on a surface: which parts are to cover more of the sphere than their area."""
+"""Measures other than area: weights on a surface, and a prescribed density on the sphere."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,113 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.inputs import array_of, read_bytes
 from omtwarp.files.limits import LARGEST_MESH_FILE
+from omtwarp.geometry.sphere_hierarchy import sphere_hierarchy
 from omtwarp.mesh.arrays import real_numbers
 from omtwarp.mesh.data import from_text
-from omtwarp.mesh.surface import Surface
+from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.options import WeightsAt
+
+
+class TargetDensity:
+    """A positive density ρ on the unit sphere, scaled to the mean 1 (total mass 4π).
+
+    A map that reaches it puts mass ρ(y) dA at every point y of the sphere: a triangle of mass m covers the area m / ρ.
+
+    Args:
+        density: takes unit vectors, float64, shape [N, 3], and returns N numbers in any unit.
+        floor: densities below this share of the mean are raised to it, before scaling.
+
+    Attributes:
+        mass: the integral over the sphere before scaling, in the density's own unit.
+
+    Raises:
+        OmtwarpError: the density is not positive and finite at every point tested, or returns another shape.
+
+    Example:
+        >>> import numpy as np
+        >>> from omtwarp.measures import TargetDensity
+        >>> north = TargetDensity(lambda points: 2.0 + points[:, 2])
+        >>> float(round(north.mass / (8 * np.pi), 6))
+        1.0
+        >>> north.at([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]).round(3).tolist()
+        [1.5, 0.5]
+    """
+
+    def __init__(self, density: Callable[[NDArray[np.float64]], ArrayLike], floor: float = 0.0):
+        if not 0.0 <= floor < 1.0:
+            raise OmtwarpError(
+                f"the floor of the target density is {floor:g}: give a share of its mean from 0 to below 1"
+            )
+        self._density = density
+        self._lowest = 0.0
+
+        # Level of the icosahedron's subdivision that the total mass is taken on: 40,962 nodes, one and a quarter
+        # degrees apart.
+        hierarchy = sphere_hierarchy(6)
+        values = self._values(hierarchy.vertices, positive=floor == 0.0)
+        if floor > 0.0:
+            self._lowest = floor * float(hierarchy.node_areas @ values) / SPHERE_AREA
+            values = np.maximum(values, self._lowest)
+        self.mass = float(hierarchy.node_areas @ values)
+        if not (np.isfinite(self.mass) and self.mass > 0.0):
+            raise OmtwarpError(f"the target density has the total mass {self.mass:g}: it must be positive and finite")
+
+    def at(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Evaluate the density, mean 1 over the sphere, at unit vectors, shape [N, 3]; returns shape [N]."""
+        values = self._values(np.asarray(points, dtype=np.float64), positive=self._lowest == 0.0)
+        return np.maximum(values, self._lowest) * (SPHERE_AREA / self.mass)
+
+    def on_triangles(self, sphere: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+        """Return the mean density over every spherical triangle, shape [F], exact for plane quadratics."""
+        corners = sphere[faces]
+        centres = corners.sum(axis=1)
+        centres /= np.maximum(np.linalg.norm(centres, axis=1, keepdims=True), np.finfo(float).tiny)
+        return 3.0 / 4.0 * self.at(centres) + self.at(sphere)[faces].sum(axis=1) / 12.0
+
+    def goal(self, surface: Surface, sphere: NDArray[np.float64]) -> Surface:
+        """Give every triangle the area m / ρ that it is to cover where it is now; stages then treat ρ as uniform.
+
+        Args:
+            surface: its measure is the mass m.
+            sphere: a map of it, unit vectors, shape [V, 3].
+        """
+        return surface.with_areas(surface.face_areas / self.on_triangles(sphere, surface.faces))
+
+    def _values(self, points: NDArray[np.float64], positive: bool) -> NDArray[np.float64]:
+        try:
+            values = real_numbers(self._density(points), "values", None, finite=False)
+        except (TypeError, ValueError) as error:
+            raise OmtwarpError(f"the target density cannot be evaluated: {error}") from error
+        if values.shape != (len(points),):
+            raise OmtwarpError(
+                f"the target density gave shape {list(values.shape)} for {len(points)} points: expected one number each"
+            )
+        wrong = ~np.isfinite(values) | (values <= 0.0 if positive else values < 0.0)
+        if wrong.any():
+            first = int(np.argmax(wrong))
+            place = ", ".join(f"{x:.3f}" for x in points[first])
+            raise OmtwarpError(
+                f"the target density is {values[first]:g} at ({place}): it must be positive and finite everywhere"
+            )
+        return values
+
+
+def mass_distortion(goal: Surface, sphere: NDArray[np.float64]) -> dict[str, float]:
+    """Measure how well images keep the mass asked for: r + 1/r, r the area of an image over the area wanted.
+
+    Args:
+        goal: a surface whose measure is the area wanted, see :meth:`TargetDensity.goal`.
+        sphere: the map, unit vectors, shape [V, 3].
+
+    Returns:
+        ``mean`` weighted by the area wanted, ``p95`` and ``max`` over triangles; 2 is perfect.
+    """
+    image = triangle_areas(sphere, goal.faces)
+    with np.errstate(divide="ignore"):
+        ratio = image / image.sum() * SPHERE_AREA / goal.face_areas
+        error = ratio + 1.0 / ratio
+    mean = float(goal.face_areas @ error) / SPHERE_AREA
+    return {"mean": mean, "p95": float(np.percentile(error, 95)), "max": float(error.max())}
 
 
 def weighted_surface(surface: Surface, weights: ArrayLike | None, at: str = WeightsAt.AUTO) -> Surface:

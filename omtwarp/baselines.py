@@ -1,31 +1,4 @@
-"""Spherical barycentric maps (Gotsman, Gu and Sheffer 2003), solved in the manner of Saba et al. (2005).
-
-Every vertex is to be the normalised positive-weighted mean of its neighbours,
-
-    Σ_j w_ij x_j = α_i x_i,   |x_i| = 1,   w_ij = w_ji > 0,
-
-a quadratic system whose non-collapsed solutions are embeddings. Its solutions are the stationary points of the spring
-energy E = ½ Σ_ij w_ij |x_i - x_j|² / 2 on the product of V spheres. The least value of E is the collapse to a point,
-and an embedding is a saddle: E hardly changes, and finally falls, as the map slides towards a point along the
-Möbius transformations. Saba et al. start from a planar Tutte embedding put on the sphere, relax it, and solve the full
-system from there; so does this module, in two stages.
-
-``balance="centroid"`` (the default): E is minimised among maps with Σ a_i x_i = 0, as in Gu et al. (2003), which
-removes the three sliding directions, so that nothing collapses: first by preconditioned gradient steps, then by
-Newton's method on the constrained system. What is left over of the full system is a_i λ with one vector λ; the residual
-is reported. The start is centred by surface area (by vertices for Tutte's weights, which take all triangles for equal),
-and a_i is the share of the sphere that vertex i covers there: any a_i that gives mass to limbs that have shrunk on the
-sphere would move them by the force λ and fold them (1042 flips on a bunny's ears).
-
-``balance="free"``: Newton's method on the full system from there, with three degrees of freedom pinned against
-rotation. It converges quadratically to round-off where there is a solution nearby. Where the system is balanced is then
-decided by the largest triangles of the image alone, which can be far from the centroid: area distortion suffers, and on
-some meshes there is no solution nearby at all; ``converged`` is then False.
-
-Mean-value weights (Floater 2003) are not symmetric. With weights that are not (up to a factor per row) the system has
-three equations more than unknowns, since Σ x_i × Σ w_ij x_j no longer vanishes identically, and has no solution in
-general; the mean of w_ij and w_ji is used.
-"""
+"""Maps that the paper compares with and that are not stages of its own method: spherical barycentric maps."""
 
 from __future__ import annotations
 
@@ -38,18 +11,133 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
-from omtwarp.baselines import kernels
-from omtwarp.baselines.kernels import mean_value_edge_weights
 from omtwarp.conformal.centring import centre_points
 from omtwarp.conformal.haker import most_regular_face
 from omtwarp.device.policy import resolve_device
-from omtwarp.device.start import wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
 from omtwarp.errors import OmtwarpError
+from omtwarp.geometry.spherical import tangential
 from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.options import Progress
 from omtwarp.solvers.poisson import Factorization, LaplacianSolver
+
+wp.set_module_options(KERNEL_OPTIONS)
+
+
+@wp.func
+def half_angle_tangent(u: wp.vec3d, v: wp.vec3d) -> wp.float64:
+    """Return tan(θ/2) of the angle θ between u and v; sin/(1 + cos) stays accurate at both ends."""
+    return wp.length(wp.cross(u, v)) / (wp.length(u) * wp.length(v) + wp.dot(u, v))
+
+
+@wp.kernel
+def mean_value_edge_weights(
+    # Mesh:
+    vertices: wp.array[wp.vec3d],
+    faces: wp.array2d[wp.int32],
+    # Data out:
+    weights_out: wp.array2d[wp.float64],
+):
+    """Compute the part of each face in the symmetric weight of its edges (k, k+1): the mean of both directed ones."""
+    f = wp.tid()
+    p0 = vertices[faces[f, 0]]
+    p1 = vertices[faces[f, 1]]
+    p2 = vertices[faces[f, 2]]
+    t0 = half_angle_tangent(p1 - p0, p2 - p0)
+    t1 = half_angle_tangent(p2 - p1, p0 - p1)
+    t2 = half_angle_tangent(p0 - p2, p1 - p2)
+    weights_out[f, 0] = HALF * (t0 + t1) / wp.length(p1 - p0)
+    weights_out[f, 1] = HALF * (t1 + t2) / wp.length(p2 - p1)
+    weights_out[f, 2] = HALF * (t2 + t0) / wp.length(p0 - p2)
+
+
+@wp.kernel
+def sweep_vertices(
+    # Weights as compressed rows:
+    offsets: wp.array[wp.int32],
+    columns: wp.array[wp.int32],
+    weights: wp.array[wp.float64],
+    # Map:
+    x: wp.array[wp.vec3d],
+    # Data out:
+    force_out: wp.array[wp.vec3d],
+    tension_out: wp.array[wp.float64],
+    deviation_out: wp.array[wp.float64],
+):
+    """Sweep over the vertices: s_i = Σ w_ij x_j, its tangential part (force), α_i = s_i·x_i (tension) and the
+    distance from x_i to s_i / |s_i| (deviation: zero where x_i is the normalised mean of its neighbours)."""
+    i = wp.tid()
+    s = wp.vec3d()
+    for k in range(offsets[i], offsets[i + 1]):
+        s += weights[k] * x[columns[k]]
+    tension_out[i] = wp.dot(s, x[i])
+    force_out[i] = tangential(s, x[i])
+    size = wp.length(s)
+    deviation = wp.float64(2.0)
+    if size > ZERO:
+        deviation = wp.length(x[i] - s / size)
+    deviation_out[i] = deviation
+
+
+@wp.kernel
+def newton_blocks(
+    # Weights as compressed rows; row of every stored entry:
+    rows: wp.array[wp.int32],
+    columns: wp.array[wp.int32],
+    weights: wp.array[wp.float64],
+    # Tangent frames:
+    frame_u: wp.array[wp.vec3d],
+    frame_v: wp.array[wp.vec3d],
+    # Data out:
+    blocks_out: wp.array[wp.mat22d],
+):
+    """Compute -w_ij times the 2 x 2 matrix that takes tangent coordinates at x_j to those at x_i."""
+    k = wp.tid()
+    i = rows[k]
+    j = columns[k]
+    w = weights[k]
+    blocks_out[k] = wp.mat22d(
+        -w * wp.dot(frame_u[i], frame_u[j]),
+        -w * wp.dot(frame_u[i], frame_v[j]),
+        -w * wp.dot(frame_v[i], frame_u[j]),
+        -w * wp.dot(frame_v[i], frame_v[j]),
+    )
+
+
+@wp.kernel
+def tangent_frames(
+    x: wp.array[wp.vec3d],
+    # Data out:
+    frame_u_out: wp.array[wp.vec3d],
+    frame_v_out: wp.array[wp.vec3d],
+):
+    """Compute an orthonormal frame (u, v) with u × v = x at every point."""
+    i = wp.tid()
+    p = x[i]
+    axis = wp.vec3d(ONE, ZERO, ZERO)
+    if wp.abs(p[1]) < wp.abs(p[0]):
+        axis = wp.vec3d(ZERO, ONE, ZERO)
+    if wp.abs(p[2]) < wp.min(wp.abs(p[0]), wp.abs(p[1])):
+        axis = wp.vec3d(ZERO, ZERO, ONE)
+    u = wp.normalize(wp.cross(axis, p))
+    frame_u_out[i] = u
+    frame_v_out[i] = wp.cross(p, u)
+
+
+@wp.kernel
+def move_on_sphere(
+    x: wp.array[wp.vec3d],
+    direction: wp.array[wp.vec3d],
+    step: wp.float64,
+    # Data out:
+    x_out: wp.array[wp.vec3d],
+):
+    """Step along the tangential part of a direction and return to the sphere."""
+    i = wp.tid()
+    x_out[i] = wp.normalize(x[i] + step * tangential(direction[i], x[i]))
+
 
 Array = NDArray[np.float64]
 Weights = Literal["tutte", "mean-value"]
@@ -241,7 +329,7 @@ class _Springs:
         tension = wp.empty(self.count, dtype=wp.float64, device=self.device)
         deviation = wp.empty_like(tension)
         wp.launch(
-            kernels.sweep_vertices,
+            sweep_vertices,
             dim=self.count,
             inputs=[self._offsets, self._columns, self._weights, self._upload(points), force, tension, deviation],
             device=self.device,
@@ -255,7 +343,7 @@ class _Springs:
         """Step along the tangential part of a direction and return to the sphere."""
         out = wp.empty(self.count, dtype=wp.vec3d, device=self.device)
         inputs = [self._upload(points), self._upload(direction), wp.float64(step), out]
-        wp.launch(kernels.move_on_sphere, dim=self.count, inputs=inputs, device=self.device)
+        wp.launch(move_on_sphere, dim=self.count, inputs=inputs, device=self.device)
         return out.numpy()
 
     def newton_system(
@@ -268,12 +356,12 @@ class _Springs:
         u = wp.empty(self.count, dtype=wp.vec3d, device=self.device)
         v = wp.empty_like(u)
         blocks = wp.empty(len(self._rows), dtype=wp.mat22d, device=self.device)
-        wp.launch(kernels.tangent_frames, dim=self.count, inputs=[self._upload(points), u, v], device=self.device)
+        wp.launch(tangent_frames, dim=self.count, inputs=[self._upload(points), u, v], device=self.device)
         frames = np.stack([u.numpy(), v.numpy()], axis=1)
         frames[aligned] = axis, np.cross(points[aligned], axis)
         u, v = self._upload(frames[:, 0]), self._upload(frames[:, 1])
         inputs = [self._rows, self._columns, self._weights, u, v, blocks]
-        wp.launch(kernels.newton_blocks, dim=len(self._rows), inputs=inputs, device=self.device)
+        wp.launch(newton_blocks, dim=len(self._rows), inputs=inputs, device=self.device)
         size = 2 * self.count
         off = sparse.bsr_matrix((blocks.numpy(), self.matrix.indices, self.matrix.indptr), shape=(size, size))
         matrix = sparse.csc_matrix(off.tocsc() + sparse.diags(np.repeat(tension, 2)))
