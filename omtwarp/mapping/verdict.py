@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.limbs import thinnest_ring, vertices_needed
 from omtwarp.maps.result import StageRecord, Warned
-from omtwarp.measures.target import mass_distortion
+from omtwarp.measures import mass_distortion
 from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.origins import named_face, named_vertex
 from omtwarp.mesh.quarter import PARTS
