@@ -8,8 +8,8 @@ Any function of the direction can be baked into a texture: a formula, a picture,
 import numpy as np
 
 import omtwarp
+from omtwarp.colors import colormap_table
 from omtwarp.render import ScalarField, SurfaceView, sheet
-from omtwarp.render.colors import colormap_table
 from omtwarp.texturing import bake, bake_vertex_values, sample
 
 mesh = omtwarp.shapes.blob(seed=8, amplitude=0.3, sphere=2880)

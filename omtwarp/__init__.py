@@ -43,7 +43,7 @@ _PUBLIC = {
     "optimal_map": "omtwarp.optimal",
     "optimal_transport": "omtwarp.transport.flow",
     "optimality": "omtwarp.metrics.optimality",
-    "paint": "omtwarp.painting",
+    "paint": "omtwarp.texturing",
     "paper_flow": "omtwarp.transport.paper",
     "preview": "omtwarp.render",
     "read_mesh": "omtwarp.mesh.read",
@@ -53,10 +53,10 @@ _PUBLIC = {
     "repair": "omtwarp.mesh.repair",
     "resample": "omtwarp.resampling",
     "texture": "omtwarp.texturing",
-    "transfer_texture": "omtwarp.painting",
+    "transfer_texture": "omtwarp.transfer",
     "transport_cost": "omtwarp.transport.cost",
     "untangle": "omtwarp.untangling.untangle",
-    "unwrap_uv": "omtwarp.painting",
+    "unwrap_uv": "omtwarp.texturing",
     "weighted_surface": "omtwarp.measures",
     "write_report": "omtwarp.reporting",
 }
@@ -92,9 +92,6 @@ if TYPE_CHECKING:
     from omtwarp.moser import moser_map as moser_map
     from omtwarp.optimal import optimal_map as optimal_map
     from omtwarp.optimal.refinement import refine_map as refine_map
-    from omtwarp.painting import paint as paint
-    from omtwarp.painting import transfer_texture as transfer_texture
-    from omtwarp.painting import unwrap_uv as unwrap_uv
     from omtwarp.registration import register as register
     from omtwarp.render import preview as preview
     from omtwarp.render.films import film as film
@@ -103,8 +100,11 @@ if TYPE_CHECKING:
     from omtwarp.start.hierarchical import hierarchical_embedding as hierarchical_embedding
     from omtwarp.texturing import Material as Material
     from omtwarp.texturing import PaintedMesh as PaintedMesh
+    from omtwarp.texturing import paint as paint
     from omtwarp.texturing import read_painted_mesh as read_painted_mesh
     from omtwarp.texturing import texture as texture
+    from omtwarp.texturing import unwrap_uv as unwrap_uv
+    from omtwarp.transfer import transfer_texture as transfer_texture
     from omtwarp.transport.cost import transport_cost as transport_cost
     from omtwarp.transport.flow import optimal_transport as optimal_transport
     from omtwarp.transport.paper import paper_flow as paper_flow

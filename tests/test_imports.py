@@ -60,6 +60,7 @@ HEAVY_ROOMS = {
         "omtwarp.render.pyrender_",
         "omtwarp.maps",
         "omtwarp.texturing.smooth",
+        "omtwarp.texturing.textured",
     },
 }
 

@@ -17,7 +17,7 @@ from omtwarp.alignment.features import (
 )
 from omtwarp.alignment.rotation_search import Best, best_rotations, complex_coefficients, improved
 from omtwarp.errors import OmtwarpError, choose
-from omtwarp.harmonics import check_degree
+from omtwarp.geometry.harmonics import check_degree
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.arrays import TINY
 from omtwarp.options import AlignBy, AlignByLike

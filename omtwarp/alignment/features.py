@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.harmonics import real_harmonics
+from omtwarp.geometry.harmonics import real_harmonics
 from omtwarp.mesh.arrays import in_range, real_numbers
 from omtwarp.resampling import SpherePoints
 from omtwarp.spheres import triangle_solid_angles

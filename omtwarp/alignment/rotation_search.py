@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 from scipy.spatial.transform import Rotation
 
-from omtwarp.harmonics import degree_of
+from omtwarp.geometry.harmonics import degree_of
 from omtwarp.mesh.arrays import ROUND_OFF, TINY
 
 Floats = NDArray[np.float64]

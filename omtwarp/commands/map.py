@@ -338,6 +338,7 @@ def save(
     """
     from omtwarp.maps.result import MapResult
     from omtwarp.mesh.write import write_mesh
+    from omtwarp.texturing import texture
 
     of_file: NDArray | slice = slice(None)
     faces = result.faces
@@ -346,7 +347,7 @@ def save(
     if file.suffix.lower() == ".npz":
         result.save(file)
     elif not isinstance(result, MapResult) and file.suffix.lower() == ".glb":
-        result.textured(pattern="checker").export(file)
+        texture(result, pattern="checker").export(file)
     elif not isinstance(result, MapResult):
         write_mesh(file, radius * result.ring(), result.faces, like=like)
     elif beside:

@@ -98,7 +98,7 @@ def save(path: Path, found: Expansion) -> None:
     import numpy as np
 
     from omtwarp.files.inputs import write_arrays
-    from omtwarp.harmonics import degrees
+    from omtwarp.geometry.harmonics import degrees
     from omtwarp.shape_analysis.expansion import write_coef
 
     suffix = path.suffix.lower()

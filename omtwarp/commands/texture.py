@@ -270,8 +270,8 @@ def _painted(
 ) -> tuple[PaintedMesh, list[dict[str, str | int]], str]:
     """Return a mesh in its own coordinates, with its own materials, or with bakes; its pictures, and words on them."""
     from omtwarp.mesh.read import read_mesh
-    from omtwarp.painting import paint
-    from omtwarp.painting.bakes import MOST_RAYS
+    from omtwarp.texturing import paint
+    from omtwarp.texturing.bakes import MOST_RAYS
 
     fine = None
     if painting.detail is not None:

@@ -47,7 +47,7 @@ def transfer(
     device: Device = MapOptions.device,
 ) -> None:
     """Carry the texture of one mesh over to another, each mapped to the sphere and the two aligned."""
-    from omtwarp.painting import transfer_texture
+    from omtwarp.transfer import transfer_texture
 
     check_output(output, (".glb", ".obj"), source, target, map_of_source, map_of_target)
     (painted, result), (plain, other) = painted_maps(

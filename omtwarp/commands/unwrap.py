@@ -33,7 +33,7 @@ def unwrap_mesh(
     printing: Printing,
 ) -> None:
     """Give a mesh texture coordinates through its map, for programs that paint or bake: no cuts, no texture."""
-    from omtwarp.painting.unwrap import laid_out
+    from omtwarp.texturing.unwrap import laid_out
 
     targets = targets_of(source, output, ".glb")
     for target in targets:

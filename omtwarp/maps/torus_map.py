@@ -11,19 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files.output import as_path
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.maps.result import OF_TORUS_MAPS, MapResult, MeshReport, StageReport, StoredMap, read_map_arrays
-from omtwarp.maps.torus_pictures import ring_torus, textured_torus, torus_pattern
 from omtwarp.mesh.arrays import Layout
-from omtwarp.mesh.surface import SPHERE_AREA, plane_areas, triangle_areas, unit_normals, vertex_normals
+from omtwarp.mesh.surface import SPHERE_AREA, plane_areas, triangle_areas
 from omtwarp.metrics.distortion import Distortion, summarize
 from omtwarp.options import Record
-from omtwarp.texturing.image import PictureLike, as_bytes, read_image
-from omtwarp.texturing.textured import TexturedSurface
 
 if TYPE_CHECKING:
-    import trimesh
+    pass
 
 Floats = NDArray[np.float64]
 
@@ -182,40 +178,42 @@ class TorusMap(StoredMap):
         solid = areas * (SPHERE_AREA / whole)
         return summarize(surface, areas, determinant, angle, areas, solid, bool(np.isfinite(corner).all()))
 
-    def textured(
-        self, image: PictureLike | None = None, *, pattern: str | None = None, size: int | None = None
-    ) -> TexturedSurface:
-        """Texture the surface with a picture that closes up both ways; ``.export("name.glb")`` writes it.
-
-        Args:
-            image: a picture that repeats, path, PIL image or array [H, W, 3], shown once on the torus: to the right
-                along the lattice's first vector, upwards along its second.
-            pattern: ``circles`` (by default), all of one size and round on the torus, or ``checker``.
-            size: width of a pattern in texels.
-
-        Raises:
-            OmtwarpError: an unusable image or pattern, or both.
-        """
-        if image is not None and pattern is not None:
-            raise OmtwarpError("both an image and a pattern were given: a texture is made from one of them")
-        if image is None:
-            picture = torus_pattern(pattern or "circles", self.lattice, size)
-        else:
-            picture = as_bytes(read_image(image))
-        normals = unit_normals(vertex_normals(self.vertices, self.faces))
-        source = as_path(image) if isinstance(image, str | os.PathLike) else None
-        return textured_torus(self.vertices, self.faces, normals, self.coordinates, self.wraps, picture, source)
-
-    def trimesh(self) -> trimesh.Trimesh:
-        """Return the surface with a checker that closes up both ways, as a :class:`trimesh.Trimesh`."""
-        return self.textured(pattern="checker").trimesh()
-
     def ring(self) -> Floats:
         """Map the vertices to a ring torus, with areas in proportion to those of the surface, shape [V, 3].
 
         The ring's radii are in the proportion of the lattice's vectors, the tube at most 0.8 of the ring.
         """
         return ring_torus(self.coordinates, self.lattice)
+
+
+def tube_radius(lattice: Floats) -> float:
+    """Return the radius of the tube of a lattice's ring torus; that of the ring is 1."""
+    most_tube = 0.8  # radius of the tube over the ring's: a fatter one hides its inside
+    along = np.linalg.norm(lattice, axis=1)
+    return min(float(along.min() / along.max()), most_tube)
+
+
+def ring_torus(coordinates: Floats, lattice: Floats) -> Floats:
+    """Map points of a flat torus to a ring torus with areas in proportion, shape [N, 3].
+
+    The first coordinate goes around the tube and the second around the ring. The radii are in the proportion of the
+    lattice's vectors, the tube at most 0.8 of the ring; along the tube the angle t grows such that t + (r/R) sin t, to
+    which the area from the outside on is proportional, grows evenly.
+
+    Args:
+        coordinates: in multiples of the lattice's vectors, shape [N, 2].
+        lattice: the vectors, as rows, shape [2, 2].
+    """
+    along = np.linalg.norm(lattice, axis=1)
+    share = tube_radius(lattice)
+    tube, ring = (coordinates.T if along[0] <= along[1] else coordinates.T[::-1]) * (2.0 * np.pi)
+    angle = tube.copy()
+    # Kepler steps, of Newton's method, at most: from the mean anomaly, seven reach round-off with MOST_TUBE
+    for _ in range(40):  # Newton's method on Kepler's equation; convex enough for every share below 1
+        angle -= (angle + share * np.sin(angle) - tube) / (1.0 + share * np.cos(angle))
+    reach = 1.0 + share * np.cos(angle)
+    turned = -1.0 if along[0] <= along[1] else 1.0  # keeps triangles counter-clockwise from outside
+    return np.stack([reach * np.cos(ring), reach * np.sin(ring), turned * share * np.sin(angle)], axis=1)
 
 
 def read_map(path: str | os.PathLike[str]) -> MapResult | TorusMap:

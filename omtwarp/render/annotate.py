@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from omtwarp.render.colors import backdrop, colormap_table
+from omtwarp.colors import backdrop, colormap_table
 from omtwarp.render.scene import ScalarField
 
 ROUND = 1e-9  # steps: a value that is so near to a tick, as a quotient of rounded numbers is, is the tick

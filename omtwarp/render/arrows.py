@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.colors import parse_color
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import TINY
-from omtwarp.render.colors import parse_color
 from omtwarp.render.scene import Arrows, Part, SurfaceView, normalisation, numbers_of, welded_normals
 
 _SIDES = 8  # of an arrow's shaft and head: at the size of an arrow, corners are invisible

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image, ImageDraw
 
+from omtwarp.colors import backdrop
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.limits import FRAMES_PER_SECOND, LARGEST_VIEW, MOST_FILM_PIXELS, MOST_FRAMES
 from omtwarp.options import Backend, BackendLike, PatternLike, Progress
 from omtwarp.render import annotate, output
 from omtwarp.render.camera import Camera, Shot, as_light, as_view, frame
-from omtwarp.render.colors import backdrop
 from omtwarp.render.options import View
 from omtwarp.render.pictures import render
 from omtwarp.render.scene import RenderJob

@@ -13,13 +13,13 @@ from typing import TypeAlias, TypedDict, TypeVar
 
 from numpy.typing import ArrayLike
 
+from omtwarp.colors import backdrop
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.limits import FRAMES_PER_SECOND, LARGEST_VIEW, MOST_FILM_PIXELS, MOST_FRAMES
 from omtwarp.mesh.arrays import real_number, whole_number
 from omtwarp.options import BACKGROUND, FILM_RATE, PICTURE_SIZE, Backend, BackendLike
 from omtwarp.render import gl_client
 from omtwarp.render.camera import Camera, Light, as_light, as_views, turntable
-from omtwarp.render.colors import backdrop
 from omtwarp.render.scene import Arrows, ScalarField, SurfaceView, Wireframe
 from omtwarp.render.subject import Picture, Subject, as_surface_view
 from omtwarp.render.upright import posed

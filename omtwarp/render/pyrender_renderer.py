@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from omtwarp.colors import parse_color, to_linear
 from omtwarp.render.camera import Shot
-from omtwarp.render.colors import parse_color
 from omtwarp.render.pyrender_compat import INSTALL_GL, GLUnavailable, import_pyrender
 from omtwarp.render.scene import Part, RenderJob
-from omtwarp.srgb import to_linear
 
 pyrender = import_pyrender()
 

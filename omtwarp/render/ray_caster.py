@@ -9,13 +9,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.colors import parse_color, to_linear
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.render import ray_kernels as kernels
 from omtwarp.render.camera import Shot
-from omtwarp.render.colors import parse_color
 from omtwarp.render.scene import Part, RenderJob
-from omtwarp.srgb import to_linear
 
 # The footprint of the first pass, in pixels: only smooth areas keep its result, where a sharper filter cannot alias.
 FIRST_SPACING = 0.75

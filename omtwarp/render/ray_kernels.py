@@ -76,7 +76,7 @@ class Look:
 
 @wp.func
 def to_linear(c: wp.float32):
-    """Convert an sRGB value to linear light (IEC 61966-2-1), as :func:`omtwarp.srgb.to_linear` does."""
+    """Convert an sRGB value to linear light (IEC 61966-2-1), as :func:`omtwarp.colors.to_linear` does."""
     linear = c / 12.92
     if c > 0.04045:
         linear = wp.pow((c + 0.055) / 1.055, 2.4)
@@ -85,7 +85,7 @@ def to_linear(c: wp.float32):
 
 @wp.func
 def to_srgb(c: wp.float32):
-    """Convert linear light to an sRGB value (IEC 61966-2-1), as :func:`omtwarp.srgb.to_srgb` does."""
+    """Convert linear light to an sRGB value (IEC 61966-2-1), as :func:`omtwarp.colors.to_srgb` does."""
     clamped = wp.clamp(c, 0.0, 1.0)
     encoded = clamped * 12.92
     if clamped > 0.0031308:

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from omtwarp.colors import colormap_table, parse_color
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import real_numbers
 from omtwarp.render.camera import Light, Shot
-from omtwarp.render.colors import colormap_table, parse_color
 
 CLAY = (0.80, 0.79, 0.77)  # sRGB of surfaces without any colour of their own
 
@@ -26,7 +26,7 @@ class ScalarField:
 
     Attributes:
         values: shape [V] or [F]; NaN is drawn grey.
-        colormap: name of the colour map, see :func:`omtwarp.render.colors.colormap_table`.
+        colormap: name of the colour map, see :func:`omtwarp.colors.colormap_table`.
         range: (low, high) values at the ends of the map; None takes the smallest and largest finite value.
         label: text at the colour bar.
         logarithmic: colours follow the logarithm of the values, as ratios want it; the range must be positive.

@@ -202,9 +202,10 @@ def _on_torus(
     result: TorusMap, pattern: str, image: Picture | None, texels: int, up: str | None, front: str | None
 ) -> tuple[Story, SurfaceView]:
     """Return the course of a film of a map to a torus, which ends with a ring torus."""
-    from omtwarp.maps.torus_pictures import ring_torus, tube_radius
+    from omtwarp.maps.torus_map import ring_torus, tube_radius
+    from omtwarp.texturing.textured import texture_torus
 
-    cut = result.textured(image, pattern=None if image is not None else pattern, size=texels)
+    cut = texture_torus(result, image, None if image is not None else pattern, size=texels)
     shown = posed(torus_view(result, cut.image), up, front)
     surface = _centred(shown)
     weights = vertex_areas(surface, cut.faces)

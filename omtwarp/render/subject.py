@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Protocol, TypeAlias, TypeGuard, cast, runtime_
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from omtwarp.colors import to_srgb
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import HasTriangles
 from omtwarp.render.scene import SurfaceMaterial, SurfaceView, as_image
-from omtwarp.srgb import to_srgb
 from omtwarp.texturing.image import PictureLike
 from omtwarp.texturing.image import read_image as read_picture
 from omtwarp.texturing.materials import WHITE
@@ -162,7 +162,10 @@ def torus_view(
     if which not in ("optimal", "conformal") or on not in ("surface", "torus"):
         raise OmtwarpError(f"unknown view ('{which}', '{on}'): use optimal or conformal, and surface or torus")
     shown = result if which == "optimal" else replace(result, coordinates=result.conformal)
-    cut = shown.textured(None if image is None else read_image(image), pattern=None if image is not None else pattern)
+    from omtwarp.texturing.textured import texture_torus
+
+    picture = None if image is None else read_image(image)
+    cut = texture_torus(shown, picture, None if image is not None else pattern)
     places = cut.vertices if on == "surface" else shown.ring()[cut.welded]
     return SurfaceView(places, cut.faces, image=cut.image, uv=cut.uv, up=None if on == "surface" else "z")
 

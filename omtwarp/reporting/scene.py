@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.colors import colormap_table
 from omtwarp.device.policy import resolve_device
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas, vertex_normals
 from omtwarp.render.camera import DEFAULT_FRONT, axis_vector
-from omtwarp.render.colors import colormap_table
 from omtwarp.render.domains import fits_of
 from omtwarp.render.scene import SurfaceView
 from omtwarp.render.upright import posed

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.maps.result import StageReport
-from omtwarp.maps.torus_map import TorusMap
-from omtwarp.maps.torus_pictures import ring_torus, tube_radius
+from omtwarp.maps.torus_map import TorusMap, ring_torus, tube_radius
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.render import Camera, SurfaceView, preview
 from omtwarp.render.subject import torus_view
@@ -31,6 +30,7 @@ from omtwarp.reporting.scene import (
 from omtwarp.reporting.stages import TORUS, Stage, shown_report
 from omtwarp.reporting.viewer import page_with_view, verdict, viewer_section
 from omtwarp.texturing.image import PictureLike
+from omtwarp.texturing.textured import texture_torus
 
 Floats = NDArray[np.float64]
 
@@ -78,7 +78,7 @@ def torus_scene(
         pose: the surface's axes.
     """
     lines = 12  # of the lattice along its shorter vector
-    cut = result.textured(image, pattern=None if image is not None else pattern)
+    cut = texture_torus(result, image, None if image is not None else pattern)
     used, axes = cut.welded, view_axes(pose)
     placed = placed_in_view(result.vertices, used, axes)
     arrays: dict[str, NDArray] = {
@@ -132,7 +132,13 @@ PICTURES = (
 
 
 def torus_page(
-    result: TorusMap, title: str | None, image: PictureLike | None, pattern: str, up: str | None, size: int, device: str
+    result: TorusMap,
+    title: str | None,
+    image: PictureLike | None,
+    pattern: str,
+    up: str | None,
+    size: int,
+    device: str,
 ) -> str:
     """Return the text of the page about a map to a torus; arguments as of :func:`omtwarp.write_report`."""
     pose = posed(SurfaceView(result.vertices, result.faces), up)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from omtwarp.alignment import align
 from omtwarp.errors import OmtwarpError
-from omtwarp.harmonics import check_degree
+from omtwarp.geometry.harmonics import check_degree
 from omtwarp.maps.result import MapResult
 from omtwarp.measures import TargetDensity
 from omtwarp.mesh.arrays import HasTriangles

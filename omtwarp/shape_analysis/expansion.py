@@ -14,7 +14,7 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import read_bytes
 from omtwarp.files.output import as_path, staged
-from omtwarp.harmonics import check_degree, degree_of, power_per_degree, real_harmonics
+from omtwarp.geometry.harmonics import check_degree, degree_of, power_per_degree, real_harmonics
 from omtwarp.mesh.shapes import icosphere
 from omtwarp.mesh.surface import Surface, triangle_areas
 
@@ -28,7 +28,7 @@ _RULE = ((0.445948490915965, 0.223381589678011), (0.091576213509771, 0.109951743
 
 @dataclass(frozen=True, eq=False)
 class Expansion:
-    """Coefficients of real orthonormal spherical harmonics, in the convention of :mod:`omtwarp.harmonics`.
+    """Coefficients of real orthonormal spherical harmonics, in the convention of :mod:`omtwarp.geometry.harmonics`.
 
     Attributes:
         coefficients: float64, shape [(L + 1)², C]; row l² + l + m belongs to Y_lm. For a surface C is 3: x, y, z.

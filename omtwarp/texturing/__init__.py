@@ -1,4 +1,4 @@
-"""Textures and materials of meshes: patterns, atlases, baking, reading and export.
+"""Textures and materials of meshes: patterns, atlases, baking, transfer, own coordinates, reading and export.
 
 Names are imported at their first use, so that importing the package does not start Warp.
 """
@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from omtwarp.texturing.adaptive import rasterize as rasterize
     from omtwarp.texturing.atlas import ATLASES as ATLASES
     from omtwarp.texturing.atlas import make_atlas as make_atlas
+    from omtwarp.texturing.bakes import BAKES as BAKES
     from omtwarp.texturing.baking import VertexValues as VertexValues
     from omtwarp.texturing.baking import bake as bake
     from omtwarp.texturing.baking import bake_to_uv as bake_to_uv
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from omtwarp.texturing.image import read_image as read_image
     from omtwarp.texturing.materials import Material as Material
     from omtwarp.texturing.painted import PaintedMesh as PaintedMesh
+    from omtwarp.texturing.painter import paint as paint
     from omtwarp.texturing.patterns import Pattern as Pattern
     from omtwarp.texturing.patterns import pattern as pattern
     from omtwarp.texturing.projection import direction_to_image as direction_to_image
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
     from omtwarp.texturing.seams import unwrap as unwrap
     from omtwarp.texturing.textured import TexturedSurface as TexturedSurface
     from omtwarp.texturing.textured import texture as texture
+    from omtwarp.texturing.unwrap import unwrap_uv as unwrap_uv
 
 
 _HOMES = {
@@ -48,6 +51,9 @@ _HOMES = {
     "read_image": "image",
     "direction_to_image": "projection",
     "rotation_matrix": "projection",
+    "BAKES": "bakes",
+    "paint": "painter",
+    "unwrap_uv": "unwrap",
 }
 
 __all__ = list(_HOMES)

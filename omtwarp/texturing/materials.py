@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.colors import to_linear
 from omtwarp.mesh.arrays import ROUND_OFF, TINY
-from omtwarp.srgb import to_linear
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]

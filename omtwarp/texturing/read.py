@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.colors import to_linear, to_srgb
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import file_beside, read_bytes
 from omtwarp.files.limits import LARGEST_MESH_FILE, MOST_FACES
@@ -23,7 +24,6 @@ from omtwarp.mesh.ply import Column, ply_columns, polygons_of
 from omtwarp.mesh.polygons import fans
 from omtwarp.mesh.read import mesh_content, read_mesh, require_counted_from_one, utf8
 from omtwarp.mesh.scenes import gltf_header, gltf_pictures, load_scene, placed_meshes, scene_formats
-from omtwarp.srgb import to_linear, to_srgb
 from omtwarp.texturing.image import decoded, read_image
 from omtwarp.texturing.materials import Bytes, Floats, Ints, Material
 from omtwarp.texturing.painted import PaintedMesh, corners_of, joined_seams

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, cast
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import as_path
+from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh.arrays import HasTriangles, real_number, real_numbers
 from omtwarp.mesh.checks import as_faces, as_unit_vectors
 from omtwarp.mesh.surface import unit_normals, vertex_normals
@@ -32,7 +33,7 @@ from omtwarp.texturing.atlas import (
 )
 from omtwarp.texturing.baking import sample
 from omtwarp.texturing.bending import Bending, BentLook, Look
-from omtwarp.texturing.export import Part, export, format_for
+from omtwarp.texturing.export import Part, export, format_for, split_corners
 from omtwarp.texturing.image import PictureLike, as_bytes, read_image
 from omtwarp.texturing.materials import Material
 from omtwarp.texturing.patterns import Pattern
@@ -40,6 +41,7 @@ from omtwarp.texturing.patterns import pattern as by_name
 from omtwarp.texturing.projection import check_projection, rotation_matrix
 from omtwarp.texturing.seams import least_visible_meridian, unwrap
 from omtwarp.texturing.smooth import smooth_curves
+from omtwarp.texturing.torus import torus_pattern
 
 if TYPE_CHECKING:
     import trimesh
@@ -189,15 +191,6 @@ class TexturedSurface:
         )
 
 
-class TexturesItself(Protocol):
-    """A map to another domain than the sphere, which makes its own textures: a :class:`omtwarp.TorusMap`."""
-
-    def textured(
-        self, image: PictureLike | None = None, *, pattern: str | None = None, size: int | None = None
-    ) -> object:
-        """Return the surface with a picture that fits the map's domain."""
-
-
 class SphereMap(HasTriangles, Protocol):
     """A surface and its map to the sphere, such as a :class:`~omtwarp.MapResult`."""
 
@@ -207,7 +200,7 @@ class SphereMap(HasTriangles, Protocol):
 
 
 def texture(
-    result: SphereMap | TexturesItself | tuple[ArrayLike, ArrayLike, ArrayLike],
+    result: SphereMap | TorusMap | tuple[ArrayLike, ArrayLike, ArrayLike],
     image: PictureLike | None = None,
     *,
     pattern: PatternLike | Pattern | None = None,
@@ -262,14 +255,12 @@ def texture(
         >>> [path.name for path in textured.export("checker.glb")]
         ['checker.glb']
     """
-    on_torus = getattr(result, "textured", None)
-    if on_torus is not None:
-        across = _check_for_torus(size, (projection, atlas, rotate, seam_longitude))
-        on_its_own: TexturedSurface = on_torus(image, pattern=pattern, size=across)
-        return on_its_own
-    vertices, faces, sphere = as_map(cast(SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike], result))
     if image is not None and pattern is not None:
         raise OmtwarpError("both an image and a pattern were given: a texture is made from one of them")
+    if isinstance(result, TorusMap):
+        across = _check_for_torus(size, (projection, atlas, rotate, seam_longitude))
+        return texture_torus(result, image, pattern, across)
+    vertices, faces, sphere = as_map(result)
     check_projection(projection)
     rotation = _rotation(rotate, vertices, faces, sphere)
     seam = _seam(seam_longitude, vertices, faces, sphere, rotation) if str(atlas) == "equirectangular" else np.pi
@@ -314,6 +305,34 @@ def texture(
         original_faces=faces,
         original_sphere=sphere,
         source_image=Path(image) if isinstance(image, (str, os.PathLike)) else None,
+    )
+
+
+def texture_torus(
+    result: TorusMap, image: PictureLike | None, pattern: str | Pattern | None, size: int | None = None
+) -> TexturedSurface:
+    """Texture a surface with a picture that closes up both ways on its torus, cut where the coordinates jump."""
+    if image is None:
+        picture = torus_pattern(str(pattern or "circles"), result.lattice, size)
+    else:
+        picture = as_bytes(read_image(image))
+    coordinates, wraps, faces = result.coordinates, result.wraps, result.faces
+    whole = wraps - np.floor((coordinates[faces] + wraps).min(axis=1, keepdims=True))
+    rows, welded, uv = split_corners(faces, coordinates[faces] + whole, len(result.vertices))
+    return TexturedSurface(
+        vertices=result.vertices[welded],
+        faces=rows,
+        uv=uv,
+        normals=unit_normals(vertex_normals(result.vertices, faces))[welded],
+        image=picture,
+        welded=welded,
+        source_vertex=welded,
+        source_face=np.arange(len(faces), dtype=np.int32),
+        original_vertices=result.vertices,
+        original_faces=faces,
+        wraps=True,
+        wraps_rows=True,
+        source_image=as_path(image) if isinstance(image, str | os.PathLike) else None,
     )
 
 

@@ -20,7 +20,7 @@ from omtwarp.alignment.rotation_search import (
     rotated,
 )
 from omtwarp.errors import OmtwarpError
-from omtwarp.harmonics import real_harmonics
+from omtwarp.geometry.harmonics import real_harmonics
 from omtwarp.mesh import shapes
 from omtwarp.resampling import SpherePoints, resample
 from omtwarp.spheres import mesh_grid

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from omtwarp.harmonics import real_harmonics
+from omtwarp.geometry.harmonics import real_harmonics
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import Surface
 from omtwarp.resampling import SpherePoints

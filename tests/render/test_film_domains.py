@@ -78,7 +78,7 @@ def test_torus_ends_as_a_ring_torus(ring):
 
 def test_pattern_flows_straight_on_the_torus(ring):
     story = told(ring, pattern="checker")
-    cut = ring.textured(pattern="checker")
+    cut = omtwarp.texture(ring, pattern="checker")
     corner = np.zeros((len(ring.faces), 3), dtype=int)
     points = len(story.first) // len(ring.faces)
     corner[:] = np.arange(len(ring.faces))[:, None] * points + [0, points - 1, int(np.sqrt(2 * points)) - 1]

@@ -17,11 +17,11 @@ from hypothesis import strategies as st
 from PIL import Image
 
 import omtwarp
+from omtwarp.colors import COLORMAPS, colormap_table
 from omtwarp.errors import OmtwarpError
 from omtwarp.render import Camera, Light, ScalarField, SurfaceView, gl_client, output, pictures, preview, sheet
 from omtwarp.render.annotate import ticks
 from omtwarp.render.camera import VIEWS, camera_axes, frame, turntable
-from omtwarp.render.colors import COLORMAPS, colormap_table
 from omtwarp.render.scene import build_parts, weld, welded_normals
 
 TRIANGLE = (np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]]))

@@ -12,6 +12,7 @@ import pytest
 import trimesh
 from PIL import Image
 
+from omtwarp.colors import to_linear
 from omtwarp.errors import OmtwarpError
 from omtwarp.maps.result import MapResult
 from omtwarp.render import (
@@ -27,7 +28,6 @@ from omtwarp.render import (
     sheet,
 )
 from omtwarp.render.camera import SIX_VIEWS, VIEWS, frame
-from omtwarp.srgb import to_linear
 
 DARK, LIGHT = np.array([40, 90, 160]), np.array([240, 225, 205])
 COLUMNS, ROWS = 24, 12

@@ -8,7 +8,7 @@ from scipy.special import lpmv
 from sphere_truths import SHARED, random_rotation
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.harmonics import real_harmonics
+from omtwarp.geometry.harmonics import real_harmonics
 from omtwarp.mesh.shapes import blob, icosphere, random_sphere
 from omtwarp.shape_analysis.expansion import Expansion, expand, read_coef, write_coef
 

@@ -12,9 +12,9 @@ from two_materials import BLUE, RED, two_halves
 
 from omtwarp import map_surface, shapes
 from omtwarp.mesh.write import write_mesh
-from omtwarp.painting import paint, transfer_texture, unwrap_uv
-from omtwarp.texturing import read_painted_mesh, texture
+from omtwarp.texturing import paint, read_painted_mesh, texture, unwrap_uv
 from omtwarp.texturing.atlas import ATLASES
+from omtwarp.transfer import transfer_texture
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "reporting"))
 from browser import PROGRAM, Browser

@@ -16,10 +16,10 @@ from texture_truths import jumps_across_edges
 import omtwarp
 from omtwarp.geometry.intrinsic import delaunay_edges
 from omtwarp.geometry.operators import corner_cotangents
-from omtwarp.maps.torus_pictures import ring_torus as on_ring_torus
-from omtwarp.maps.torus_pictures import torus_pattern
+from omtwarp.maps.torus_map import ring_torus as on_ring_torus
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
+from omtwarp.texturing.torus import torus_pattern
 from omtwarp.torus.harmonic import FlatTorus, conformal_torus, quantised
 from omtwarp.torus.mapping import map_to_torus
 from omtwarp.torus.optimality import torus_optimality
@@ -103,7 +103,7 @@ def test_map_is_one_to_one_keeps_areas_and_closes_up(surface, tmp_path):
     result.save(tmp_path / "torus.npz")
     again = omtwarp.TorusMap.load(tmp_path / "torus.npz")
     assert np.array_equal(again.corners, result.corners) and np.array_equal(again.lattice, result.lattice)
-    textured = result.textured(pattern="checker", size=64)
+    textured = omtwarp.texture(result, pattern="checker", size=64)
     assert np.array_equal(textured.vertices[: len(surface.vertices)], surface.vertices)
     assert np.array_equal(textured.welded[textured.faces], surface.faces)
     # Up to whole pictures, the copies of a vertex have one place in the picture.
@@ -111,7 +111,7 @@ def test_map_is_one_to_one_keeps_areas_and_closes_up(surface, tmp_path):
     assert np.allclose(textured.trimesh().area, own.sum())
     u, v = np.meshgrid(2.0 * np.pi * (np.arange(64) + 0.5) / 64, 2.0 * np.pi * (np.arange(64) + 0.5) / 64)
     picture = np.rint(127.5 + 120.0 * np.stack([np.sin(u), np.cos(v), np.sin(u + v)], axis=-1)).astype(np.uint8)
-    _, jumps = jumps_across_edges(result.textured(picture))
+    _, jumps = jumps_across_edges(omtwarp.texture(result, picture))
     assert len(jumps) == 3 * surface.face_count // 2 and jumps.max() < 1e-9
 
 

@@ -19,8 +19,14 @@ from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.surface import plane_areas, triangle_areas, vertex_normals
 from omtwarp.options import AtlasLike, CoordinatesLike, KeepLike, PatternLike, ProjectionLike
-from omtwarp.painting import bakes
-from omtwarp.painting.sheets import (
+from omtwarp.texturing import bakes
+from omtwarp.texturing.baking import Layout, Picture, bake_to_uv
+from omtwarp.texturing.image import PictureLike, as_bytes, as_floats, read_image
+from omtwarp.texturing.materials import WHITE, Bytes, Floats, Ints, Material, corner_tangents
+from omtwarp.texturing.painted import PaintedMesh
+from omtwarp.texturing.patterns import Pattern
+from omtwarp.texturing.projection import rotation_matrix
+from omtwarp.texturing.sheets import (
     PADDING,
     SIZE,
     Look,
@@ -36,12 +42,6 @@ from omtwarp.painting.sheets import (
     torus_picture,
     torus_sheet,
 )
-from omtwarp.texturing.baking import Layout, Picture, bake_to_uv
-from omtwarp.texturing.image import PictureLike, as_bytes, as_floats, read_image
-from omtwarp.texturing.materials import WHITE, Bytes, Floats, Ints, Material, corner_tangents
-from omtwarp.texturing.painted import PaintedMesh
-from omtwarp.texturing.patterns import Pattern
-from omtwarp.texturing.projection import rotation_matrix
 from omtwarp.texturing.smooth import SmoothMap, grid_points, grid_triangles, smooth_map
 from omtwarp.texturing.textured import SphereMap, as_map, spheres_of
 

@@ -46,7 +46,7 @@ def real_harmonics(points: ArrayLike, degree: int) -> Floats:
         OmtwarpError: points of another shape, or another degree.
 
     Example:
-        >>> from omtwarp.harmonics import real_harmonics
+        >>> from omtwarp.geometry.harmonics import real_harmonics
         >>> (real_harmonics([[0.0, 0.0, 1.0]], 1) ** 2 * 4 * 3.141592653589793).round(12).tolist()
         [[1.0, 0.0, 3.0, 0.0]]
     """

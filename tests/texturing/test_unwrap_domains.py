@@ -8,8 +8,8 @@ import omtwarp
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import plane_areas, triangle_areas
-from omtwarp.painting.sheets import covered, overlap
-from omtwarp.painting.unwrap import MARGIN, laid_out, on_shelves, unwrap_uv
+from omtwarp.texturing.sheets import covered, overlap
+from omtwarp.texturing.unwrap import MARGIN, laid_out, on_shelves, unwrap_uv
 
 
 @pytest.fixture(scope="module")

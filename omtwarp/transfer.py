@@ -13,8 +13,6 @@ from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.maps.result import MapResult
 from omtwarp.options import AtlasLike
-from omtwarp.painting.painter import SIZE
-from omtwarp.painting.sheets import PADDING, bake_materials
 from omtwarp.resampling import SpherePoints, as_points
 from omtwarp.spheres import mesh_grid
 from omtwarp.texturing.atlas import Atlas, make_atlas
@@ -22,7 +20,9 @@ from omtwarp.texturing.baking import bake_to_uv, own_at_parts, picture_source, s
 from omtwarp.texturing.image import as_bytes
 from omtwarp.texturing.materials import Floats, Material
 from omtwarp.texturing.painted import PaintedMesh
+from omtwarp.texturing.painter import SIZE
 from omtwarp.texturing.seams import unwrap
+from omtwarp.texturing.sheets import PADDING, bake_materials
 from omtwarp.texturing.textured import SphereMap, as_map
 
 Map = SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike]

@@ -10,12 +10,11 @@ import trimesh
 import omtwarp
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.mesh.surface import triangle_areas, vertex_normals
-from omtwarp.painting import paint, unwrap_uv
-from omtwarp.painting.bakes import area_ratio, mean_curvature
-from omtwarp.painting.sheets import over, tiled_copies
-from omtwarp.texturing import Material, PaintedMesh, read_painted_mesh
+from omtwarp.texturing import Material, PaintedMesh, paint, read_painted_mesh, unwrap_uv
+from omtwarp.texturing.bakes import area_ratio, mean_curvature
 from omtwarp.texturing.materials import corner_tangents
 from omtwarp.texturing.patterns.checker import Checker
+from omtwarp.texturing.sheets import over, tiled_copies
 from omtwarp.texturing.textured import texture
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "materials"))
@@ -220,7 +219,7 @@ def test_scalars_are_coloured_and_data_of_files_baked(tmp_path):
     mesh = unwrap_uv((vertices, faces, sphere))
     np.save(tmp_path / "height.npy", vertices[:, 2])
     made = paint((vertices, faces, sphere), mesh, bake=[tmp_path / "height.npy"], size=256)
-    from omtwarp.render.colors import colormap_table
+    from omtwarp.colors import colormap_table
 
     weights, _ = places(made)
     height = np.einsum("fk,fk->f", weights, vertices[faces][..., 2])
@@ -316,7 +315,7 @@ def test_unwrapped_triangles_lie_apart_on_the_picture(seed, faces):
 def apart(mesh, result, aspect):
     """Assert what the test above promises of coordinates, on a picture of this aspect."""
     from omtwarp.device.start import wp
-    from omtwarp.painting.sheets import covered, overlap
+    from omtwarp.texturing.sheets import covered, overlap
 
     assert np.array_equal(mesh.faces, result.faces) and np.array_equal(mesh.vertices, result.vertices)
     assert mesh.uv.min() > 0 and mesh.uv.max() < 1

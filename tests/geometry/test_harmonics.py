@@ -6,7 +6,7 @@ from scipy.special import roots_legendre, sph_harm_y
 from sphere_truths import random_rotation
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.harmonics import degree_of, degrees, power_per_degree, real_harmonics
+from omtwarp.geometry.harmonics import degree_of, degrees, power_per_degree, real_harmonics
 
 
 def directions(count: int, seed: int = 0) -> np.ndarray:

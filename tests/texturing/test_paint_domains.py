@@ -5,12 +5,11 @@ import pytest
 import trimesh
 
 import omtwarp
+from omtwarp.colors import colormap_table
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import plane_areas
-from omtwarp.painting import paint, unwrap_uv
-from omtwarp.painting.bakes import area_ratio
-from omtwarp.render.colors import colormap_table
-from omtwarp.texturing import Material, read_painted_mesh
+from omtwarp.texturing import Material, paint, read_painted_mesh, unwrap_uv
+from omtwarp.texturing.bakes import area_ratio
 from omtwarp.texturing.patterns.checker import Checker
 
 
@@ -95,7 +94,7 @@ def test_checker_on_a_torus_is_that_of_its_texture(ring, uv):
     mesh = unwrap_uv(ring) if uv == "own" else None
     made = paint(ring, mesh, pattern="checker", uv=uv, size=1024, device="cpu")
     _, found = looked_up(made)
-    shown = ring.textured(pattern="checker")
+    shown = omtwarp.texture(ring, pattern="checker")
     face, share = draw(made)
     at = np.einsum("fk,fkj->fj", share, ring.corners[face]) % 1.0
     high, wide = shown.image.shape[:2]

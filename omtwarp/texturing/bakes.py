@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.colors import colormap_table
 from omtwarp.device.start import wp
 from omtwarp.device.threads import launch_parts
 from omtwarp.errors import OmtwarpError
@@ -16,11 +17,10 @@ from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.data import read_data
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.surface import plane_areas, triangle_areas, vertex_normals
-from omtwarp.painting import kernels
-from omtwarp.painting.sheets import PADDING, bake_corners, covered
-from omtwarp.render.colors import colormap_table
+from omtwarp.texturing import bake_kernels as kernels
 from omtwarp.texturing.materials import Bytes, Floats, Ints
 from omtwarp.texturing.openness import open_shares
+from omtwarp.texturing.sheets import PADDING, bake_corners, covered
 
 BAKES = ("normal", "ao", "curvature", "area")
 RAYS = 64  # from a texel: shades of ambient occlusion in steps of 1/64, with noise of 1/16 at most
@@ -164,7 +164,7 @@ class Scalar:
     Attributes:
         name: of the quantity.
         values: shape [V].
-        colormap: as :mod:`omtwarp.render.colors` calls it.
+        colormap: as :mod:`omtwarp.colors` calls it.
         low, high: values at the ends of the colour map.
     """
 

@@ -7,22 +7,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from omtwarp.colors import to_linear, to_srgb
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh.arrays import ROUND_OFF, TINY
 from omtwarp.mesh.surface import triangle_areas, vertex_normals
 from omtwarp.options import AtlasLike, PatternLike, ProjectionLike
-from omtwarp.painting import kernels
-from omtwarp.painting.unwrap import on_shelves
-from omtwarp.srgb import to_linear, to_srgb
+from omtwarp.texturing import bake_kernels as kernels
 from omtwarp.texturing.atlas import check_size, make_atlas
 from omtwarp.texturing.baking import SAMPLES_AT_ONCE, Layout, Picture, VertexValues, bake_to_uv
 from omtwarp.texturing.image import PictureLike, as_floats
 from omtwarp.texturing.kernels import average_samples
 from omtwarp.texturing.materials import Bytes, Floats, Ints, Material
 from omtwarp.texturing.patterns import Pattern, is_name
-from omtwarp.texturing.textured import TexturedSurface, texture
+from omtwarp.texturing.textured import TexturedSurface, texture, texture_torus
+from omtwarp.texturing.unwrap import on_shelves
 
 PADDING = 16
 """Texels by which charts are continued beyond their borders: bilinear samples see them at the fifth mip level yet."""
@@ -376,7 +376,7 @@ def torus_picture(result: TorusMap, look: Look) -> Bytes:
     image, pattern = (None, None) if look.source is None else look.given
     if isinstance(pattern, Pattern):
         raise OmtwarpError("a Pattern is for the sphere: a torus takes circles, checker or a picture that repeats")
-    return result.textured(image, pattern=pattern, size=look.size).image
+    return texture_torus(result, image, pattern, look.size).image
 
 
 def combinations(points: Floats, corners: Floats) -> Floats:

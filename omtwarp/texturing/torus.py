@@ -1,16 +1,12 @@
-"""Pictures that close up both ways on a flat torus, and meshes that are textured with them."""
+"""Patterns that close up both ways on a flat torus."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.texturing.atlas import check_size, is_power_of_two
-from omtwarp.texturing.export import split_corners
-from omtwarp.texturing.textured import TexturedSurface
 
 Floats = NDArray[np.float64]
 
@@ -90,69 +86,3 @@ def _circles(lattice: Floats, u: Floats, v: Floats) -> Floats:
             x, y = du * lattice[0, 0] + dv * lattice[1, 0], du * lattice[0, 1] + dv * lattice[1, 1]
             np.minimum(nearest, np.hypot(x, y), out=nearest)
     return np.clip(0.5 + (radius - nearest) / texel, 0.0, 1.0)
-
-
-def textured_torus(
-    vertices: Floats,
-    faces: NDArray[np.int32],
-    normals: Floats,
-    coordinates: Floats,
-    wraps: NDArray[np.int64],
-    image: NDArray[np.uint8],
-    source_image: Path | None = None,
-) -> TexturedSurface:
-    """Cut a surface where the texture coordinates of its map to a torus jump.
-
-    Args:
-        vertices, faces, normals: of the surface, shapes [V, 3], [F, 3] and [V, 3].
-        coordinates, wraps: its map, see :class:`omtwarp.TorusMap`.
-        image: a picture that repeats both ways.
-        source_image: where it is from.
-    """
-    whole = wraps - np.floor((coordinates[faces] + wraps).min(axis=1, keepdims=True))
-    rows, welded, uv = split_corners(faces, coordinates[faces] + whole, len(vertices))
-    return TexturedSurface(
-        vertices=vertices[welded],
-        faces=rows,
-        uv=uv,
-        normals=normals[welded],
-        image=image,
-        welded=welded,
-        source_vertex=welded,
-        source_face=np.arange(len(faces), dtype=np.int32),
-        original_vertices=vertices,
-        original_faces=faces,
-        wraps=True,
-        wraps_rows=True,
-        source_image=source_image,
-    )
-
-
-def tube_radius(lattice: Floats) -> float:
-    """Return the radius of the tube of a lattice's ring torus; that of the ring is 1."""
-    most_tube = 0.8  # radius of the tube over the ring's: a fatter one hides its inside
-    along = np.linalg.norm(lattice, axis=1)
-    return min(float(along.min() / along.max()), most_tube)
-
-
-def ring_torus(coordinates: Floats, lattice: Floats) -> Floats:
-    """Map points of a flat torus to a ring torus with areas in proportion, shape [N, 3].
-
-    The first coordinate goes around the tube and the second around the ring. The radii are in the proportion of the
-    lattice's vectors, the tube at most 0.8 of the ring; along the tube the angle t grows such that t + (r/R) sin t, to
-    which the area from the outside on is proportional, grows evenly.
-
-    Args:
-        coordinates: in multiples of the lattice's vectors, shape [N, 2].
-        lattice: the vectors, as rows, shape [2, 2].
-    """
-    along = np.linalg.norm(lattice, axis=1)
-    share = tube_radius(lattice)
-    tube, ring = (coordinates.T if along[0] <= along[1] else coordinates.T[::-1]) * (2.0 * np.pi)
-    angle = tube.copy()
-    # Kepler steps, of Newton's method, at most: from the mean anomaly, seven reach round-off with MOST_TUBE
-    for _ in range(40):  # Newton's method on Kepler's equation; convex enough for every share below 1
-        angle -= (angle + share * np.sin(angle) - tube) / (1.0 + share * np.cos(angle))
-    reach = 1.0 + share * np.cos(angle)
-    turned = -1.0 if along[0] <= along[1] else 1.0  # keeps triangles counter-clockwise from outside
-    return np.stack([reach * np.cos(ring), reach * np.sin(ring), turned * share * np.sin(angle)], axis=1)

@@ -5,9 +5,9 @@ import pytest
 import trimesh
 
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
-from omtwarp.painting import paint, transfer_texture, unwrap_uv
-from omtwarp.texturing import PaintedMesh
+from omtwarp.texturing import PaintedMesh, paint, unwrap_uv
 from omtwarp.texturing.patterns.checker import Checker
+from omtwarp.transfer import transfer_texture
 
 AXES = np.array([1.0, 0.7, 1.3])
 
