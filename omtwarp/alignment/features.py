@@ -63,15 +63,23 @@ def own_features(points: SpherePoints) -> dict[str, Floats]:
 def checked_features(given: Mapping[str, ArrayLike], points: SpherePoints, whose: str) -> dict[str, Floats]:
     """Return the features as float64 arrays of one number per vertex, 0 in what fills holes.
 
+    Where a feature has no number, NaN, it has its mean over the sphere, which counts for nothing.
+
     Raises:
-        OmtwarpError: a feature has another length, or numbers that are not finite.
+        OmtwarpError: a feature has another length, infinite numbers, or none at all.
     """
     count = points.grid.own_points
     filling = np.zeros(len(points.grid.points) - count)
     out = {}
     for name, values in given.items():
-        array = points.at_own_points(np.asarray(values))
-        array = real_numbers(array, f"feature '{name}' of {whose}", (count,))
+        own = points.at_own_points(np.asarray(values))
+        array: Floats = real_numbers(own, f"feature '{name}' of {whose}", (count,), finite=False)
+        without = np.isnan(array)
+        if np.isinf(array).any() or without.all():
+            raise OmtwarpError(f"feature '{name}' of {whose} has infinite numbers, or none at all")
+        if without.any():
+            weights = sphere_weights(points)[:count] * ~without
+            array = np.where(without, weights @ np.where(without, 0.0, array) / weights.sum(), array)
         out[name] = np.concatenate([in_range(array), filling])
     return out
 

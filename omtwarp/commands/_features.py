@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -38,23 +39,31 @@ ToFeatureOption = Annotated[
 ]
 
 
-def read_features(ours: list[Path], theirs: list[Path]) -> tuple[dict[str, NDArray], dict[str, NDArray]]:
+def read_features(
+    ours: list[Path], theirs: list[Path], here: Iterable[Path | None], there: Iterable[Path | None]
+) -> tuple[dict[str, NDArray], dict[str, NDArray]]:
     """Read the data of both sides; return their columns by name, with the same names in the same order.
+
+    Args:
+        ours, theirs: files of data.
+        here, there: the spheres and surfaces that they belong to, which may say what part of the brain that is.
 
     Raises:
         OmtwarpError: a file cannot be read, or the two sides have different numbers of files or columns.
     """
     from omtwarp.mesh.data import read_data
+    from omtwarp.mesh.neuro import structure_of
 
     if len(ours) != len(theirs):
         raise OmtwarpError(f"{len(ours)} features here and {len(theirs)} there: give as many --to-feature as --feature")
     mine: dict[str, NDArray] = {}
     others: dict[str, NDArray] = {}
-    for here, there in zip(ours, theirs, strict=True):
-        one, other = read_data(here).values, read_data(there).values
+    parts = [next(filter(None, map(structure_of, files)), None) if ours else None for files in (here, there)]
+    for file, their_file in zip(ours, theirs, strict=True):
+        one, other = read_data(file, parts[0]).values, read_data(their_file, parts[1]).values
         if one.shape[1] != other.shape[1]:
-            raise OmtwarpError(f"'{here}' and '{there}' hold different numbers of features")
+            raise OmtwarpError(f"'{file}' and '{their_file}' hold different numbers of features")
         for column, its_own in zip(one.T, other.T, strict=True):
-            name = f"{here} ({len(mine) + 1})"
+            name = f"{file} ({len(mine) + 1})"
             mine[name], others[name] = column, its_own
     return mine, others

@@ -79,7 +79,7 @@ def align_map(
         moving = file_points(source, surface)
         fixed = "axes" if to == "axes" else as_points(to) if other is None else file_points(other, to_surface)
         notify(1)
-        mine, others = read_features(feature or [], to_feature or [])
+        mine, others = read_features(feature or [], to_feature or [], (source, surface), (other, to_surface))
         found = align(
             moving,
             fixed,

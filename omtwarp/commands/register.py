@@ -103,7 +103,7 @@ def register_map(
     with progress_bar(printing.quiet, printing.verbose) as progress:
         moving = file_points(source, surface)
         fixed = template(to) if to in HEMISPHERES else file_points(to, to_surface)
-        mine, others = read_features(feature or [], to_feature or [])
+        mine, others = read_features(feature or [], to_feature or [], (source, surface), (other, to_surface))
         weights = None if feature_weight is None else _named_weights(list(mine) or ["sulc", "curv"], feature_weight)
         found = register(
             moving,

@@ -144,7 +144,7 @@ def _read(data: Path, source: Path | None, target: Path | None) -> VertexData:
     from omtwarp.mesh.data import read_data
     from omtwarp.mesh.neuro import require_same_structure, structure_of
 
-    given = read_data(data)
+    given = read_data(data, structure_of(source) or structure_of(target))
     require_same_structure(data, target)
     return replace(given, structure=given.structure or structure_of(source) or structure_of(target))
 

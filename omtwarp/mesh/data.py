@@ -8,7 +8,12 @@
 ``.curv``, ``.sulc``, ``.thickness``, ``.area``,   FreeSurfer's curv format
 ``.volume``
 ``.ply``                                           properties of the vertices besides their position
+``.mgh``, ``.mgz``                                 FreeSurfer's, read only
+``.dscalar.nii``, ``.dtseries.nii``,               CIFTI, read only, of the surface's part of the brain: NaN, or the
+``.dlabel.nii``                                    key 0, at vertices without data, such as the medial wall
 =================================================  ==================================================================
+
+A number may be NaN, where there is none.
 """
 
 from __future__ import annotations
@@ -35,6 +40,9 @@ from omtwarp.mesh.write import ply_bytes
 CURV_SUFFIXES = (".curv", ".sulc", ".thickness", ".area", ".volume")
 TEXT_SUFFIXES = (".csv", ".txt")
 DATA_SUFFIXES = (".npy", *TEXT_SUFFIXES, ".gii", ".annot", *CURV_SUFFIXES, ".ply")
+"""Formats that are written."""
+MGH_SUFFIXES = (".mgh", ".mgz")
+CIFTI_SUFFIXES = (".dscalar.nii", ".dtseries.nii", ".dlabel.nii")
 
 _TOO_EXACT = "single precision does not hold these whole numbers"
 
@@ -70,11 +78,17 @@ class VertexData:
         return replace(self, values=np.asarray(values).reshape(len(values), -1))
 
 
-def read_data(path: Path) -> VertexData:
+def read_data(path: Path, structure: str | None = None) -> VertexData:
     """Read per-vertex data of any format of the module's table.
 
+    Args:
+        path: the file.
+        structure: the part of the brain that the vertices are of, as GIFTI names it, such as ``CortexLeft``; CIFTI
+            files hold several. None where it is not known: the file's name may say it.
+
     Raises:
-        OmtwarpError: a missing or unreadable file, an unknown format, or no data in it.
+        OmtwarpError: a missing or unreadable file, an unknown format, no data in it, or data of several surfaces where
+            it is not known which is meant.
     """
     data = read_bytes(path, LARGEST_MESH_FILE, "data file")
     name = path.name.lower()
@@ -90,11 +104,16 @@ def read_data(path: Path) -> VertexData:
                 found = _read_annot(path)
             elif name.endswith(".ply"):
                 found = _read_ply(data)
+            elif name.endswith(MGH_SUFFIXES):
+                found = _read_mgh(path)
+            elif name.endswith(".nii"):
+                found = _read_cifti(path, structure or structure_of(path))
             elif name.endswith(CURV_SUFFIXES) or data[:3] == b"\xff\xff\xff":
                 values = nibabel_module().freesurfer.read_morph_data(path)
                 found = VertexData(np.asarray(values, np.float64)[:, None], (path.suffix.lstrip("."),))
             else:
-                raise OmtwarpError(f"unknown format of data: use {', '.join(DATA_SUFFIXES)}")
+                known = ", ".join((*DATA_SUFFIXES, *MGH_SUFFIXES, *CIFTI_SUFFIXES))
+                raise OmtwarpError(f"unknown format of data: use {known}")
     except OmtwarpError as error:
         raise OmtwarpError(f"{path}: {error}") from None
     except Exception as error:  # any failure of a parser means that the file is not what its name says
@@ -178,6 +197,60 @@ def _read_gifti(path: Path) -> VertexData:
     structure = meta.get("AnatomicalStructurePrimary")
     kind = np.int64 if labels else np.float64
     return VertexData(np.stack([array.data.astype(kind) for array in arrays], axis=1), names, table, structure, meta)
+
+
+def _read_mgh(path: Path) -> VertexData:
+    values = np.asanyarray(nibabel_module().load(path).dataobj)
+    shape = values.shape[:3]
+    if values.ndim not in (3, 4) or sorted(shape)[1] != 1:
+        raise OmtwarpError(f"a volume of {' x '.join(map(str, shape))}, not data of vertices")
+    columns = values.reshape(max(shape), -1, order="F")
+    return VertexData(columns.astype(np.float64), _numbered(path.name.partition(".mg")[0], columns))
+
+
+def _read_cifti(path: Path, structure: str | None) -> VertexData:
+    """Read the data of one surface, with NaN, or the key 0, at vertices without any.
+
+    Raises:
+        OmtwarpError: the file is no such CIFTI, or it holds several surfaces and none of them is the structure.
+    """
+    nibabel = nibabel_module()
+    image = nibabel.load(path)
+    axes = nibabel.cifti2.cifti2_axes
+    if not isinstance(image, nibabel.Cifti2Image):
+        raise OmtwarpError("a volume, not data of vertices")
+    rows, models = image.header.get_axis(0), image.header.get_axis(1)
+    if not isinstance(models, axes.BrainModelAxis) or isinstance(rows, axes.BrainModelAxis):
+        raise OmtwarpError(f"no CIFTI file of data at vertices: use {', '.join(CIFTI_SUFFIXES)}")
+    parts = {_gifti_name(name): (columns, model) for name, columns, model in models.iter_structures()}
+    surfaces = [name for name in parts if name in map(_gifti_name, models.nvertices)]
+    if structure is None and len(surfaces) == 1:
+        (structure,) = surfaces
+    if structure not in surfaces:
+        which = "the surface does not say which" if structure is None else f"not of {structure}"
+        raise OmtwarpError(
+            f"data of {', '.join(surfaces) or 'no surface'}, and {which}: GIFTI says it inside, other files by names "
+            "with lh. or rh., hemi-L or hemi-R, .L. or .R."
+        )
+    columns, model = parts[structure]
+    values = np.asanyarray(image.dataobj)[:, columns].T
+    (count,) = model.nvertices.values()
+    if not isinstance(rows, axes.LabelAxis):
+        names = rows.name if isinstance(rows, axes.ScalarAxis) else _numbered(path.name.split(".")[0], values)
+        whole: NDArray[np.generic] = np.full((count, values.shape[1]), np.nan)
+        whole[model.vertex] = values
+        return VertexData(whole, tuple(map(str, names)), structure=structure)
+    tables = [{int(key): (str(name), tuple(color)) for key, (name, color) in table.items()} for table in rows.label]
+    if any(table != tables[0] for table in tables):
+        raise OmtwarpError("its maps have different tables of labels: save them in files of their own")
+    whole = np.zeros((count, values.shape[1]), dtype=np.int64)
+    whole[model.vertex] = values
+    return VertexData(whole, tuple(map(str, rows.name)), {0: ("???", (0.0,) * 4)} | tables[0], structure)
+
+
+def _gifti_name(structure: str) -> str:
+    """Return GIFTI's name of a CIFTI structure: CortexLeft for CIFTI_STRUCTURE_CORTEX_LEFT."""
+    return structure.removeprefix("CIFTI_STRUCTURE_").title().replace("_", "")
 
 
 def _read_annot(path: Path) -> VertexData:

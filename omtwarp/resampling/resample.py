@@ -176,14 +176,17 @@ class Resampling:
     def apply(self, values: ArrayLike) -> Floats:
         """Resample numbers at the source points. Target points in filled holes of the source get 0.
 
+        A source point without a number, NaN, as in the medial wall, counts for nothing: a target point has the mean of
+        the others by their weights, or NaN where these are less than half.
+
         Args:
-            values: finite numbers, shape [S] or [S, K].
+            values: finite numbers or NaN, shape [S] or [S, K].
 
         Returns:
             float64, shape [T] or [T, K].
 
         Raises:
-            OmtwarpError: the values have another length, or are not finite.
+            OmtwarpError: the values have another length, or are infinite.
         """
         given = values.astype(np.float64) if _of_truth(values) else values
         array = self.source.at_own_points(real_numbers(given, "the data", None, finite=False))
@@ -192,13 +195,20 @@ class Resampling:
                 f"data of shape {list(array.shape)}: give one number or one row per point, [S] or [S, K]"
             )
         self._require_length(array)
-        if not np.isfinite(array).all():
-            bad = ~np.isfinite(array).reshape(len(array), -1).all(axis=1)
+        without = np.isnan(array)
+        infinite = np.isinf(array).reshape(len(array), -1).any(axis=1)
+        if infinite.any():
             raise OmtwarpError(
-                f"the data are not finite at {int(bad.sum())} of {len(array)} points, first point "
-                f"{int(np.argmax(bad))}; put a number there, or resample a mask beside them"
+                f"the data are infinite at {int(infinite.sum())} of {len(array)} points, first point "
+                f"{int(np.argmax(infinite))}; put a number there, or NaN where there is none"
             )
-        return np.asarray(self.matrix @ array)
+        if not without.any():
+            return np.asarray(self.matrix @ array)
+        known = np.asarray(self.matrix @ (~without).astype(np.float64))
+        sums = np.asarray(self.matrix @ np.where(without, 0.0, array))
+        empty = self.empty.reshape(-1, *[1] * (array.ndim - 1))
+        # A point has a number where its weights in the source, of sum 1, have for the most part.
+        return np.where(known >= 0.5, sums / np.where(known >= 0.5, known, 1.0), np.where(empty, 0.0, np.nan))
 
     def labels(self, keys: ArrayLike) -> NDArray[np.int64]:
         """Resample labels: each target point takes the label with the largest sum of weights.

@@ -163,7 +163,7 @@ class Scalar:
 
     Attributes:
         name: of the quantity.
-        values: shape [V].
+        values: shape [V]; NaN where there is no number, which is grey.
         colormap: as :mod:`omtwarp.colors` calls it.
         low, high: values at the ends of the colour map.
     """
@@ -175,20 +175,23 @@ class Scalar:
     high: float
 
     def __str__(self) -> str:
-        return (
-            f"{self.name} from {self.values.min():.4g} to {self.values.max():.4g}, coloured from {self.low:.4g} to "
-            f"{self.high:.4g}"
-        )
+        least, most = np.nanmin(self.values), np.nanmax(self.values)
+        return f"{self.name} from {least:.4g} to {most:.4g}, coloured from {self.low:.4g} to {self.high:.4g}"
 
     def picture(self, target: Target, faces: Ints) -> Bytes:
         """Return the picture of a target, uint8 sRGB, shape [H, W, 3]."""
-        baked = bake_corners(
-            target.uv, target.spread(self.values, faces), target.size, padding=PADDING, device=target.device
-        )[..., 0]
+        missing = np.isnan(self.values)
+        channels = target.spread(np.column_stack([np.where(missing, 0.0, self.values), missing]), faces)
+        picture = bake_corners(target.uv, channels, target.size, padding=PADDING, device=target.device)
+        sums, without = picture[..., 0], picture[..., 1]
+        baked = np.divide(sums, 1.0 - without, out=np.zeros_like(sums), where=without < 0.5)
         span = self.high - self.low
         part = np.clip((baked - self.low) / span, 0.0, 1.0) if span > 0 else np.full(baked.shape, 0.5)
         table = colormap_table(self.colormap)
-        return table[np.rint(part * (len(table) - 1)).astype(np.int64)]
+        colors = table[np.rint(part * (len(table) - 1)).astype(np.int64)]
+        grey = 128  # where there is no number
+        colors[without >= 0.5] = grey
+        return colors
 
 
 def scalar(
@@ -198,6 +201,7 @@ def scalar(
     on_map: Floats,
     parts: NDArray[np.intp] | None = None,
     origins: Origins | None = None,
+    structure: str | None = None,
 ) -> Scalar:
     """Compute or read numbers at the vertices, by the name of a quantity or of a file.
 
@@ -208,6 +212,7 @@ def scalar(
         on_map: areas of the triangles' images, shape [F].
         parts: the sphere of every triangle where there are several, shape [F].
         origins: what the vertices are in the input, whose data are taken too.
+        structure: the part of the brain that the surface is, as GIFTI names it; None where that is not known.
 
     Raises:
         OmtwarpError: an unknown name, a file that cannot be read, or one with another number of vertices.
@@ -224,17 +229,19 @@ def scalar(
     path = Path(what)
     if not path.suffix:
         raise OmtwarpError(f"cannot bake '{what}': use {', '.join(BAKES)}, or a file of data at the vertices")
-    data = read_data(path)
+    data = read_data(path, structure)
     given = data.values[:, 0]
     if origins is not None and len(given) != len(vertices):
         given = origins.prolong(given)
     if len(given) != len(vertices):
         raise OmtwarpError(f"{path}: {len(given)} values for {len(vertices)} vertices")
     values = given.astype(np.float64)
-    if not np.isfinite(values).all():
-        bad = np.flatnonzero(~np.isfinite(values))
-        raise OmtwarpError(f"{path}: {len(bad)} values are not finite, first vertex {bad[0]}")
-    return Scalar(data.names[0] or path.stem, values, "viridis", float(values.min()), float(values.max()))
+    bad = np.flatnonzero(np.isinf(values))
+    if len(bad):
+        raise OmtwarpError(f"{path}: {len(bad)} values are infinite, first vertex {bad[0]}")
+    if np.isnan(values).all():
+        raise OmtwarpError(f"{path}: no number in it")
+    return Scalar(data.names[0] or path.stem, values, "viridis", float(np.nanmin(values)), float(np.nanmax(values)))
 
 
 def mean_curvature(vertices: Floats, faces: Ints) -> Floats:

@@ -136,10 +136,12 @@ def paint(
         parts, on_map = spheres_of(result), triangle_areas(sphere, faces)
     wanted = _Wanted.of(bake, detail, image is not None or pattern is not None or keep is not None)
     own = None if mesh is None else mesh.on(vertices, faces)
-    origins = result.origins if isinstance(result, StoredMap) else None
+    stored = result if isinstance(result, StoredMap) else None
+    origins, structure = (None, None) if stored is None else (stored.origins, stored.report.get("structure"))
     job = _Job(
-        vertices, faces, sphere, torus, parts, on_map, origins, own, wanted, keep, opacity, resolve_device(device)
-    )
+        vertices, faces, sphere, torus, parts, on_map, origins, structure, own, wanted, keep, opacity,
+        resolve_device(device),
+    )  # fmt: skip
     source = image if image is not None else pattern
     if source is None and (keep is not None or not wanted.names):
         source = "circles"
@@ -190,6 +192,7 @@ class _Job:
         parts: the sphere of every triangle where there are several, shape [F].
         on_map: areas of the triangles' images, shape [F].
         origins: what the surface's vertices are in the input, where they are not its own.
+        structure: the part of the brain that the surface is, where its file said it.
         own: the mesh with the coordinates and materials that it has, or None.
         wanted: the bakes.
         keep, opacity: how the materials are kept.
@@ -203,6 +206,7 @@ class _Job:
     parts: NDArray[np.intp] | None
     on_map: Floats
     origins: Origins | None
+    structure: str | None
     own: PaintedMesh | None
     wanted: _Wanted
     keep: str | None
@@ -318,7 +322,8 @@ class _Job:
         elif wanted.color == "normal":
             found = replace(material, picture=bakes.object_normals(target), color=WHITE)
         elif wanted.color is not None:
-            number = bakes.scalar(wanted.color, self.vertices, self.faces, self.on_map, self.parts, self.origins)
+            where = self.on_map, self.parts, self.origins, self.structure
+            number = bakes.scalar(wanted.color, self.vertices, self.faces, *where)
             found = replace(material, picture=number.picture(target, self.faces), color=WHITE)
         elif self.own is None:
             found = replace(material, color=neutral)

@@ -178,6 +178,18 @@ def test_given_features_are_enough_for_a_sphere():
     assert found.method == "features" and degrees_apart(found.rotation, rotation) < 1e-4
 
 
+def test_a_feature_without_numbers_in_a_part_finds_the_same_turn():
+    """A wall of NaN counts for nothing: the turn is found as with the numbers, and no number is none."""
+    one, rotation = blob_map(), random_rotation(4)
+    other = turned(one, rotation)
+    field = one.grid.points @ [0.3, 1.0, -0.4] + (one.grid.points[:, 0] * one.grid.points[:, 2]) ** 2
+    wall = np.where(one.grid.points @ [0.0, 0.6, 0.8] > 0.85, np.nan, field)
+    found = align(one, other, features={"a": wall}, to_features={"a": wall}, by="features")
+    assert degrees_apart(found.rotation, rotation) < 0.5
+    with pytest.raises(OmtwarpError, match="or none at all"):
+        align(one, other, features={"a": np.full(len(field), np.nan)}, to_features={"a": wall})
+
+
 def test_mirror_image_is_found_where_asked_for():
     blob = blob_map()
     rotation = random_rotation(2)

@@ -252,13 +252,13 @@ def test_structure_of_the_brain_survives_every_command(desk):
     ("words", "message"),
     [
         (["resample", "lh.npz", "--to", "ico3", "--data", "short.npy", "-o", "x.npy"], "the data have 7 where"),
-        (["resample", "lh.npz", "--to", "ico3", "--data", "holes.npy", "-o", "x.npy"], "not finite at 1 of"),
+        (["resample", "lh.npz", "--to", "ico3", "--data", "holes.npy", "-o", "x.npy"], "infinite at 1 of"),
         (["resample", "lh.white.ply", "--to", "ico3", "-o", "x.ply"], "not a sphere about the origin"),
         (["resample", "lh.npz", "--to", "ico99", "-o", "x.ply"], "there is no sphere 'ico99'"),
         (["resample", "lh.npz", "--to", "rh.template.ply", "-o", "x.ply"], "same hemisphere"),
         (["resample", "lh.npz", "--to", "ico3", "--data", "thickness.npy", "-o", "x.label.gii"], "without a table"),
         (["resample", "lh.npz", "--to", "healpix:4", "-o", "x.ply"], "no triangles"),
-        (["resample", "lh.npz", "--to", "ico3", "-o", "-", "--data", "holes.npy"], "not finite at 1 of"),
+        (["resample", "lh.npz", "--to", "ico3", "-o", "-", "--data", "holes.npy"], "infinite at 1 of"),
         (
             ["resample", "lh.npz", "--to", "ico3", "--data", "regions.npy", "--labels", "-o", "x.annot"],
             "table of names",
@@ -309,7 +309,7 @@ def test_structure_of_the_brain_survives_every_command(desk):
 def test_bad_input_is_one_line(desk, capsys, words, message):
     np.save("short.npy", np.ones(7))
     np.save("regions.npy", np.zeros(COUNT, int))
-    np.save("holes.npy", np.where(np.arange(COUNT) == 3, np.nan, 1.0))
+    np.save("holes.npy", np.where(np.arange(COUNT) == 3, np.inf, 1.0))
     write_mesh("rh.template.ply", SPHERE.vertices, SPHERE.faces)
     assert run(*words) == 1
     said = capsys.readouterr().err

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
 from trimesh.exchange.ply import load_ply
 
+from omtwarp.commands._cli import main
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh import shapes
 from omtwarp.mesh.data import VertexData, read_data, write_data
@@ -193,6 +195,118 @@ def test_what_a_format_cannot_hold_is_one_line(tmp_path):
         with pytest.raises(OmtwarpError, match=words):
             read_data(tmp_path / name)
     assert not (tmp_path / "a.label.gii").exists()
+
+
+@pytest.mark.parametrize("suffix", [".mgh", ".mgz"])
+@pytest.mark.parametrize("columns", [1, 3])
+def test_data_of_freesurfers_volumes_are_read(tmp_path, suffix, columns):
+    nibabel = pytest.importorskip("nibabel")
+    values = np.random.default_rng(3).normal(size=(COUNT, columns)).astype(np.float32)
+    values[5] = np.nan
+    shape = (COUNT, 1, 1) if columns == 1 else (COUNT, 1, 1, columns)
+    nibabel.save(nibabel.freesurfer.MGHImage(values.reshape(shape), np.eye(4)), tmp_path / f"lh.thickness{suffix}")
+    data = read_data(tmp_path / f"lh.thickness{suffix}")
+    np.testing.assert_array_equal(data.values, values)
+    assert data.structure == "CortexLeft" and len(data.names) == columns and data.names[0].startswith("lh.thickness")
+    volume = np.zeros((4, 5, 6), dtype=np.float32)
+    nibabel.save(nibabel.freesurfer.MGHImage(volume, np.eye(4)), tmp_path / f"orig{suffix}")
+    with pytest.raises(OmtwarpError, match="a volume of 4 x 5 x 6, not data of vertices"):
+        read_data(tmp_path / f"orig{suffix}")
+
+
+LEFT = np.delete(np.arange(COUNT), [3, 40, 41])  # without a medial wall
+RIGHT = np.arange(10, COUNT)
+
+
+def cifti(rows, parts=("left", "right", "volume")):
+    """Make a CIFTI file of a row's kind with data 1, 2, ... in the order of its columns; return the values too."""
+    nibabel = pytest.importorskip("nibabel")
+    axes = nibabel.cifti2.cifti2_axes
+    cortex = axes.BrainModelAxis.from_surface
+    models = {
+        "left": cortex(LEFT, COUNT, "CIFTI_STRUCTURE_CORTEX_LEFT"),
+        "right": cortex(RIGHT, COUNT, "CIFTI_STRUCTURE_CORTEX_RIGHT"),
+        "volume": axes.BrainModelAxis.from_mask(np.ones((2, 2, 2)), "CIFTI_STRUCTURE_THALAMUS_LEFT", np.eye(4)),
+    }
+    columns = models[parts[0]]
+    for part in parts[1:]:
+        columns = columns + models[part]
+    values = np.arange(1.0, 1.0 + len(rows) * len(columns)).reshape(len(rows), -1)
+    return nibabel.Cifti2Image(values, (rows, columns)), values
+
+
+def test_cifti_data_are_those_of_the_surface_that_is_named(tmp_path):
+    nibabel = pytest.importorskip("nibabel")
+    axes = nibabel.cifti2.cifti2_axes
+    image, values = cifti(axes.ScalarAxis(["sulc", "curv"]))
+    nibabel.save(image, tmp_path / "S1.dscalar.nii")
+    for structure, vertices, first in (("CortexLeft", LEFT, 0), ("CortexRight", RIGHT, len(LEFT))):
+        data = read_data(tmp_path / "S1.dscalar.nii", structure)
+        np.testing.assert_array_equal(data.values[vertices], values[:, first : first + len(vertices)].T)
+        assert np.isnan(np.delete(data.values, vertices, axis=0)).all() and len(data.values) == COUNT
+        assert data.names == ("sulc", "curv") and data.structure == structure
+    with pytest.raises(OmtwarpError, match="data of CortexLeft, CortexRight, and the surface does not say which"):
+        read_data(tmp_path / "S1.dscalar.nii")
+    with pytest.raises(OmtwarpError, match="not of Cerebellum"):
+        read_data(tmp_path / "S1.dscalar.nii", "Cerebellum")
+    image, values = cifti(axes.SeriesAxis(0.0, 0.7, 4), ("right",))
+    nibabel.save(image, tmp_path / "rest.dtseries.nii")
+    data = read_data(tmp_path / "rest.dtseries.nii")  # one surface: no question
+    np.testing.assert_array_equal(data.values[RIGHT], values.T)
+    assert data.structure == "CortexRight" and data.names == tuple(f"rest {k}" for k in (1, 2, 3, 4))
+
+
+def test_cifti_labels_have_their_table(tmp_path):
+    nibabel = pytest.importorskip("nibabel")
+    axes = nibabel.cifti2.cifti2_axes
+    table = {3: ("gyrus", (1.0, 0.0, 0.2, 1.0)), 7: ("sulcus", (0.0, 0.4, 1.0, 1.0))}
+    image, _ = cifti(axes.LabelAxis(["regions"], table), ("left",))
+    keys = np.random.default_rng(0).choice([3, 7], size=(1, len(LEFT)))
+    nibabel.save(nibabel.Cifti2Image(keys.astype(float), image.header), tmp_path / "parcels.dlabel.nii")
+    data = read_data(tmp_path / "parcels.dlabel.nii")
+    assert data.is_labels and data.values.dtype == np.int64 and data.table[7][0] == "sulcus"
+    np.testing.assert_array_equal(data.values[LEFT], keys.T)
+    assert (np.delete(data.values, LEFT, axis=0) == 0).all() and data.table[0][0] == "???"
+    write_data(tmp_path / "parcels.label.gii", data)
+    np.testing.assert_array_equal(read_data(tmp_path / "parcels.label.gii").values, data.values)
+
+
+def test_other_files_of_nifti_are_one_line(tmp_path):
+    nibabel = pytest.importorskip("nibabel")
+    axes = nibabel.cifti2.cifti2_axes
+    nibabel.save(nibabel.Nifti1Image(np.zeros((3, 4, 5)), np.eye(4)), tmp_path / "T1.nii")
+    with pytest.raises(OmtwarpError, match="a volume, not data of vertices"):
+        read_data(tmp_path / "T1.nii")
+    image, _ = cifti(axes.ScalarAxis(["a"]), ("volume",))
+    nibabel.save(image, tmp_path / "v.dscalar.nii")
+    with pytest.raises(OmtwarpError, match="data of no surface"):
+        read_data(tmp_path / "v.dscalar.nii")
+    parcels = axes.ParcelsAxis(["one"], [np.zeros((0, 3), int)], [{"CIFTI_STRUCTURE_CORTEX_LEFT": LEFT}])
+    parcels.nvertices = {"CIFTI_STRUCTURE_CORTEX_LEFT": COUNT}
+    nibabel.save(nibabel.Cifti2Image(np.ones((1, 1)), (axes.ScalarAxis(["a"]), parcels)), tmp_path / "p.pscalar.nii")
+    with pytest.raises(OmtwarpError, match="no CIFTI file of data at vertices"):
+        read_data(tmp_path / "p.pscalar.nii")
+
+
+def test_commands_take_the_hemisphere_of_the_surface(tmp_path, monkeypatch, capsys):
+    """With the map of a left surface the left part is resampled; the medial wall stays one."""
+    nibabel = pytest.importorskip("nibabel")
+    monkeypatch.chdir(tmp_path)
+    image, _ = cifti(nibabel.cifti2.cifti2_axes.ScalarAxis(["sulc"]))
+    nibabel.save(image, "S1.dscalar.nii")
+    write_mesh("lh.sphere", SPHERE.vertices, SPHERE.faces)
+    write_mesh("sphere.ply", SPHERE.vertices, SPHERE.faces)
+    line = ["--to", "ico3", "--data", "S1.dscalar.nii", "-o"]
+    with pytest.raises(SystemExit) as ended:
+        main(["resample", "lh.sphere", *line, "lh.shape.gii"])
+    assert not ended.value.code
+    found = read_data(Path("lh.shape.gii"))
+    finite = found.values[np.isfinite(found.values)]
+    assert found.structure == "CortexLeft" and 0 < len(finite) and finite.max() <= len(LEFT)
+    with pytest.raises(SystemExit) as ended:
+        main(["resample", "sphere.ply", *line, "other.shape.gii"])
+    said = capsys.readouterr().err
+    assert ended.value.code == 1 and said.count("\n") == 1 and "does not say which" in said
 
 
 def test_other_hemisphere_is_told(tmp_path):

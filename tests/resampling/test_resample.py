@@ -166,12 +166,28 @@ def test_same_bits_twice(method, device):
     np.testing.assert_array_equal(one.indices, other.indices)
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_points_without_a_number_are_carried_and_not_spread(method):
+    """A wall of NaN stays as large as it is, to half of its edges, and numbers beside it are unharmed."""
+    found = resample("ico5", irregular(7), method=method, device="cpu")
+    source, target = (end.grid.points for end in (found.source, found.target))
+    values = np.stack([np.where(source[:, 2] > 0.6, np.nan, 3.0), source[:, 0], np.full(len(source), np.nan)], axis=1)
+    carried = found.apply(values)
+    wall = np.isnan(carried[:, 0])
+    edge = 0.2  # of ico5 and of the target, together
+    assert wall[target[:, 2] > 0.6 + edge].all() and not wall[target[:, 2] < 0.6 - edge].any()
+    assert abs(wall.sum() - (target[:, 2] > 0.6).sum()) < 0.1 * wall.sum()
+    np.testing.assert_allclose(carried[~wall, 0], 3.0, rtol=1e-12)
+    np.testing.assert_allclose(carried[:, 1], found.apply(values[:, 1]), rtol=1e-12, atol=1e-15)
+    assert np.isnan(carried[:, 2]).all()
+
+
 def test_data_that_do_not_fit_are_refused():
     found = resample("ico2", "ico3", device="cpu")
     with pytest.raises(OmtwarpError, match="161 where ico2 has 162"):
         found.apply(np.ones(161))
-    with pytest.raises(OmtwarpError, match="not finite at 1 of 162 points, first point 5"):
-        found.apply(np.where(np.arange(162) == 5, np.nan, 1.0))
+    with pytest.raises(OmtwarpError, match="infinite at 1 of 162 points, first point 5"):
+        found.apply(np.where(np.arange(162) == 5, np.inf, 1.0))
     with pytest.raises(OmtwarpError, match="whole numbers"):
         found.labels(np.full(162, 0.5))
     with pytest.raises(OmtwarpError, match="unknown interpolation 'cubic'"):

@@ -230,6 +230,28 @@ def test_scalars_are_coloured_and_data_of_files_baked(tmp_path):
         paint((vertices, faces, sphere), mesh, bake=[tmp_path / "short.npy"], size=64)
 
 
+def test_vertices_without_a_number_are_grey(tmp_path):
+    """Grey to the middle of the edges around them; colours beside them are those of the numbers."""
+    vertices, faces, sphere = ball()
+    mesh = unwrap_uv((vertices, faces, sphere))
+    without = vertices[:, 2] > 0.3
+    for name, values in (("some", np.where(without, np.nan, vertices[:, 2])), ("none", np.full(len(vertices), np.nan))):
+        np.save(tmp_path / f"{name}.npy", values)
+    made = paint((vertices, faces, sphere), mesh, bake=[tmp_path / "some.npy"], size=256)
+    colors, outside = shown(made), without[faces]
+    assert np.median(np.abs(colors[outside.all(axis=1)] - 128.0)) == 0
+    from omtwarp.colors import colormap_table
+
+    weights, _ = places(made)
+    height = np.einsum("fk,fk->f", weights, vertices[faces][..., 2])
+    whole = ~outside.any(axis=1)
+    low, high = vertices[~without, 2].min(), vertices[~without, 2].max()
+    expected = colormap_table("viridis")[np.rint((height - low) / (high - low) * 255).clip(0, 255).astype(int)]
+    assert np.percentile(np.abs(colors - expected)[whole], 95) < 8
+    with pytest.raises(OmtwarpError, match="no number in it"):
+        paint((vertices, faces, sphere), mesh, bake=[tmp_path / "none.npy"], size=64)
+
+
 def test_occlusion_of_a_ball_and_of_a_well():
     """A convex surface is open; at the bottom of a well, r² / (r² + h²) of the light arrives (radius r, depth h)."""
     vertices, faces, sphere = ball()
