@@ -108,7 +108,7 @@ def facts_of(mesh: Path, repair: bool, target: Path | None, *, verbose: bool) ->
     from omtwarp.mesh.write import write_mesh
 
     with step_times(verbose) as done:
-        given = read_joined_mesh(mesh, together=repair)
+        given = read_joined_mesh(mesh, together=True)
         done("read")
         vertices, faces = given.vertices, given.faces
         defects = before = check(vertices, faces)

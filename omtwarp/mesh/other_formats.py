@@ -16,7 +16,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import scratch
 
 MESHIO_FORMATS = {"msh": "gmsh", "mesh": "medit", "inp": "abaqus"}
-"""Suffixes of formats that are read by meshio, and its names of them."""
+"""Suffixes of formats that are read by meshio, and its names of them; a .msh without gmsh's header is of Ansys."""
 
 _EXPORT = "export a .glb, .obj or .ply from the program that made it, or from Blender"
 _MESH_IT = "a solid of curved faces: mesh it first, in FreeCAD or gmsh, and export an .stl"
@@ -57,7 +57,12 @@ def read_by_meshio(data: bytes, name: str) -> tuple[NDArray[np.generic], NDArray
         import meshio
     except ImportError:
         raise OmtwarpError("needs meshio: pip install 'omtwarp[meshio]'") from None
-    readers = {"gmsh": meshio.gmsh.read, "medit": meshio.medit.read, "abaqus": meshio.abaqus.read}
+    readers = {
+        "gmsh": meshio.gmsh.read,
+        "ansys": meshio.ansys.read,
+        "medit": meshio.medit.read,
+        "abaqus": meshio.abaqus.read,
+    }
     with scratch() as folder, contextlib.redirect_stderr(io.StringIO()):  # to which meshio prints its warnings
         (folder / "mesh").write_bytes(data)
         mesh = readers[name](folder / "mesh")

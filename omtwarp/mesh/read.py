@@ -315,9 +315,10 @@ def _read_plates(data: bytes, file: Path) -> _Read:
 
 
 def _read_by_meshio(data: bytes, file: Path) -> _Read:
-    points, corners, sizes = read_by_meshio(
-        data, MESHIO_FORMATS[file.name.lower().removesuffix(".gz").rpartition(".")[2]]
-    )
+    name = MESHIO_FORMATS[file.name.lower().removesuffix(".gz").rpartition(".")[2]]
+    if name == "gmsh" and b"$MeshFormat" not in data:
+        name = "ansys"  # whose files have the same suffix
+    points, corners, sizes = read_by_meshio(data, name)
     return points, *fans(corners, sizes)
 
 
@@ -360,7 +361,7 @@ def _single_geometry(scene: trimesh.Scene, together: bool) -> tuple[NDArray[np.f
         names = ", ".join(name for name, *_ in meshes[:4]) + (", ..." if len(meshes) > 4 else "")
         raise OmtwarpError(
             f"{len(meshes)} geometries in one scene ({names}), first '{meshes[0][0]}'; save the one to be mapped by "
-            "itself, or take the largest with --repair"
+            "itself, take the largest with --repair, or map all with --components or --together"
         )
     vertices, faces, start = [], [], 0
     for _, _, points, triangles in meshes:

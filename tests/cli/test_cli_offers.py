@@ -8,6 +8,7 @@ import re
 
 import numpy as np
 import pytest
+import trimesh
 
 from omtwarp.commands._cli import main
 from omtwarp.mesh.shapes import icosphere
@@ -92,15 +93,35 @@ def offered(text: str) -> list[list[str]]:
     return [[name, *more] for name in head.split(", ")]
 
 
+def offers_of(file: str, capsys) -> list[str]:
+    """Return what check offers for a file, after map has taken every one of it."""
+    with pytest.raises(SystemExit):
+        main(["check", file, "--json"])
+    options = json.loads(capsys.readouterr().out)["options"]
+    for words in itertools.chain.from_iterable(map(offered, options)):
+        with pytest.raises(SystemExit) as ended:
+            main(["map", file, "-o", "map.npz", "--device", "cpu", "-q", *words])
+        assert not ended.value.code, (words, capsys.readouterr().err)
+    return options
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_map_takes_what_check_offers(tmp_path, capsys, monkeypatch, kind):
     monkeypatch.chdir(tmp_path)
     write_mesh("mesh.ply", *KINDS[kind])
-    with pytest.raises(SystemExit):
-        main(["check", "mesh.ply", "--json"])
-    options = json.loads(capsys.readouterr().out)["options"]
-    assert bool(options) == ("Mobius" not in kind), options
-    for words in itertools.chain.from_iterable(map(offered, options)):
-        with pytest.raises(SystemExit) as ended:
-            main(["map", "mesh.ply", "-o", "map.npz", "--device", "cpu", "-q", *words])
-        assert not ended.value.code, (words, capsys.readouterr().err)
+    assert bool(offers_of("mesh.ply", capsys)) == ("Mobius" not in kind)
+
+
+@pytest.mark.parametrize("suffix", ["glb", "obj", "stl"])
+def test_several_meshes_of_a_file_are_offered_as_parts(tmp_path, capsys, monkeypatch, suffix):
+    """Two objects of an OBJ, meshes of a GLB, and solids of an STL alike."""
+    monkeypatch.chdir(tmp_path)
+    two = trimesh.Scene()
+    for place in (0.0, 5.0):
+        two.add_geometry(trimesh.Trimesh(BALL[0] + [place, 0.0, 0.0], BALL[1], process=False))
+    if suffix == "stl":
+        texts = [trimesh.exchange.stl.export_stl_ascii(one) for one in two.geometry.values()]
+        (tmp_path / "two.stl").write_text("\n".join(texts), "ascii")
+    else:
+        two.export(f"two.{suffix}")
+    assert [line.split(":")[0] for line in offers_of(f"two.{suffix}", capsys)] == ["--components", "--together"]

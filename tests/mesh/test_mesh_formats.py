@@ -245,8 +245,10 @@ def test_formats_that_are_not_read_come_with_a_way_round(tmp_path, suffix):
     assert f"'.{suffix}' is not read: {WAYS_ROUND[suffix]}" in str(caught.value) and "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("suffix", ["msh", "mesh", "inp"])
-def test_formats_of_finite_elements_need_meshio(tmp_path, suffix):
+@pytest.mark.parametrize(
+    ("suffix", "name"), [("msh", "gmsh"), ("msh", "gmsh22"), ("msh", "ansys"), ("mesh", "medit"), ("inp", "abaqus")]
+)
+def test_formats_of_finite_elements_need_meshio(tmp_path, suffix, name):
     path = tmp_path / f"a.{suffix}"
     path.write_bytes(b"content")
     try:
@@ -260,8 +262,7 @@ def test_formats_of_finite_elements_need_meshio(tmp_path, suffix):
     assert "\n" not in str(caught.value)
     lines_of = np.stack([FACES[:, 0], FACES[:, 1]], axis=1)
     cells = [("line", lines_of), ("triangle", FACES)]
-    name = {"msh": "gmsh", "mesh": "medit", "inp": "abaqus"}[suffix]
-    meshio.write(path, meshio.Mesh(POINTS, cells if suffix == "mesh" else cells[1:]), file_format=name)
+    meshio.write(path, meshio.Mesh(POINTS, cells if name == "medit" else cells[1:]), file_format=name)
     mesh = read_mesh(path)
     np.testing.assert_allclose(mesh.vertices, POINTS, rtol=1e-12, atol=1e-15)
     np.testing.assert_array_equal(mesh.faces, FACES)
