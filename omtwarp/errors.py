@@ -46,7 +46,7 @@ def with_options(text: str) -> str:
     >>> with_options("--components (components=True in Python) maps each")
     '--components (components=True in Python) maps each'
     """
-    return ARGUMENT.sub(lambda found: f"--{found[1].replace('_', '-')}{' ' if found[2] else ''}{found[2] or ''}", text)
+    return ARGUMENT.sub(lambda match: f"--{match[1].replace('_', '-')}{' ' if match[2] else ''}{match[2] or ''}", text)
 
 
 def unexpected(error: Exception, hint: str = "") -> str:

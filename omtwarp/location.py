@@ -130,7 +130,7 @@ def find_faces(
     points: wp.array[wp.vec3d],
     faces: wp.array[wp.vec3i],
     # Data out:
-    found: wp.array[wp.int32],
+    holding: wp.array[wp.int32],
     coordinates: wp.array[wp.vec3d],
 ):
     """Compute the triangle in which each point lies deepest (the first among equals), and its coordinates there.
@@ -155,7 +155,7 @@ def find_faces(
                 best = inside
                 best_face = int(f)
                 best_weights = weights / total
-    found[i] = best_face
+    holding[i] = best_face
     coordinates[i] = clamped(best_weights)
 
 
@@ -203,15 +203,15 @@ def find_closest(
     points: wp.array[wp.vec3d],
     faces: wp.array[wp.vec3i],
     # Data in and out:
-    found: wp.array[wp.int32],
+    nearest: wp.array[wp.int32],
     coordinates: wp.array[wp.vec3d],
 ):
     """Compute the flat triangle nearest to each point, and the coordinates of its nearest point.
 
-    The triangle that holds the point (``found`` and ``coordinates`` as inputs) bounds the search.
+    The triangle that holds the point (``nearest`` and ``coordinates`` as inputs) bounds the search.
     """
     i, _compiled_once = wp.tid()
-    best_face = found[i]
+    best_face = nearest[i]
     if best_face < 0:
         return
     p = wp.normalize(queries[i])
@@ -228,7 +228,7 @@ def find_closest(
             least = distance
             best_face = int(f)
             best_weights = weights
-    found[i] = best_face
+    nearest[i] = best_face
     coordinates[i] = best_weights
 
 
@@ -323,18 +323,18 @@ class Locator:
     def _search(self, points: ArrayLike | wp.array, closest: bool) -> Found:
         queries = vectors(points, self.device)
         count = len(queries)
-        found = wp.empty(count, dtype=wp.int32, device=self.device)
+        triangles = wp.empty(count, dtype=wp.int32, device=self.device)
         coordinates = wp.empty(count, dtype=wp.vec3d, device=self.device)
         mesh = [self._boxes.id, self._points, self._faces]
 
         def arguments(part: slice) -> Arguments:
-            return [queries[part], *mesh], [found[part], coordinates[part]]
+            return [queries[part], *mesh], [triangles[part], coordinates[part]]
 
         if count:
             launch_parts(find_faces, count, arguments, self.device)
             if closest:
                 launch_parts(find_closest, count, arguments, self.device)
-        faces = found.numpy()
+        faces = triangles.numpy()
         if count and faces.min() < 0:
             missed = np.flatnonzero(faces < 0)
             raise OmtwarpError(

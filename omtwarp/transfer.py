@@ -85,14 +85,14 @@ def transfer_texture(
         moving, fixed = _points(other), _points(result)
         # Equal faces alone do not make vertices correspond: two subdivided spheres have them.
         same = np.array_equal(moving.grid.triangles, fixed.grid.triangles) and np.allclose(there, vertices)
-        found = align(moving, fixed, by="vertices" if same else "features", mirror=mirror)
-        if found.method == "places":
+        alignment = align(moving, fixed, by="vertices" if same else "features", mirror=mirror)
+        if alignment.method == "places":
             text = (
                 "a surface has no features to align by, as a ball has none: colours keep their directions in space "
                 "(their places on the sphere with aligned=True)"
             )
             warnings.warn(text, OmtwarpWarning, stacklevel=2)
-        points = found.sphere
+        points = alignment.sphere
     layout = make_atlas(atlas, size if size is not None else SIZE)
     picture = _on_sphere(source, sphere, layout, where)
     if onto is not None:

@@ -207,12 +207,12 @@ def align(
             return _by_vertices(points, fixed)
         return _by_features(points, fixed, features, to_features, degree)
 
-    found = aligned(moving)
+    alignment = aligned(moving)
     if mirror:
         image = aligned(mirror_image(moving))
-        if image.score > found.score:
-            found = replace(image, rotation=image.rotation @ MIRROR, mirrored=True)
-    return replace(found, basis=one_surface) if one_surface else found
+        if image.score > alignment.score:
+            alignment = replace(image, rotation=image.rotation @ MIRROR, mirrored=True)
+    return replace(alignment, basis=one_surface) if one_surface else alignment
 
 
 def _check_options(by: str, degree: int) -> None:
@@ -308,12 +308,12 @@ def feature_rotations(
     """
     a = complex_coefficients(feature_coefficients(ours, moving, degree))
     b = complex_coefficients(feature_coefficients(theirs, fixed, degree))
-    found = best_rotations(a, b)[:most]
+    rotations = best_rotations(a, b)[:most]
     if len(ours) > 1:  # all features determine the region; the exact rotation is that of the least noisy ones
         errors = np.hypot(coefficient_errors(ours, moving), coefficient_errors(theirs, fixed))
         weights = errors.min() / np.maximum(errors, np.finfo(float).tiny)
-        found = [improved(a, b, best, weights) for best in found]
-    return found
+        rotations = [improved(a, b, best, weights) for best in rotations]
+    return rotations
 
 
 def _by_places(moving: SpherePoints, fixed: SpherePoints) -> Alignment:

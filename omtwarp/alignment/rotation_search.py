@@ -143,10 +143,10 @@ def best_rotations(a: Complex, b: Complex) -> list[Best]:
     if norm == 0.0:
         return [Best(np.eye(3), 0.0, -1.0, 0)]
     grid = correlation_grid(a, b, size)
-    found = [_climb(a, b, start) for start in _starts(grid, size)]
-    found.sort(key=lambda entry: -entry[1])
+    climbed = [_climb(a, b, start) for start in _starts(grid, size)]
+    climbed.sort(key=lambda entry: -entry[1])
     distinct: list[tuple[Floats, float, int]] = []
-    for entry in found:
+    for entry in climbed:
         if all(_apart(entry[0], other[0]) > DISTINCT for other in distinct):
             distinct.append(entry)
     after = [value / norm for _, value, _ in distinct[1:]] + [-1.0]

@@ -133,15 +133,15 @@ def _from_text(text: str, name: str, folder: Path, delimiter: str = "") -> list[
     return [Item(_safe(fields.pop("id")), mesh, fields) for mesh, fields in found]
 
 
-def _named(found: list[tuple[Path, dict[str, str]]]) -> list[Item]:
+def _named(rows: list[tuple[Path, dict[str, str]]]) -> list[Item]:
     """Name items after their files, with as many folders in front as make them distinct."""
     for depth in range(1, 8):
-        names = [_safe("_".join(path.absolute().parts[-depth:-1] + (_stem(path),))) for path, _ in found]
+        names = [_safe("_".join(path.absolute().parts[-depth:-1] + (_stem(path),))) for path, _ in rows]
         if len({name.casefold() for name in names}) == len(names):
             break
     return [
         Item(name, path, _entities(path.name) | fields)
-        for name, (path, fields) in zip(names if found else [], found, strict=True)
+        for name, (path, fields) in zip(names if rows else [], rows, strict=True)
     ]
 
 

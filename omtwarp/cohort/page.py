@@ -52,7 +52,7 @@ def outliers(done: Sequence[Row]) -> list[tuple[Row, str]]:
 
     Each item is listed once, with the measure in which it deviates most.
     """
-    found: dict[str, tuple[float, Row, str]] = {}
+    farthest: dict[str, tuple[float, Row, str]] = {}
     for name, words in MEASURES.items():
         values = np.array([np.nan if (number := row.get(name)) is None else float(number) for row in done])
         if not np.isfinite(values).any():
@@ -64,9 +64,9 @@ def outliers(done: Sequence[Row]) -> list[tuple[Row, str]]:
         for row, value in zip(done, values, strict=True):
             distance = (value - middle) / spread
             name_of_item = str(row["id"])
-            if np.isfinite(distance) and distance > found.get(name_of_item, (0.0,))[0]:
-                found[name_of_item] = (distance, row, f"{words} {value:.4g}, median {middle:.4g}")
-    ranked = sorted(found.values(), key=lambda entry: (-entry[0], str(entry[1]["id"])))
+            if np.isfinite(distance) and distance > farthest.get(name_of_item, (0.0,))[0]:
+                farthest[name_of_item] = (distance, row, f"{words} {value:.4g}, median {middle:.4g}")
+    ranked = sorted(farthest.values(), key=lambda entry: (-entry[0], str(entry[1]["id"])))
     # Outliers: pictures on the page
     return [(row, why) for _, row, why in ranked[:6]]
 

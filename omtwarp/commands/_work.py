@@ -103,8 +103,8 @@ def of_a_map(path: Path) -> list[str]:
     from omtwarp.files.inputs import holds_array
     from omtwarp.maps.result import OF_MAPS
 
-    found = path.suffix.lower() == ".npz" and holds_array(path, *OF_MAPS)
-    return ["a map's file, of which only the mesh is read"] if found else []
+    is_map = path.suffix.lower() == ".npz" and holds_array(path, *OF_MAPS)
+    return ["a map's file, of which only the mesh is read"] if is_map else []
 
 
 def outputs_of(meshes: Sequence[Path], output: Path | None, suffix: str) -> list[Path | None]:

@@ -80,7 +80,7 @@ def align_map(
         fixed = "axes" if to == "axes" else as_points(to) if other is None else file_points(other, to_surface)
         notify(1)
         mine, others = read_features(feature or [], to_feature or [], (source, surface), (other, to_surface))
-        found = align(
+        alignment = align(
             moving,
             fixed,
             features=mine or None,
@@ -91,31 +91,31 @@ def align_map(
         )
         notify(2)
         if output.suffix.lower() == ".npz":
-            _save_map(source, output, found)
+            _save_map(source, output, alignment)
         else:
-            faces = moving.grid.own_triangles[:, ::-1] if found.mirrored else moving.grid.own_triangles
-            write_mesh(output, radius * found.sphere, faces, spherical=True, like=source)
+            faces = moving.grid.own_triangles[:, ::-1] if alignment.mirrored else moving.grid.own_triangles
+            write_mesh(output, radius * alignment.sphere, faces, spherical=True, like=source)
         notify(3)
     if printing.as_json:
-        print(report_text({"output": str(output), **found.to_dict()}), end="")
+        print(report_text({"output": str(output), **alignment.to_dict()}), end="")
     elif not printing.quiet:
-        mirrored = ", mirrored" * found.mirrored
+        mirrored = ", mirrored" * alignment.mirrored
         print(
-            f"{output}: turned by {_degrees(found):.3f} degrees{mirrored}; by {found.method} ({found.basis}), "
-            f"score {found.score:.6f}"
+            f"{output}: turned by {_degrees(alignment):.3f} degrees{mirrored}; by {alignment.method} ({alignment.basis}), "
+            f"score {alignment.score:.6f}"
         )
 
 
-def _degrees(found: Alignment) -> float:
+def _degrees(alignment: Alignment) -> float:
     import numpy as np
     from scipy.spatial.transform import Rotation
 
-    turn = found.rotation if not found.mirrored else found.rotation @ np.diag([-1.0, 1.0, 1.0])
+    turn = alignment.rotation if not alignment.mirrored else alignment.rotation @ np.diag([-1.0, 1.0, 1.0])
     return float(np.degrees(Rotation.from_matrix(turn).magnitude()))
 
 
-def _save_map(source: Path, output: Path, found: Alignment) -> None:
+def _save_map(source: Path, output: Path, alignment: Alignment) -> None:
 
     from omtwarp.maps.result import MapResult
 
-    found.turned(MapResult.load(source)).save(output)
+    alignment.turned(MapResult.load(source)).save(output)

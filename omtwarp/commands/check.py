@@ -43,13 +43,13 @@ def check_mesh(
     for target in targets:
         if target is not None:
             check_output(target, SUFFIXES, *meshes)
-    found: list[MeshFacts] = []
+    known: list[MeshFacts] = []
 
     def examine(mesh: Path, target: Path | None) -> None:
-        found.append(facts_of(mesh, repair, target, verbose=printing.verbose))
+        known.append(facts_of(mesh, repair, target, verbose=printing.verbose))
         if not printing.as_json and not printing.quiet:
-            print("\n".join(lines_about(found[-1])))
-        count = len(found[-1]["defects"])
+            print("\n".join(lines_about(known[-1])))
+        count = len(known[-1]["defects"])
         if count:
             saved = f"; what could be repaired was saved as '{target}'" if target is not None else ""
             left, where = (
@@ -62,7 +62,7 @@ def check_mesh(
         each(meshes, targets, examine)
     finally:
         if printing.as_json:
-            print(report_text(found[0] if len(meshes) == 1 and found else found), end="")
+            print(report_text(known[0] if len(meshes) == 1 and known else known), end="")
 
 
 class WrittenMesh(TypedDict):
@@ -148,8 +148,8 @@ def lines_about(facts: MeshFacts) -> list[str]:
     lines = [f"{facts['mesh']}: {facts['vertices']} vertices, {facts['faces']} faces"]
     lines += [f"  note: {note}" for note in facts["notes"]]
     repaired = "defects_before" in facts
-    found = facts["defects_before"] if repaired else facts["defects"]
-    lines += [f"  {defect['kind']}: {defect['text']}" for defect in found]
+    shown = facts["defects_before"] if repaired else facts["defects"]
+    lines += [f"  {defect['kind']}: {defect['text']}" for defect in shown]
     lines += [f"  repair: {action}" for action in facts["repairs"]]
     lines += [f"  left: {defect['text']}" for defect in facts["defects"] if repaired]
     lines += [f"  option {text}" for text in facts["options"]]

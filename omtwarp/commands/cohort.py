@@ -29,8 +29,8 @@ def parse_shard(text: str) -> tuple[int, int]:
     Raises:
         OmtwarpError: the text has another form.
     """
-    found = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", text)
-    part, parts = found.groups() if found else ("0", "0")
+    match = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", text)
+    part, parts = match.groups() if match else ("0", "0")
     if not 1 <= int(part) <= int(parts):
         raise OmtwarpError(f"unknown shard '{text}': give i/n with i from 1 to n, such as 2/8")
     return int(part), int(parts)

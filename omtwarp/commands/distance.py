@@ -35,10 +35,13 @@ def distance(
     start_device(device)
     ends = load_whole_map(first), load_whole_map(second)
     with progress_bar(printing.quiet, printing.verbose) as progress:
-        found = shape_distance(*ends, degree=degree, scale=scale, device=device, progress=progress)
+        distances = shape_distance(*ends, degree=degree, scale=scale, device=device, progress=progress)
     if printing.as_json:
-        print(report_text({"first": str(first), "second": str(second), **found.to_dict()}), end="")
+        print(report_text({"first": str(first), "second": str(second), **distances.to_dict()}), end="")
     elif printing.quiet:
-        print(f"{found.coefficients:.6g} {found.transport:.6g}")
+        print(f"{distances.coefficients:.6g} {distances.transport:.6g}")
     else:
-        print(f"coefficients {found.coefficients:.6g} (the surfaces' unit), transport {found.transport:.6g} radians")
+        print(
+            f"coefficients {distances.coefficients:.6g} (the surfaces' unit), "
+            f"transport {distances.transport:.6g} radians"
+        )

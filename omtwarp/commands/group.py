@@ -64,7 +64,7 @@ def group(
         pass
     with progress_bar(printing.quiet, printing.verbose) as progress, warnings.catch_warnings():
         warnings.simplefilter("ignore", OmtwarpWarning)  # said below, with the names
-        found = study_group(
+        study = study_group(
             [load_whole_map(path) for path in paths],
             labels,
             grid=grid,
@@ -78,26 +78,26 @@ def group(
             progress=progress,
         )
         with folder_of_results(output):
-            files = write_group_report(found, output, names, labels, _of_one_structure(paths))
-    mirrored = mirrored_words(found.alignment, names)
+            files = write_group_report(study, output, names, labels, _of_one_structure(paths))
+    mirrored = mirrored_words(study.alignment, names)
     if mirrored:
         say(f"warning: {mirrored}")
-    smallest = None if found.difference is None else float(found.difference.p_values.min())
+    smallest = None if study.difference is None else float(study.difference.p_values.min())
     if printing.as_json:
         record = {
             "output": str(output),
             "files": [file.name for file in files],
             "shapes": len(paths),
-            "explained": found.components.explained,
-            "mirrored": [name for name, image in zip(names, found.alignment.mirrored, strict=True) if image],
+            "explained": study.components.explained,
+            "mirrored": [name for name, image in zip(names, study.alignment.mirrored, strict=True) if image],
             "smallest_p": smallest,
             "significant_points": None
-            if found.difference is None
-            else int((found.difference.p_values <= SIGNIFICANT).sum()),
+            if study.difference is None
+            else int((study.difference.p_values <= SIGNIFICANT).sum()),
         }
         print(report_text(record), end="")
     elif not printing.quiet:
-        shares = ", ".join(f"{100 * share:.0f} %" for share in found.components.explained)
+        shares = ", ".join(f"{100 * share:.0f} %" for share in study.components.explained)
         told = "" if smallest is None else f"; smallest corrected p of a difference {smallest:.3g}"
         print(f"{output / 'report.html'}: {len(paths)} shapes, components with {shares} of the variance{told}")
 

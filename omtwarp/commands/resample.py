@@ -93,21 +93,21 @@ def resample_map(
         notify = steps(progress, "resample", 3)
         ends = [file_points(source, surface), file_points(to, None)]
         notify(1)
-        found = resample(*ends, method=chosen, device=device)
+        resampling = resample(*ends, method=chosen, device=device)
         notify(2)
         if given is not None:
-            _write(output, found, given, as_labels)
+            _write(output, resampling, given, as_labels)
         else:
-            _write_surface(output, found, like, to)
-        _write_extras(found, sphere, matrix, there if structure_of(there) else like)
+            _write_surface(output, resampling, like, to)
+        _write_extras(resampling, sphere, matrix, there if structure_of(there) else like)
         notify(3)
     if printing.as_json:
-        print(report_text(_record(found, output, given)), end="")
+        print(report_text(_record(resampling, output, given)), end="")
     elif not printing.quiet:
         kind = "labels" if as_labels else "data"
         what = "the surface" if given is None else f"{kind} with {given.values.shape[1]} column(s)"
-        line = f"{output}: {what}, {chosen}, from {found.matrix.shape[1]} to {found.matrix.shape[0]} points"
-        empty = 0 if given is None else int(found.empty.sum())
+        line = f"{output}: {what}, {chosen}, from {resampling.matrix.shape[1]} to {resampling.matrix.shape[0]} points"
+        empty = 0 if given is None else int(resampling.empty.sum())
         print(f"{line}, {empty} of them 0 as they lie in filled holes" if empty else line)
 
 
@@ -149,7 +149,7 @@ def _read(data: Path, source: Path | None, target: Path | None) -> VertexData:
     return replace(given, structure=given.structure or structure_of(source) or structure_of(target))
 
 
-def _write_surface(output: Path, found: Resampling, like: Path | None, target: str) -> None:
+def _write_surface(output: Path, resampling: Resampling, like: Path | None, target: str) -> None:
     """Write the surface with the target's triangles.
 
     Raises:
@@ -157,47 +157,51 @@ def _write_surface(output: Path, found: Resampling, like: Path | None, target: s
     """
     from omtwarp.mesh.write import write_mesh
 
-    grid = found.target.grid
+    grid = resampling.target.grid
     if grid.faces is None:
         raise OmtwarpError(f"{target} has no triangles that a surface could have: give --data, or another target")
-    write_mesh(output, found.surface(), grid.own_triangles, like=like)
+    write_mesh(output, resampling.surface(), grid.own_triangles, like=like)
 
 
-def _write_extras(found: Resampling, sphere: Path | None, matrix: Path | None, like: Path | None) -> None:
+def _write_extras(resampling: Resampling, sphere: Path | None, matrix: Path | None, like: Path | None) -> None:
     """Write the target's sphere and the matrix where they are asked for."""
     from omtwarp.mesh.write import write_mesh
 
     if sphere is not None:
-        grid = found.target.grid
+        grid = resampling.target.grid
         write_mesh(sphere, grid.points[: grid.own_points], grid.own_triangles, spherical=True, like=like)
     if matrix is not None:
-        found.save(matrix)
+        resampling.save(matrix)
 
 
-def _write(output: Path, found: Resampling, given: VertexData, as_labels: bool) -> None:
+def _write(output: Path, resampling: Resampling, given: VertexData, as_labels: bool) -> None:
     """Carry the data over and write them."""
     import numpy as np
 
     from omtwarp.mesh.data import write_data
 
     if as_labels:
-        values: NDArray[np.generic] = np.stack([found.labels(column) for column in given.values.T], axis=1)
+        values: NDArray[np.generic] = np.stack([resampling.labels(column) for column in given.values.T], axis=1)
     else:
-        values = found.apply(given.values)
+        values = resampling.apply(given.values)
     moved = given.with_values(values)
-    grid = found.target.grid
-    shown = found.target.vertices if found.target.vertices is not None else grid.points
+    grid = resampling.target.grid
+    shown = resampling.target.vertices if resampling.target.vertices is not None else grid.points
     write_data(output, moved, None if grid.faces is None else (shown[: grid.own_points], grid.own_triangles))
 
 
-def _record(found: Resampling, output: Path, given: VertexData | None) -> dict[str, object]:
+def _record(resampling: Resampling, output: Path, given: VertexData | None) -> dict[str, object]:
     record: dict[str, object] = {
         "output": str(output),
-        "method": str(found.method),
-        "source": found.source.grid.name,
-        "target": found.target.grid.name,
-        "shape": list(found.target.grid.shape),
-        "empty": int(found.empty.sum()),
-        "matrix": {"rows": found.matrix.shape[0], "columns": found.matrix.shape[1], "entries": int(found.matrix.nnz)},
+        "method": str(resampling.method),
+        "source": resampling.source.grid.name,
+        "target": resampling.target.grid.name,
+        "shape": list(resampling.target.grid.shape),
+        "empty": int(resampling.empty.sum()),
+        "matrix": {
+            "rows": resampling.matrix.shape[0],
+            "columns": resampling.matrix.shape[1],
+            "entries": int(resampling.matrix.nnz),
+        },
     }
     return record if given is None else record | {"columns": list(given.names), "structure": given.structure}

@@ -75,25 +75,25 @@ def spharm(
     with progress_bar(printing.quiet, printing.verbose) as progress:
         if progress is not None:
             progress("spharm", 0, 2, {})
-        found = expand(whole.sphere, whole.vertices, degree, faces=whole.faces, method=fit.value)
+        expansion = expand(whole.sphere, whole.vertices, degree, faces=whole.faces, method=fit.value)
         if progress is not None:
             progress("spharm", 1, 2, {})
-        again = found.at(result.sphere)
+        again = expansion.at(result.sphere)
         if progress is not None:
             progress("spharm", 2, 2, {})
     areas = Surface(result.vertices, result.faces).vertex_areas
     error = float(np.sqrt(areas @ ((again - result.vertices) ** 2).sum(axis=1) / areas.sum()))
-    save(output, found)
+    save(output, expansion)
     if reconstruction is not None:
         write_mesh(reconstruction, again, result.faces)
     if printing.as_json:
-        print(json.dumps({"degree": degree, "rms_error": error, "power": found.power().tolist()}))
+        print(json.dumps({"degree": degree, "rms_error": error, "power": expansion.power().tolist()}))
     elif not printing.quiet:
-        size = float(np.sqrt(found.power()[1:].sum() / (4.0 * np.pi)))
+        size = float(np.sqrt(expansion.power()[1:].sum() / (4.0 * np.pi)))
         print(f"{output}: degree {degree}, root mean square error {error:.6g} of a size of {size:.6g}")
 
 
-def save(path: Path, found: Expansion) -> None:
+def save(path: Path, expansion: Expansion) -> None:
     """Write coefficients in the format of the file's suffix."""
     import numpy as np
 
@@ -103,15 +103,15 @@ def save(path: Path, found: Expansion) -> None:
 
     suffix = path.suffix.lower()
     if suffix == ".coef":
-        write_coef(path, found)
+        write_coef(path, expansion)
         return
-    degree = degrees(found.degree)
+    degree = degrees(expansion.degree)
     order = np.arange(len(degree)) - degree * (degree + 1)
     if suffix == ".npz":
-        power = found.power()
-        write_arrays(path, {"coefficients": found.coefficients, "degree": degree, "order": order, "power": power})
+        power = expansion.power()
+        write_arrays(path, {"coefficients": expansion.coefficients, "degree": degree, "order": order, "power": power})
         return
     with staged(path) as file:
-        rows = zip(degree.tolist(), order.tolist(), found.coefficients.tolist(), strict=True)
+        rows = zip(degree.tolist(), order.tolist(), expansion.coefficients.tolist(), strict=True)
         lines = [f"{n},{m}," + ",".join(map(repr, row)) for n, m, row in rows]
         file.write_text("degree,order,x,y,z\n" + "\n".join(lines) + "\n", "utf-8")

@@ -301,15 +301,15 @@ def _painted(
 
 def _pictures(made: PaintedMesh) -> list[dict[str, str | int]]:
     """List the pictures of a mesh's materials: the material, what the picture shows, and its size."""
-    found: list[dict[str, str | int]] = []
+    pictures: list[dict[str, str | int]] = []
     for material in made.materials:
         for slot in ("picture", "occlusion_picture", "normal_picture"):
             picture = getattr(material, slot)
             if picture is not None:
                 name = {"picture": "colour", "occlusion_picture": "occlusion", "normal_picture": "normals"}[slot]
                 height, width = picture.shape[:2]
-                found.append({"material": material.name, "what": name, "width": width, "height": height})
-    return found
+                pictures.append({"material": material.name, "what": name, "width": width, "height": height})
+    return pictures
 
 
 def rotation(text: str) -> str | list[float] | None:

@@ -270,10 +270,10 @@ def digest_of(path: Path) -> str:
 def _recorded(folder: Path) -> dict[str, object]:
     """Return the record of a folder; empty where there is none, or none that can be read."""
     try:
-        found = json.loads(_content(folder / RECORD))
+        recorded = json.loads(_content(folder / RECORD))
     except (OSError, ValueError, RecursionError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return recorded if isinstance(recorded, dict) else {}
 
 
 def _record(folder: Path, names: Iterable[str]) -> None:

@@ -667,10 +667,10 @@ def _on_hemisphere(
     image, refined = closed.sphere, Stage.REFINE in options.stages
     if not is_symmetric(glued, image):
         frame = mirror_frame(glued, image, surface.vertex_areas)
-        found = symmetric_map(glued, surface, image @ frame, device=options.device)
+        symmetric = symmetric_map(glued, surface, image @ frame, device=options.device)
         before = closed.transported
-        if found is not None:
-            image, closed = found, closed.turned(frame)
+        if symmetric is not None:
+            image, closed = symmetric, closed.turned(frame)
         elif domain == Domain.DISK and refined and before is not None and is_symmetric(glued, before):
             image = before  # as the disk is refined in the plane
         else:
@@ -769,10 +769,10 @@ def _on_cap(result: MapResult, share: float, half: Surface | None = None) -> Map
         ways.insert(1, lambda: from_gnomonic(untangle_in_plane(to_gnomonic(cap, share), faces, rim)[0], share))
     for way in ways:
         points = way()
-        found = _with_points(result, points)
-        if found.certificate.bijective:
+        capped = _with_points(result, points)
+        if capped.certificate.bijective:
             break
-    return found
+    return capped
 
 
 def _rim(faces: NDArray, count: int) -> NDArray[np.bool_]:

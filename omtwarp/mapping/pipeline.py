@@ -330,12 +330,12 @@ class _Run:
         transported = self.maps.get(Stage.OMT)
         face_density, vertex_density = density(surface, first)
         certificate = self.certificate()
-        found = judge(self.goal(self.sphere), self.sphere, self.records, options, uniform=self.target is None)
-        if found and options.strict:
-            raise refusal(found)
+        findings = judge(self.goal(self.sphere), self.sphere, self.records, options, uniform=self.target is None)
+        if findings and options.strict:
+            raise refusal(findings)
         report = self.report() | {
             "certificate": certificate.to_dict(),
-            "warnings": [finding.to_dict() for finding in found],
+            "warnings": [finding.to_dict() for finding in findings],
         }
         if optimality is not None:
             report["optimality"] = optimality
@@ -414,8 +414,8 @@ class _Run:
         """Make the map of a double symmetric where that flips nothing; otherwise return it unchanged."""
         if self.mirror is None:
             return sphere
-        found = symmetric_map(self.mirror, self.surface, sphere, repair=repair, device=self.device)
-        return sphere if found is None else found
+        mended = symmetric_map(self.mirror, self.surface, sphere, repair=repair, device=self.device)
+        return sphere if mended is None else mended
 
     def moser(self) -> None:
         """Run Moser's flow from the start, again from its own result, and repair flips after each pass."""
@@ -516,16 +516,16 @@ class _Run:
         if self.mirror is not None and is_symmetric(self.mirror, sphere):
             solve = partial(symmetric_optimal_map, self.mirror)
         solve = partial(solve, self.surface, start=self.source, device=self.device, progress=self.progress)
-        found, term = minimised(self.surface, sphere, self.source, solve, self.keep_steps, road, device=self.device)
+        optimal, term = minimised(self.surface, sphere, self.source, solve, self.keep_steps, road, device=self.device)
         weight = term.weight
         if self.options.cost is Cost.GEODESIC:
             weight *= DISTANCE_SHAPE
-            found = solve(found.sphere, shape_weight=weight, area_weight=term.area, cost=Cost.GEODESIC)
-            self.keep_steps(found)
+            optimal = solve(optimal.sphere, shape_weight=weight, area_weight=term.area, cost=Cost.GEODESIC)
+            self.keep_steps(optimal)
         elif self.options.optimality:
-            self.measured = self.bounded(found.sphere)
-        sphere, repaired = self.untangle(self.sphere, found.sphere)
-        converged, ended = self.how_it_ended(found)
+            self.measured = self.bounded(optimal.sphere)
+        sphere, repaired = self.untangle(self.sphere, optimal.sphere)
+        converged, ended = self.how_it_ended(optimal)
         details: dict[str, str | float | None] = {
             "road": road,
             "repaired": repaired,
@@ -555,12 +555,12 @@ class _Run:
             sphere = embedding
         return sphere, EMBEDDED
 
-    def how_it_ended(self, found: OptimalMap) -> tuple[bool, str]:
+    def how_it_ended(self, optimal: OptimalMap) -> tuple[bool, str]:
         """Return whether a minimisation reached an optimal map, and how it ended; ``measured`` is of its map."""
-        if found.converged and self.is_far(self.measured):
+        if optimal.converged and self.is_far(self.measured):
             assert self.measured is not None
             return False, f"a minimum with the shape term, {100 * self.measured.gap:.3g} % above the bound"
-        return found.converged, found.ended
+        return optimal.converged, optimal.ended
 
     @staticmethod
     def is_far(measured: Optimality | None) -> bool:
@@ -573,10 +573,10 @@ class _Run:
         """Append the steps of a minimisation to the history, and count iterations on."""
         self.history = continued(self.history, records)
 
-    def keep_steps(self, found: OptimalMap) -> None:
+    def keep_steps(self, optimal: OptimalMap) -> None:
         """Append the steps that led to an optimal map to the history, and note what was given up on the way."""
-        self.remember(found.history)
-        self.give_up(found.gave_up)
+        self.remember(optimal.history)
+        self.give_up(optimal.gave_up)
 
     def bounded(self, sphere: NDArray[np.float64], improve: bool = True) -> Optimality:
         """Measure how far a map is from optimal, and improve the bound of an optimal one where the gap is too large."""
@@ -620,7 +620,7 @@ class _Run:
         weight = 2.0 * shape_term(self.surface, before, source, self.device).weight
         if self.options.cost is Cost.GEODESIC:
             weight *= DISTANCE_SHAPE
-        found = on_cells(
+        exact = on_cells(
             quartered,
             before,
             start=source,
@@ -629,8 +629,8 @@ class _Run:
             device=self.device,
             progress=notify,
         )
-        self.keep_steps(found)
-        largest = float(found.history[-1]["ring_largest"])
+        self.keep_steps(exact)
+        largest = float(exact.history[-1]["ring_largest"])
         # Exact error: largest relative error of a triangle's area that an exact map may have
         if largest > 1e-6:
             raise OmtwarpError(
@@ -638,13 +638,13 @@ class _Run:
                 "triangles, evenly shaped, or leave exact out"
             )
         if self.options.optimality and self.options.cost is Cost.SQUARED:
-            self.measured = self.bounded(found.sphere)
-        sphere, repaired = self.untangle(before, found.sphere)
-        converged, ended = self.how_it_ended(found)
+            self.measured = self.bounded(exact.sphere)
+        sphere, repaired = self.untangle(before, exact.sphere)
+        converged, ended = self.how_it_ended(exact)
         self.finish(
             EXACT,
             sphere,
-            len(found.history) - 1,
+            len(exact.history) - 1,
             shape_weight=weight,
             repaired=crowded + repaired,
             converged=converged,
@@ -710,17 +710,17 @@ class _Run:
         measured = self.measured
         if measured is None or self.records[-1].name not in (Stage.OMT, EXACT):
             measured = self.bounded(self.sphere, improve=self.sphere is self.maps.get(Stage.OMT))
-        found: dict[str, float | int | None] = measured.to_dict()
+        figures: dict[str, float | int | None] = measured.to_dict()
         # No bound, a gap above this says nothing of a map: it is reported as none
         if measured.gap > 1.0:
-            found |= dict.fromkeys(("lower_bound", "gap", "uniform_lower_bound", "uniform_gap"))
+            figures |= dict.fromkeys(("lower_bound", "gap", "uniform_lower_bound", "uniform_gap"))
         if self.target is not None:  # the image does not have uniform density
-            found = {name: value for name, value in found.items() if not name.startswith("uniform")}
+            figures = {name: value for name, value in figures.items() if not name.startswith("uniform")}
         transported = self.record_of(Stage.OMT)
         if transported is not None and self.sphere is not self.maps[Stage.OMT]:
             last = self.records[-1].transport_cost
-            found["added_by_refinement"] = last / max(transported.transport_cost, TINY) - 1.0
-        return self.timed_optimality(found, measured.ascent_steps)
+            figures["added_by_refinement"] = last / max(transported.transport_cost, TINY) - 1.0
+        return self.timed_optimality(figures, measured.ascent_steps)
 
     def geodesic_optimality(self) -> dict[str, float | int | None]:
         """Measure curl and cost of the final map by the geodesic distance, for which there is no lower bound."""
@@ -728,24 +728,24 @@ class _Run:
         measure = partial(transport_cost, self.surface, start=self.source, cost=Cost.GEODESIC, device=self.device)
         curl = relative_curl(self.surface, self.sphere, start=self.source, cost=Cost.GEODESIC, device=self.device)
         cost = measure(self.sphere)
-        found: dict[str, float | int | None] = {"relative_curl": curl, "cost": cost}
+        figures: dict[str, float | int | None] = {"relative_curl": curl, "cost": cost}
         if self.record_of(Stage.OMT) is not None and self.sphere is not self.maps[Stage.OMT]:
-            found["added_by_refinement"] = cost / max(measure(self.maps[Stage.OMT]), TINY) - 1.0
-        return found
+            figures["added_by_refinement"] = cost / max(measure(self.maps[Stage.OMT]), TINY) - 1.0
+        return figures
 
-    def timed_optimality(self, found: dict[str, float | int | None], steps: int) -> dict[str, float | int | None]:
+    def timed_optimality(self, figures: dict[str, float | int | None], steps: int) -> dict[str, float | int | None]:
         """Record the time of the measurement as a stage, and return what was found."""
         seconds = time.perf_counter() - self.stage_begun
         last_record = self.records[-1]
         self.records.append(replace(last_record, name=OPTIMALITY, seconds=seconds, iterations=steps, details={}))
         details: Record = {"flips": last_record.flips}
         for name in ("cost", "gap"):
-            value = found.get(name)
+            value = figures.get(name)
             if value is not None:
                 details[name] = value
         self.notify(OPTIMALITY, 1, 1, details)
         self.stage_begun = time.perf_counter()
-        return found
+        return figures
 
     def record_of(self, stage: Stage) -> StageRecord | None:
         """Return the record of a stage, or None where it was not run."""

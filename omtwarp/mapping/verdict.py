@@ -70,7 +70,7 @@ def foretell(surface: Surface) -> list[Finding]:
     # on spheres with log-normal radii of 0.2, 0.32 and 0.5 the share is 0.08, 0.23 and 0.65, the distortion 2.04, 2.08,
     # 2.11.
     long_triangle, long_share = 5.0, 0.2
-    found = []
+    findings = []
     share = surface.own_areas / SPHERE_AREA
     worst = int(np.argmax(share))
     # An equilateral triangle with its corners on the sphere has the largest area, 3 sqrt(3) / 4: this share of 4π. With
@@ -78,7 +78,7 @@ def foretell(surface: Surface) -> list[Finding]:
     if share[worst] > 0.05:
         number, name = named_face(surface.origins, worst)
         text = f"{name} {_place_of_face(surface, worst)} has {share[worst]:.1%} of the area"
-        found.append(Finding("large-face", number, text, "split large triangles"))
+        findings.append(Finding("large-face", number, text, "split large triangles"))
     ring = thinnest_ring(surface)
     if ring is not None:
         needed = vertices_needed(ring.share, surface.face_count)
@@ -91,7 +91,7 @@ def foretell(surface: Surface) -> list[Finding]:
                 f"{name} {_place(surface.vertices[ring.vertex])}, where {needed:.1f} are needed"
             )
             remedy = "remesh with more vertices around the limb, or use refine='area'"
-            found.append(Finding("coarse-limb", number, text, remedy))
+            findings.append(Finding("coarse-limb", number, text, remedy))
     long = elongation(surface)
     limits = [(long_triangle, long_share), (LONG_OF_FEW, SHARE_OF_FEW)][: 1 + (surface.face_count <= FEW_FACES)]
     for limit, most in limits:
@@ -104,9 +104,9 @@ def foretell(surface: Surface) -> list[Finding]:
             f"triangles {limit:.0f} times as long as high have {share_long:.0%} of the area, the largest is "
             f"{name} {_place_of_face(surface, worst)}"
         )
-        found.append(Finding("long-triangles", number, text, "remesh the long triangles into even ones"))
+        findings.append(Finding("long-triangles", number, text, "remesh the long triangles into even ones"))
         break
-    return found + _coarse_findings(surface, long)
+    return findings + _coarse_findings(surface, long)
 
 
 def _coarse_findings(surface: Surface, long: NDArray[np.float64]) -> list[Finding]:
@@ -115,7 +115,7 @@ def _coarse_findings(surface: Surface, long: NDArray[np.float64]) -> list[Findin
     # decimated to 80 to 300 faces reach 2.05 where 0.19 of the area is folded, and 2.1 to 2.3 at 0.3 to 0.5; on scans
     # it is below 0.03.
     fold, folded_share = 100.0, 0.18
-    found = []
+    findings = []
     share = surface.own_areas / SPHERE_AREA
     corners = surface.scaled_vertices[surface.faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -129,7 +129,7 @@ def _coarse_findings(surface: Surface, long: NDArray[np.float64]) -> list[Findin
             f"triangles folded by more than {fold:.0f} degrees against a neighbour have {share[folded].sum():.0%} of "
             f"the area, the largest is {name} {_place_of_face(surface, worst)}"
         )
-        found.append(Finding("folded-triangles", number, text, "remesh with more triangles where the surface bends"))
+        findings.append(Finding("folded-triangles", number, text, "remesh with more triangles where the surface bends"))
     # Among so few triangles one that is so many times as long as high may keep the solver from converging: spheres of
     # 82 faces with a needle of 3,800 to 8.5e8 did not in 9 cases of 16, those with 280 or less and those of 320 faces
     # did.
@@ -137,7 +137,7 @@ def _coarse_findings(surface: Surface, long: NDArray[np.float64]) -> list[Findin
         worst = int(np.argmax(long))
         number, name = named_face(surface.origins, worst)
         text = f"{name} {_place_of_face(surface, worst)} is {long[worst]:.0e} times as long as high"
-        found.append(Finding(NEEDLES, number, text, "flip an edge of the needle, or collapse it"))
+        findings.append(Finding(NEEDLES, number, text, "flip an edge of the needle, or collapse it"))
     mean_long = float(share @ long)
     mean_fold = float(np.degrees(np.arccos(min(share @ bend, 1.0))))
     if surface.face_count <= FEW_FACES and mean_long > MEAN_LONG and mean_fold > MEAN_FOLD:
@@ -145,7 +145,7 @@ def _coarse_findings(surface: Surface, long: NDArray[np.float64]) -> list[Findin
             f"{surface.face_count} triangles are on average {mean_long:.2g} times as long as high and folded by "
             f"{mean_fold:.0f} degrees against a neighbour"
         )
-        found.append(Finding("few-triangles", -1, text, "remesh with more triangles, evenly shaped"))
+        findings.append(Finding("few-triangles", -1, text, "remesh with more triangles, evenly shaped"))
     thickness = 2.0 * abs(float((corners[:, 0] * across).sum())) / 6.0 / SPHERE_AREA
     side = float(np.sqrt(4.0 / np.sqrt(3.0) * SPHERE_AREA / surface.face_count))
     # Mean side of triangles over the mean thickness, twice the volume by the area. Plates are at 2.01 where it is 1.5,
@@ -153,8 +153,8 @@ def _coarse_findings(surface: Surface, long: NDArray[np.float64]) -> list[Findin
     # A surface glued to its mirror copy encloses nothing but rounding errors, and is no sheet.
     if thickness > 1e-9 and side > 1.8 * thickness:
         text = f"the mean side of triangles is {side / thickness:.3g} times the mean thickness"
-        found.append(Finding("thin-sheet", -1, text, "remesh with triangles smaller than the sheet is thick"))
-    return found
+        findings.append(Finding("thin-sheet", -1, text, "remesh with triangles smaller than the sheet is thick"))
+    return findings
 
 
 def elongation(surface: Surface) -> NDArray[np.float64]:
@@ -188,21 +188,21 @@ def judge(
         unmatched = [Finding("not-matched", -1, *missed)] if missed is not None else []
     if options.method is not Method.OMT or Stage.OMT not in options.stages:
         return unmatched
-    found = []
+    findings = []
     remedy = ""
     if options.refine in (None, Refinement.AREA):
-        found = _area_findings(goal, sphere, uniform, PARTS if options.exact else 1)
+        findings = _area_findings(goal, sphere, uniform, PARTS if options.exact else 1)
     unfinished = [record for record in records if record.details.get("converged") is False and record.name != "refine"]
     if any(record.name == "exact" and record.details.get("converged") for record in records):
         unfinished = []  # the optimal map of the mesh as it was is only where the one of its quarters began
-    if found or unfinished:
+    if findings or unfinished:
         remedy = _remedy(goal, options.refine is None and uniform)
     for record in unfinished:
         text = f"the stage {record.name} did not converge: {record.details.get('ended') or 'most steps taken'}"
         if record.details.get("gave_up"):
             text += f", {record.details['gave_up']}"
-        found.append(Finding("not-converged", -1, text, ""))
-    return [Finding(each.kind, each.where, each.message, remedy) for each in found] + unmatched
+        findings.append(Finding("not-converged", -1, text, ""))
+    return [Finding(each.kind, each.where, each.message, remedy) for each in findings] + unmatched
 
 
 def _remedy(goal: Surface, refinable: bool) -> str:
@@ -213,10 +213,10 @@ def _remedy(goal: Surface, refinable: bool) -> str:
     return "remesh with more triangles, evenly shaped" + (", or use refine='area'" if refinable else "")
 
 
-def refusal(found: Sequence[Finding]) -> OmtwarpError:
+def refusal(findings: Sequence[Finding]) -> OmtwarpError:
     """Make the error for warnings that are not accepted: the first in full, the kinds of the others."""
-    others = ", ".join(finding.kind for finding in found[1:])
-    return OmtwarpError(f"not accepted with --strict: {found[0]}" + (f" (also: {others})" if others else ""))
+    others = ", ".join(finding.kind for finding in findings[1:])
+    return OmtwarpError(f"not accepted with --strict: {findings[0]}" + (f" (also: {others})" if others else ""))
 
 
 def _area_findings(goal: Surface, sphere: NDArray[np.float64], uniform: bool, parts: int = 1) -> list[Finding]:
@@ -226,7 +226,7 @@ def _area_findings(goal: Surface, sphere: NDArray[np.float64], uniform: bool, pa
     """
     # Relative error of the area around a vertex. Where the optimal map is found it is at round-off.
     max_vertex_area_error = 0.10
-    found = []
+    findings = []
     if uniform and parts == 1:
         around = goal.sum_to_vertices(triangle_solid_angles(*sphere[goal.faces].transpose(1, 0, 2)))
         error = np.abs(around / (3.0 * goal.vertex_areas) - 1.0)
@@ -238,7 +238,7 @@ def _area_findings(goal: Surface, sphere: NDArray[np.float64], uniform: bool, pa
                 f"areas around vertices are off by up to {error[worst]:.0%}, the most at {name} "
                 f"{_place(goal.vertices[worst])}, and by more than {max_vertex_area_error:.0%} at {off} of {len(error)}"
             )
-            found.append(Finding("vertex-areas", number, text, ""))
+            findings.append(Finding("vertex-areas", number, text, ""))
     image = triangle_areas(sphere, goal.faces).reshape(-1, parts).sum(axis=1)
     wanted = goal.face_areas.reshape(-1, parts).sum(axis=1)
     with np.errstate(divide="ignore"):
@@ -252,8 +252,8 @@ def _area_findings(goal: Surface, sphere: NDArray[np.float64], uniform: bool, pa
             f"area distortion {mean:.4g}, where 2 is perfect, most of it in {name} "
             f"{_place_of_face(goal, parts * worst)}, whose image has {ratio[worst]:.3g} times its area"
         )
-        found.append(Finding("area-distortion", number, text, ""))
-    return found
+        findings.append(Finding("area-distortion", number, text, ""))
+    return findings
 
 
 def _place_of_face(surface: Surface, face: int) -> str:

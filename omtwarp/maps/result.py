@@ -290,12 +290,12 @@ class StoredMap(Shown):
         report = report if isinstance(report, dict) else {}
         history = report.pop("history", [])
         history = [entry for entry in history if isinstance(entry, dict)] if isinstance(history, list) else []
-        found = {name: arrays[name] for name in cls.layout if name in arrays}
+        stored = {name: arrays[name] for name in cls.layout if name in arrays}
         make: Callable[..., Self] = cls
         try:
-            cls._require(found)
+            cls._require(stored)
             words = {"domain": str(arrays["domain"])} if "domain" in arrays else {}
-            return make(**found, **words, history=history, report=report)
+            return make(**stored, **words, history=history, report=report)
         except OmtwarpError as error:
             raise OmtwarpError(f"'{path}' is not {cls.kind}: {error}") from None
 
@@ -518,12 +518,12 @@ class MapResult(StoredMap):
             points = np.concatenate([self.disk, np.ones((len(self.disk), 1))], axis=1)
             points /= np.linalg.norm(points, axis=1)[:, None]
         _, labels = connected_components(faces, len(points))
-        found = [_certified(faces[labels == label], points) for label in np.unique(labels)]
-        if len(found) == 1:
-            return found[0]
-        numbers = {name: sum(getattr(one, name) for one in found) for name in ("flips", "wound")}
-        once = all(one.degree == 1 and one.ray_degree == 1 for one in found)
-        return replace(found[0], **numbers, degree=int(once), ray_degree=int(once))
+        certificates = [_certified(faces[labels == label], points) for label in np.unique(labels)]
+        if len(certificates) == 1:
+            return certificates[0]
+        numbers = {name: sum(getattr(one, name) for one in certificates) for name in ("flips", "wound")}
+        once = all(one.degree == 1 and one.ray_degree == 1 for one in certificates)
+        return replace(certificates[0], **numbers, degree=int(once), ray_degree=int(once))
 
     @property
     def bijective(self) -> bool:

@@ -218,12 +218,12 @@ def pictures_of(
     buffers = _Buffers(document, _binary_chunk(data) if binary else b"", named)
 
     def picture(number: int) -> bytes | None:
-        found = document["images"][number]
-        uri = found.get("uri", "")
-        if found.get("mimeType") == "image/ktx2" or not ("bufferView" in found or uri):
+        entry = document["images"][number]
+        uri = entry.get("uri", "")
+        if entry.get("mimeType") == "image/ktx2" or not ("bufferView" in entry or uri):
             return None
-        if "bufferView" in found:
-            return buffers.view(found["bufferView"])[0]
+        if "bufferView" in entry:
+            return buffers.view(entry["bufferView"])[0]
         return base64.b64decode(uri.partition("base64,")[2]) if uri.startswith("data:") else named(uri)
 
     return picture

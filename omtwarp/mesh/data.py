@@ -95,22 +95,22 @@ def read_data(path: Path, structure: str | None = None) -> VertexData:
     try:
         with warnings.catch_warnings(action="ignore"), memory_for_file(len(data)):
             if name.endswith(".npy"):
-                found = from_npy(io.BytesIO(data), path.stem)
+                content = from_npy(io.BytesIO(data), path.stem)
             elif name.endswith(TEXT_SUFFIXES):
-                found = from_text(data.decode("utf-8-sig"), path.stem)
+                content = from_text(data.decode("utf-8-sig"), path.stem)
             elif name.endswith((".gii", ".gii.gz")):
-                found = _read_gifti(path)
+                content = _read_gifti(path)
             elif name.endswith(".annot"):
-                found = _read_annot(path)
+                content = _read_annot(path)
             elif name.endswith(".ply"):
-                found = _read_ply(data)
+                content = _read_ply(data)
             elif name.endswith(MGH_SUFFIXES):
-                found = _read_mgh(path)
+                content = _read_mgh(path)
             elif name.endswith(".nii"):
-                found = _read_cifti(path, structure or structure_of(path))
+                content = _read_cifti(path, structure or structure_of(path))
             elif name.endswith(CURV_SUFFIXES) or data[:3] == b"\xff\xff\xff":
                 values = nibabel_module().freesurfer.read_morph_data(path)
-                found = VertexData(np.asarray(values, np.float64)[:, None], (path.suffix.lstrip("."),))
+                content = VertexData(np.asarray(values, np.float64)[:, None], (path.suffix.lstrip("."),))
             else:
                 known = ", ".join((*DATA_SUFFIXES, *MGH_SUFFIXES, *CIFTI_SUFFIXES))
                 raise OmtwarpError(f"unknown format of data: use {known}")
@@ -119,7 +119,7 @@ def read_data(path: Path, structure: str | None = None) -> VertexData:
     except Exception as error:  # any failure of a parser means that the file is not what its name says
         detail = " ".join(str(error).split())[:160] or type(error).__name__
         raise OmtwarpError(f"{path}: cannot be read as data: {detail}") from None
-    return found if found.structure else replace(found, structure=structure_of(path))
+    return content if content.structure else replace(content, structure=structure_of(path))
 
 
 def from_npy(stream: BinaryIO, name: str = "data") -> VertexData:

@@ -61,8 +61,8 @@ def structure_of(path: Path | None) -> str | None:
         for meta in [image.meta, *(array.meta for array in image.darrays)]:
             if meta.get("AnatomicalStructurePrimary"):
                 return str(meta["AnatomicalStructurePrimary"])
-    found = re.search(r"(?:^|[._-])(?:(l|r)h(?=[._])|hemi-([LR])(?=[._])|([LR])(?=[.]))", name)
-    return STRUCTURES[next(word for word in found.groups() if word).upper()] if found else None
+    match = re.search(r"(?:^|[._-])(?:(l|r)h(?=[._])|hemi-([LR])(?=[._])|([LR])(?=[.]))", name)
+    return STRUCTURES[next(word for word in match.groups() if word).upper()] if match else None
 
 
 def _structure_of_map(path: Path) -> str | None:

@@ -114,12 +114,12 @@ def _header(data: bytes) -> tuple[list[_Element], str | None, bytes]:
         ValueError: no header, or one that cannot be understood.
     """
     # Longest header: bytes
-    found = re.search(rb"[\r\n]end_header[ \t]*(\r\n|\n|\r)", data[:1_000_000])
-    if not data.startswith(b"ply") or found is None:
+    end = re.search(rb"[\r\n]end_header[ \t]*(\r\n|\n|\r)", data[:1_000_000])
+    if not data.startswith(b"ply") or end is None:
         raise ValueError("no header of a PLY file, or one cut short")
     elements: list[_Element] = []
     order: str | None = ""
-    for line in data[: found.start()].decode("utf-8", "replace").splitlines()[1:]:
+    for line in data[: end.start()].decode("utf-8", "replace").splitlines()[1:]:
         words = line.split()
         if not words or words[0] in ("comment", "obj_info"):
             continue
@@ -135,7 +135,7 @@ def _header(data: bytes) -> tuple[list[_Element], str | None, bytes]:
     if order == "":
         raise ValueError("its header names no format")
     # An element without properties takes no memory, however many the header announces.
-    return [element for element in elements if element.properties], order, data[found.end() :]
+    return [element for element in elements if element.properties], order, data[end.end() :]
 
 
 def _property(words: list[str]) -> _Property:
@@ -269,11 +269,11 @@ def _binary_rows(
                 raise _cut(elements)
             values[k].append(np.frombuffer(body, kind, count, place))
             place += count * kind.itemsize
-    found: dict[str, Column] = {}
+    columns: dict[str, Column] = {}
     for k, part in enumerate(element.properties):
         flat = np.concatenate([*values[k], np.empty(0, kinds[k][0])])
-        found[part.name] = flat if part.length is None else (np.array(sizes[k], dtype=np.int64), flat)
-    return place, found
+        columns[part.name] = flat if part.length is None else (np.array(sizes[k], dtype=np.int64), flat)
+    return place, columns
 
 
 def _text_columns(body: bytes, elements: list[_Element]) -> dict[str, dict[str, Column]]:

@@ -51,9 +51,9 @@ def triangles_of_strips(flat: NDArray[np.generic], lengths: NDArray[np.int64]) -
     first = np.repeat(np.cumsum(lengths) - lengths, counts)
     step = np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts)
     odd = step % 2
-    found = flat[np.stack([first + step + odd, first + step + 1 - odd, first + step + 2], axis=1)]
-    repeated = (found == np.roll(found, -1, axis=1)).any(axis=1)
-    return found[~repeated]
+    triangles = flat[np.stack([first + step + odd, first + step + 1 - odd, first + step + 2], axis=1)]
+    repeated = (triangles == np.roll(triangles, -1, axis=1)).any(axis=1)
+    return triangles[~repeated]
 
 
 def parts_of_strips(

@@ -129,10 +129,10 @@ def gltf_pictures(data: bytes, file: Path, suffix: str) -> list[dict[str, bytes]
     document = gltf_header(data, suffix)
     picture = pictures_of(data, document, suffix == "glb", reader_beside(file))
     known: dict[int, bytes | None] = {}
-    found: list[dict[str, bytes]] = []
+    pictures: list[dict[str, bytes]] = []
     for material in document.get("materials", []):
         uses: dict[str, object] = {**material.get("pbrMetallicRoughness", {}), **material}
-        found.append({})
+        pictures.append({})
         for role in ROLES:
             used = uses.get(role)
             number = _image_of(document, used["index"]) if isinstance(used, dict) and "index" in used else None
@@ -145,14 +145,14 @@ def gltf_pictures(data: bytes, file: Path, suffix: str) -> list[dict[str, bytes]
                     known[number] = None
             content = known[number]
             if content:
-                found[-1][role] = content
-    return found
+                pictures[-1][role] = content
+    return pictures
 
 
 def _image_of(document: Document, texture: int) -> int | None:
     """Return the number of a texture's picture, as WebP where it has it so; None where it has none."""
-    found = document["textures"][texture]
-    return found.get("extensions", {}).get("EXT_texture_webp", found).get("source")
+    entry = document["textures"][texture]
+    return entry.get("extensions", {}).get("EXT_texture_webp", entry).get("source")
 
 
 def gltf_header(data: bytes, suffix: str) -> Document:

@@ -398,7 +398,7 @@ def rings(count: int = 1, tube: float = 0.35, cell: float = 0.15) -> Surface:
 
 def _march(tetrahedra: NDArray, inside: NDArray) -> NDArray:
     """Return the faces between inside and outside corners of positively oriented tetrahedra, shape [F, 3, 2]."""
-    found = []
+    pieces = []
     # An even permutation that brings each corner to the front, and each pair of corners to the front.
     to_front = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]])
     pairs = [[0, 1, 2, 3], [0, 2, 3, 1], [0, 3, 1, 2], [1, 2, 0, 3], [1, 3, 2, 0], [2, 3, 0, 1]]
@@ -407,13 +407,13 @@ def _march(tetrahedra: NDArray, inside: NDArray) -> NDArray:
             chosen = (inside[:, corner] == lone_inside) & (inside.sum(axis=1) == (1 if lone_inside else 3))
             a, b, c, d = tetrahedra[chosen][:, to_front[corner]].T
             edges = [np.stack(e, axis=1) for e in ((a, b), (a, c), (a, d))]
-            found.append(np.stack(edges if lone_inside else edges[::-1], axis=1))
+            pieces.append(np.stack(edges if lone_inside else edges[::-1], axis=1))
     for order in pairs:
         chosen = inside[:, order[:2]].all(axis=1) & (inside.sum(axis=1) == 2)
         a, b, c, d = tetrahedra[chosen][:, order].T
         ac, ad, bc, bd = (np.stack(e, axis=1) for e in ((a, c), (a, d), (b, c), (b, d)))
-        found += [np.stack([ac, ad, bd], axis=1), np.stack([ac, bd, bc], axis=1)]
-    return np.concatenate(found)
+        pieces += [np.stack([ac, ad, bd], axis=1), np.stack([ac, bd, bc], axis=1)]
+    return np.concatenate(pieces)
 
 
 def _average_of_neighbours(surface: Surface, points: Points) -> Points:

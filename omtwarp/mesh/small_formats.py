@@ -116,8 +116,8 @@ class _Numbers:
         Raises:
             OmtwarpError: there are fewer.
         """
-        found = self.words[self.place : self.place + max(count, 0)]
-        if len(found) != count:
-            raise OmtwarpError(f"cut short: {count} numbers announced, {len(found)} there")
+        taken = self.words[self.place : self.place + max(count, 0)]
+        if len(taken) != count:
+            raise OmtwarpError(f"cut short: {count} numbers announced, {len(taken)} there")
         self.place += count
-        return np.array(found, dtype=np.float64)
+        return np.array(taken, dtype=np.float64)

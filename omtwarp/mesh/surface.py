@@ -377,5 +377,5 @@ def face_neighbours(faces: NDArray[np.int32], vertex_count: int) -> NDArray[np.i
     order = np.argsort(keys)
     position = np.minimum(np.searchsorted(keys, twins, sorter=order), len(keys) - 1)
     match = order[position]
-    found = keys[match] == twins
-    return np.where(found, match // 3, -1).astype(np.int32).reshape(faces.shape)
+    paired = keys[match] == twins
+    return np.where(paired, match // 3, -1).astype(np.int32).reshape(faces.shape)

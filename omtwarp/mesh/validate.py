@@ -113,10 +113,10 @@ def check(mesh: MeshLike | ArrayLike, faces: ArrayLike | None = None) -> list[De
         )
         remedy = f"write the file anew, or drop them with {REPAIR}"
         return [Defect("index-out-of-range", int(out_of_range.sum()), first, text, remedy)]
-    found = _geometric_defects(points, triangles)
+    defects = _geometric_defects(points, triangles)
     if not (triangles == np.roll(triangles, -1, axis=1)).any():  # a face that repeats a vertex has no proper edges
-        found += _topological_defects(points, triangles, sound=not found)
-    return found
+        defects += _topological_defects(points, triangles, sound=not defects)
+    return defects
 
 
 def require_valid(
@@ -201,31 +201,31 @@ def duplicate_faces(faces: NDArray[np.int64], vertex_count: int) -> NDArray[np.b
 
 def _geometric_defects(points: NDArray[np.float64], faces: NDArray[np.int64]) -> list[Defect]:
     """Find coordinates that are no numbers, degenerate faces, and vertices in no face."""
-    found = []
+    defects = []
     finite = np.isfinite(points).all(axis=1)
     if not finite.all():
         first = int(np.argmin(finite))
         count = int((~finite).sum())
         text = f"{number(count, 'vertex', 'vertices')} with NaN or infinite coordinates, first vertex {first}"
-        found.append(Defect("non-finite", count, first, text, f"write the file anew, or drop them with {REPAIR}"))
+        defects.append(Defect("non-finite", count, first, text, f"write the file anew, or drop them with {REPAIR}"))
     duplicate = duplicate_faces(faces, len(points))
     if duplicate.any():
         first = int(np.argmax(duplicate))
         text = f"{number(duplicate.sum(), 'duplicate face')}, first face {first} {_tuple(faces[first])}"
-        found.append(Defect("duplicate-faces", int(duplicate.sum()), first, text, f"drop them with {REPAIR}"))
+        defects.append(Defect("duplicate-faces", int(duplicate.sum()), first, text, f"drop them with {REPAIR}"))
     if finite.all():
         flat = zero_area_faces(unit_coordinates(points), faces)
         if flat.any():
             first = int(np.argmax(flat))
             text = f"{number(flat.sum(), 'face')} of zero area, first face {first} {_tuple(faces[first])}"
-            found.append(Defect("zero-area", int(flat.sum()), first, text, f"drop or flip them with {REPAIR}"))
+            defects.append(Defect("zero-area", int(flat.sum()), first, text, f"drop or flip them with {REPAIR}"))
     used = np.zeros(len(points), dtype=bool)
     used[faces] = True
     if not used.all():
         first = int(np.argmin(used))
         text = f"{number((~used).sum(), 'vertex', 'vertices')} in no face, first vertex {first}"
-        found.append(Defect("unused-vertices", int((~used).sum()), first, text, f"drop them with {REPAIR}"))
-    return found
+        defects.append(Defect("unused-vertices", int((~used).sum()), first, text, f"drop them with {REPAIR}"))
+    return defects
 
 
 def _topological_defects(points: NDArray[np.float64], faces: NDArray[np.int64], sound: bool) -> list[Defect]:

@@ -109,12 +109,12 @@ class _Legacy:
         if self.binary:
             size = np.dtype(kind).itemsize
             end, there = start + count * size, (len(self.data) - start) // size
-            found: Numbers = np.frombuffer(self.data, f">{kind}", min(count, there), start)
+            values: Numbers = np.frombuffer(self.data, f">{kind}", min(count, there), start)
         else:
-            found, end = np.array(self.data[start:].split(None, count)[:count], dtype=np.float64), start
-        if len(found) < count:
-            raise OmtwarpError(f"cut short: {count} numbers announced, {len(found)} there")
-        return found, end
+            values, end = np.array(self.data[start:].split(None, count)[:count], dtype=np.float64), start
+        if len(values) < count:
+            raise OmtwarpError(f"cut short: {count} numbers announced, {len(values)} there")
+        return values, end
 
     def lists(self, name: str, start: int) -> tuple[Numbers, NDArray[np.int64]]:
         """Read the corners of all cells of a section, and how many each has; none where there is no such section.
@@ -201,12 +201,12 @@ def read_vtk_xml(data: bytes) -> Polygons:
     for piece in file.root.iter("Piece"):
         here = file.first(piece, "Points").reshape(-1, 3)
         if kind == "PolyData":
-            found = _with_strips(file.lists(piece, "Polys"), file.lists(piece, "Strips"))
+            triangles = _with_strips(file.lists(piece, "Polys"), file.lists(piece, "Strips"))
         else:
-            found = _of_kinds(*file.lists(piece, "Cells"), file.first(piece, "Cells", "types"))
+            triangles = _of_kinds(*file.lists(piece, "Cells"), file.first(piece, "Cells", "types"))
         points.append(here)
-        corners.append(whole_numbers(found[0], "corners of cells", (None,)) + start)
-        sizes.append(found[1])
+        corners.append(whole_numbers(triangles[0], "corners of cells", (None,)) + start)
+        sizes.append(triangles[1])
         start += len(here)
     if not points:
         raise OmtwarpError("no piece of a surface in it")

@@ -78,15 +78,15 @@ def ascend(
     while best.excess > enough and (done < most or _goes_on(excesses, most)):
         if notify is not None:
             notify(min(done, most), best)
-        found = _step(dual, pairs, best, slope, most)
-        if found is None:
+        step = _step(dual, pairs, best, slope, most)
+        if step is None:
             if pairs.empty:
                 break
             pairs = _Pairs(dual)  # the slope itself may still raise the bound, as next to a kink
             continue
-        after = dual.slope(found)
-        pairs.add(found.potential - best.potential, slope - after)
-        best, slope, done = found, after, done + 1
+        after = dual.slope(step)
+        pairs.add(step.potential - best.potential, slope - after)
+        best, slope, done = step, after, done + 1
         excesses.append(best.excess)
         if len(excesses) > 3 and excesses[-3] - best.excess < max((best.excess - enough) / pace, stalled * best.excess):
             break
@@ -116,9 +116,9 @@ def _step(dual: DualProblem[Found], pairs: _Pairs, best: Found, slope: Array, mo
         many = most <= FEW_STEPS and len(slope) > many_points
         length = (first_of_many if many else first) * best.excess / along
     for _ in range(trials):
-        found = dual.bound(best.potential + length * direction)
-        if found.excess < best.excess:
-            return found
+        raised = dual.bound(best.potential + length * direction)
+        if raised.excess < best.excess:
+            return raised
         length *= shorter
     return None
 

@@ -111,8 +111,8 @@ def certify_triangles(
     """
     sphere = real_numbers(sphere, "the map", (None, 3), finite=False)
     faces = as_faces(faces, len(sphere))
-    found = examine(sphere, faces, device=device) if examined is None else examined
-    signs, turns = found.signs, found.turns
+    facts = examine(sphere, faces, device=device) if examined is None else examined
+    signs, turns = facts.signs, facts.turns
     bad = np.flatnonzero(signs <= 0)
     used = np.zeros(len(turns), dtype=bool)
     used[faces] = True

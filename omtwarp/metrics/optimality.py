@@ -333,8 +333,8 @@ def _ascended(
     """Raise a bound by at most so many steps, or until the gap is small enough; return it and the steps taken."""
     cost = 2.0 * float(dual.mass @ dual.cost)
 
-    def before_step(done: int, found: Bound) -> None:
-        notify(STEPS_BEFORE + done, {"gap": 2.0 * found.excess / cost})
+    def before_step(done: int, ascent: Bound) -> None:
+        notify(STEPS_BEFORE + done, {"gap": 2.0 * ascent.excess / cost})
 
     return ascend(dual, best, most, _excess_at(cost, enough), before_step)
 

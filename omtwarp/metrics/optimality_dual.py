@@ -221,15 +221,15 @@ class TransportDual:
             for values, kind in ((self.x.numpy(), wp.vec3d), (own, wp.float64))
         )
         minimum = (wp.float64, wp.int32, wp.vec3d, wp.int32)
-        found = [wp.empty(len(seeds), dtype=kind, device=self.device) for kind in minimum]
+        lowest = [wp.empty(len(seeds), dtype=kind, device=self.device) for kind in minimum]
 
         def arguments(part: slice) -> Arguments:
             inputs = [sources[part], seeds[part], *mesh, places, values, self._leaves, self.tolerance, *tree]
-            return inputs, [array[part] for array in found]
+            return inputs, [array[part] for array in lowest]
 
         # Points whose transforms are worth a launch of their own on another core: each takes 10 microseconds.
         launch_parts(kernels.c_transform, len(seeds), arguments, self.device, 128)
-        proven, face, weights, visited = (array.numpy() for array in found)
+        proven, face, weights, visited = (array.numpy() for array in lowest)
         if self.shared is not None:
             proven, face, weights, visited = self.shared.spread(own, proven, face, weights, visited, self.surface)
         gap = own - proven

@@ -100,13 +100,13 @@ class SourceDual:
         of_sources = [wp.array(array, dtype=wp.float64, device=dual.device) for array in (values, highest)]
         given = [BLOCK, self._sources, of_sources[0], self._centres, self._radii, of_sources[1]]
         seeds = wp.array(dual.cost - potential, dtype=wp.float64, device=dual.device)
-        found = [wp.empty(count, dtype=kind, device=dual.device) for kind in (wp.float64, wp.int32)]
+        lowest = [wp.empty(count, dtype=kind, device=dual.device) for kind in (wp.float64, wp.int32)]
 
         def of_images(part: slice) -> Arguments:
-            return [dual.y[part], seeds[part], *given], [array[part] for array in found]
+            return [dual.y[part], seeds[part], *given], [array[part] for array in lowest]
 
         launch_parts(kernels.largest_potentials, count, of_images, dual.device)
-        at_images, nearest = (array.numpy() for array in found)
+        at_images, nearest = (array.numpy() for array in lowest)
         excess = float(dual.mass @ (dual.cost - potential - at_images))
         return SourceBound(potential, at_images, excess, np.where(nearest < 0, self._of, nearest))
 

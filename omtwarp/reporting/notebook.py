@@ -135,5 +135,5 @@ def _maps(result: MapResult | TorusMap) -> dict[str, np.ndarray]:
 
 
 def _distortions(result: MapResult | TorusMap) -> dict[str, np.ndarray]:
-    found = result.distortion()
-    return {"area_ratio": np.array(found.area_ratio), "angle": np.array(found.face_angle)}
+    measured = result.distortion()
+    return {"area_ratio": np.array(measured.area_ratio), "angle": np.array(measured.face_angle)}

@@ -253,19 +253,20 @@ def certificate(report: MapReport, shown_faces: int, last: Stage, filled: bool) 
         last: the final map.
         filled: whether holes or the sides of cuts are filled.
     """
-    found = report.get("certificate")
-    if not found:
+    certificate = report.get("certificate")
+    if not certificate:
         return html("")
-    flips, crossings = found.get("flips") or 0, found.get("ray_degree")
-    where_first = f", the first is face {found.get('first_flip')}" if flips else ", by exact orientation tests"
+    flips, crossings = certificate.get("flips") or 0, certificate.get("ray_degree")
+    where_first = f", the first is face {certificate.get('first_flip')}" if flips else ", by exact orientation tests"
     facts = [
         ("Flipped triangles", f"{flips:,}{where_first}"),
 
-        ("Rings", f"{found.get('wound') or 0:,} vertices whose neighbours do not go around them exactly once"),
-        ("Degree", f"{found.get('degree')} from the total signed solid angle"),
-        ("Rays", f"{found.get('rays')} from the centre, each of which crosses the map {crossings} "
+        ("Rings", f"{certificate.get('wound') or 0:,} vertices whose neighbours do not go around them exactly once"),
+        ("Degree", f"{certificate.get('degree')} from the total signed solid angle"),
+        ("Rays", f"{certificate.get('rays')} from the centre, each of which crosses the map {crossings} "
          f"time{'s' * (crossings != 1)} by signed count"),
-        ("Smallest triangle", html("{} of 4π, face {}", _number(found["smallest_area"]), found["smallest_face"])),
+        ("Smallest triangle",
+         html("{} of 4π, face {}", _number(certificate["smallest_area"]), certificate["smallest_face"])),
     ]  # fmt: skip
     words = (
         "A map of a closed surface to the sphere whose triangles all keep their orientation, and whose vertices' rings "

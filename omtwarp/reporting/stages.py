@@ -149,10 +149,10 @@ def stages_of(result: MapResult) -> list[Stage]:
     apart = number if part is None else np.unique(part, return_inverse=True)[1]
     plural = "s" if apart.any() else ""
     before = "hemisphere" + plural if carried else last
-    found: list[Stage] = []
+    stages: list[Stage] = []
     for attribute, key, label, colour in KNOWN:
         sphere = getattr(result, attribute, None)
-        if sphere is None or any(np.array_equal(sphere, stage.sphere) for stage in found):
+        if sphere is None or any(np.array_equal(sphere, stage.sphere) for stage in stages):
             continue
         domain, own = before, apart
         if attribute == "conformal":
@@ -160,13 +160,13 @@ def stages_of(result: MapResult) -> list[Stage]:
         elif attribute == "sphere" and carried and last != before and not last.startswith("disk"):
             key, label, domain, own = "cap", "Caps" if plural else "Cap", last, number
         record = records.get(key) or (records.get(route, {}) if attribute == "conformal" else {})
-        found.append(Stage(key, label, colour, sphere, result.distortion(attribute), record, weights, domain, own))
+        stages.append(Stage(key, label, colour, sphere, result.distortion(attribute), record, weights, domain, own))
     disk = getattr(result, "disk", None)
     if disk is not None:
         lifted = disk_to_cap(disk / np.maximum(1.0, np.linalg.norm(disk, axis=1))[:, None], 0.5)
         measured, record = result.distortion("disk"), records.get("disk", {})
-        found.append(Stage("disk", "Disk", "--flat", lifted, measured, record, weights, "disk" + plural, number, disk))
-    return found
+        stages.append(Stage("disk", "Disk", "--flat", lifted, measured, record, weights, "disk" + plural, number, disk))
+    return stages
 
 
 def view_on_domain(result: MapResult, stage: Stage, pose: SurfaceView) -> SurfaceView:

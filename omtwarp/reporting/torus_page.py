@@ -54,15 +54,15 @@ def torus_stages(result: TorusMap) -> list[Stage]:
     weights = areas / max(float(areas.sum()), np.finfo(float).tiny)
     number = np.zeros(len(result.faces), dtype=np.intp)
     outside = 1.0 + tube_radius(result.lattice)
-    found = []
+    stages = []
     for key, stage, places, (label, colour) in (
         ("conformal", "conformal", result.conformal, ("Conformal", "--before")),
         (name, "torus", result.coordinates, LAST[name]),
     ):
         points = ring_torus(places, result.lattice) / outside
         record: StageReport = records.get(key, {})
-        found.append(Stage(key, label, colour, points, result.distortion(stage), record, weights, TORUS, number))
-    return found
+        stages.append(Stage(key, label, colour, points, result.distortion(stage), record, weights, TORUS, number))
+    return stages
 
 
 def torus_scene(

@@ -237,9 +237,9 @@ class Resampling:
         rows = np.repeat(np.arange(votes.shape[0]), np.diff(votes.indptr))
         order = np.lexsort((votes.indices, -votes.data, rows))
         filled = np.flatnonzero(~self.empty)
-        found = np.zeros(votes.shape[0], dtype=np.int64)
-        found[filled] = names[votes.indices[order[np.searchsorted(rows[order], filled)]]]
-        return found
+        winners = np.zeros(votes.shape[0], dtype=np.int64)
+        winners[filled] = names[votes.indices[order[np.searchsorted(rows[order], filled)]]]
+        return winners
 
     def surface(self) -> Floats:
         """Resample the source's surface to the target's points, float64, shape [T, 3].

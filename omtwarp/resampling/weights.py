@@ -24,13 +24,13 @@ def barycentric(source: SphereGrid, target: SphereGrid, device: str | None = "au
     # of a filled hole so far into its filling.
     rim = 1e-6
     faces = source.triangles
-    found = Locator(source.points, faces, device=device).find_closest(target.points)
-    matrix = found.matrix(faces, len(source.points))
+    nearest = Locator(source.points, faces, device=device).find_closest(target.points)
+    matrix = nearest.matrix(faces, len(source.points))
     if source.own is None:
         return matrix
-    of_surface = np.where(faces[found.faces] < source.own[0], found.coordinates, 0.0).sum(axis=1)
-    on_rim = (found.coordinates.min(axis=1) < rim) & (of_surface > 1.0 - rim)
-    return _without_rows(matrix, (found.faces >= source.own[1]) & ~on_rim)
+    of_surface = np.where(faces[nearest.faces] < source.own[0], nearest.coordinates, 0.0).sum(axis=1)
+    on_rim = (nearest.coordinates.min(axis=1) < rim) & (of_surface > 1.0 - rim)
+    return _without_rows(matrix, (nearest.faces >= source.own[1]) & ~on_rim)
 
 
 def nearest(source: SphereGrid, target: SphereGrid, device: str | None = "auto") -> sparse.csr_matrix:

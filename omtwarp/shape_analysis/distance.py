@@ -94,9 +94,9 @@ def shape_distance(
        comparison", IEEE Trans. Pattern Anal. Mach. Intell. 37 (2015).
     """
     degree = check_degree(degree)
-    found = align(first, second)
+    alignment = align(first, second)
     whole = first.closed(), second.closed()
-    spheres = unit_sphere(whole[0].sphere) @ found.rotation.T, whole[1].sphere
+    spheres = unit_sphere(whole[0].sphere) @ alignment.rotation.T, whole[1].sphere
     coefficients = [
         expand(sphere, one.vertices, degree, faces=one.faces).coefficients[1:]
         for sphere, one in zip(spheres, whole, strict=True)
@@ -112,7 +112,7 @@ def shape_distance(
     if progress is not None:
         progress("distance", 3, 3, {})
     there, back = ways
-    return ShapeDistance(apart, (there + back) / 2.0, there, back, found.score)
+    return ShapeDistance(apart, (there + back) / 2.0, there, back, alignment.score)
 
 
 def coefficient_distance(first: Floats, second: Floats) -> float:

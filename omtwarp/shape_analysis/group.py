@@ -153,20 +153,20 @@ def study_group(
     names = None if labels is None else two_groups(labels, len(maps))
     # Highest degree of the features that spheres are aligned by: coarse form determines positions, detail varies. Tubes
     # that vary by 5 % end within 2 to 4 degrees of one another with degree 4.
-    found = procrustes_mean(maps, grid=grid, scale=scale, degree=4, device=device, progress=progress)
-    if found.mirrored.any():
-        warnings.warn(mirrored_words(found, [f"shape {k}" for k in range(len(maps))]), OmtwarpWarning, stacklevel=2)
+    mean = procrustes_mean(maps, grid=grid, scale=scale, degree=4, device=device, progress=progress)
+    if mean.mirrored.any():
+        warnings.warn(mirrored_words(mean, [f"shape {k}" for k in range(len(maps))]), OmtwarpWarning, stacklevel=2)
     weights = as_points(grid, "the grid").grid.areas
-    moved = found.surfaces - found.mean
+    moved = mean.surfaces - mean.mean
     shares = weights / weights.sum()
     difference = None
     if labels is not None and names is not None:
         chosen = np.array([label == names[1] for label in labels])
-        difference = group_difference(found.surfaces, chosen, names, found.faces, permutations, seed)
+        difference = group_difference(mean.surfaces, chosen, names, mean.faces, permutations, seed)
     whole = [one.closed() for one in maps]
-    spheres = [one.sphere @ turn.T for one, turn in zip(whole, found.rotations, strict=True)]
+    spheres = [one.sphere @ turn.T for one, turn in zip(whole, mean.rotations, strict=True)]
     return GroupStudy(
-        found,
+        mean,
         principal_components(moved, shares, components),
         distance_matrix(spheres, whole, degree, scale),
         np.sqrt(np.einsum("v,nvd->n", shares, moved**2)),
@@ -182,11 +182,11 @@ def mirrored_words(alignment: GroupAlignment, names: Sequence[str]) -> str:
         alignment: of the group.
         names: of its shapes, the first named first.
     """
-    found = [name for name, mirrored in zip(names, alignment.mirrored, strict=True) if mirrored]
-    if not found:
+    named = [name for name, mirrored in zip(names, alignment.mirrored, strict=True) if mirrored]
+    if not named:
         return ""
-    which = found[0] if len(found) == 1 else f"{len(found)} of {len(names)} shapes, first {found[0]},"
-    fits, images = ("fits", "mirror image") if len(found) == 1 else ("fit", "mirror images")
+    which = named[0] if len(named) == 1 else f"{len(named)} of {len(names)} shapes, first {named[0]},"
+    fits, images = ("fits", "mirror image") if len(named) == 1 else ("fit", "mirror images")
     return (
         f"{which} {fits} {names[0]} better as {images}, and the difference counts as one of shape: mirror "
         "one side before, with 'omtwarp align MAP --to FIRST --mirror', to compare left and right"

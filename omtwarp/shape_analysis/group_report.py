@@ -71,8 +71,8 @@ def write_group_report(
             files.append(_write_csv(folder / file, ["id", *names], apart))
     beside = {}
     if study.difference is not None:
-        found = study.difference
-        beside = {"difference": found.outward, "t": found.statistic, "p": found.p_values}
+        difference = study.difference
+        beside = {"difference": difference.outward, "t": difference.statistic, "p": difference.p_values}
     files += _write_shape(folder, "mean", study.mean, like, beside)
     for k in range(len(study.components.deviations)):
         for word, sign in (("minus", -1.0), ("plus", 1.0)):
@@ -143,17 +143,20 @@ def _body(study: GroupStudy, columns: Sequence[str], rows: Sequence[Sequence[str
 
 
 def _difference(study: GroupStudy) -> list[Markup]:
-    found = study.difference
-    assert found is not None
+    difference = study.difference
+    assert difference is not None
     area = study.mean.vertex_areas
-    share = float(area[found.p_values <= SIGNIFICANT].sum() / area.sum())
-    first, second = found.names
-    words = f"Smallest corrected p {found.p_values.min():.3g}; p is at most {SIGNIFICANT} on {100 * share:.1f} %."
+    share = float(area[difference.p_values <= SIGNIFICANT].sum() / area.sum())
+    first, second = difference.names
+    words = f"Smallest corrected p {difference.p_values.min():.3g}; p is at most {SIGNIFICANT} on {100 * share:.1f} %."
     figures = [
-        _picture(study.mean, f"{second} less {first}, outwards", found.outward, view=view) for view in ("front", "back")
+        _picture(study.mean, f"{second} less {first}, outwards", difference.outward, view=view)
+        for view in ("front", "back")
     ]
     for view in ("front", "back"):
-        field = ScalarField(-np.log10(found.p_values), "magma", (0.0, max(2.0, -np.log10(found.p_values.min()))))
+        field = ScalarField(
+            -np.log10(difference.p_values), "magma", (0.0, max(2.0, -np.log10(difference.p_values.min())))
+        )
         figures.append(_picture(study.mean, "-log10 of the corrected p", field, view=view))
     return [element("h2", f"Where {first} and {second} differ"), element("p", words), pictures(figures)]
 

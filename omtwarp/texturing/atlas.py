@@ -480,8 +480,8 @@ def largest_stretch(surface: Floats, faces: NDArray[np.int32], sphere: Floats) -
     lead, middle, last = p * r - q * q, a * r + c * p - 2.0 * b * q, np.maximum(a * c - b * b, 0.0)
     root = np.sqrt(np.maximum(middle * middle - 4.0 * lead * last, 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = np.sqrt(np.maximum(middle + root, 0.0) / (2.0 * lead))
-    return np.where(lead > 0.0, found, np.where(a + c > 0.0, np.inf, 0.0))
+        stretch = np.sqrt(np.maximum(middle + root, 0.0) / (2.0 * lead))
+    return np.where(lead > 0.0, stretch, np.where(a + c > 0.0, np.inf, 0.0))
 
 
 def _metric(corner: Floats) -> Floats:

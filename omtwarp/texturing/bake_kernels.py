@@ -102,14 +102,14 @@ def tangent_normals(
     b = wp.cross(n, t) * tangents[i][3]
     # Single precision suffices to find the triangle: nothing else is taken from the query.
     p = wp.vec3(wp.float32(points[i][0]), wp.float32(points[i][1]), wp.float32(points[i][2]))
-    found = wp.mesh_query_point_no_sign(detail, p, 10.0)
+    hit = wp.mesh_query_point_no_sign(detail, p, 10.0)
     out[i] = wp.vec3d(ZERO, ZERO, ONE)
-    if found.result:
-        u = wp.float64(found.u)
-        v = wp.float64(found.v)
-        n0 = detail_normals[detail_faces[found.face, 0]]
-        n1 = detail_normals[detail_faces[found.face, 1]]
-        n2 = detail_normals[detail_faces[found.face, 2]]
+    if hit.result:
+        u = wp.float64(hit.u)
+        v = wp.float64(hit.v)
+        n0 = detail_normals[detail_faces[hit.face, 0]]
+        n1 = detail_normals[detail_faces[hit.face, 1]]
+        n2 = detail_normals[detail_faces[hit.face, 2]]
         fine = u * n0 + v * n1 + (ONE - u - v) * n2
         # The frame need not be orthogonal after interpolation: solve for the coordinates.
         frame = wp.mat33d(t[0], b[0], n[0], t[1], b[1], n[1], t[2], b[2], n[2])

@@ -359,9 +359,9 @@ class Layout:
             picture, other, known, other_known = other, picture, other_known, known
             ring += 1
         if rings < 0 and self.known.any():
-            found, missing = picture.numpy(), known.numpy() == 0
-            found[missing] = found[self.known].mean(axis=0, dtype=np.float64)
-            picture = wp.array(found, dtype=wp.float32, device=self.where)
+            texels, missing = picture.numpy(), known.numpy() == 0
+            texels[missing] = texels[self.known].mean(axis=0, dtype=np.float64)
+            picture = wp.array(texels, dtype=wp.float32, device=self.where)
         return picture
 
 

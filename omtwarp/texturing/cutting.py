@@ -222,8 +222,8 @@ def normalised(vectors: Floats) -> Floats:
 def lengths(vectors: Floats) -> Floats:
     """Return the lengths of vectors, shape [...]; NumPy's own function takes three times as long for three numbers."""
     x, y, z = (vectors[..., k] for k in range(3))
-    found: Floats = np.sqrt(x * x + y * y + z * z)
-    return found
+    norms: Floats = np.sqrt(x * x + y * y + z * z)
+    return norms
 
 
 def _on_plane(points: Floats, normal: Floats) -> NDArray[np.bool_]:

@@ -86,8 +86,8 @@ def vertex_density(
     locator = Locator(points, triangles, device=device)
 
     def density(queries: NDArray[np.float64]) -> NDArray[np.float64]:
-        found = locator.find(queries)
-        return (numbers[triangles[found.faces]] * found.coordinates).sum(axis=1)
+        holding = locator.find(queries)
+        return (numbers[triangles[holding.faces]] * holding.coordinates).sum(axis=1)
 
     return TargetDensity(density, floor)
 

@@ -665,9 +665,9 @@ def bent_sample_directions(
         row_there = wp.clamp(int(wp.floor(place[1])), 0, height - 1)
         f = hints[row_there // block * blocks_across + column_there // block]
     weights = wp.vec3d()
-    found = bool(False)
+    inside = bool(False)
     steps = int(0)
-    while f >= 0 and steps < MOST_STEPS and not found:
+    while f >= 0 and steps < MOST_STEPS and not inside:
         face = faces[f]
         weights = spherical_coordinates(sphere[face[0]], sphere[face[1]], sphere[face[2]], d)
         total = weights[0] + weights[1] + weights[2]
@@ -677,12 +677,12 @@ def bent_sample_directions(
         if weights[2] < weights[worst]:
             worst = int(2)
         if weights[worst] >= SLACK * total and total > ZERO:
-            found = True
+            inside = True
         else:
             f = neighbours[f][(worst + 1) % 3]  # corner k is opposite to the edge from corner k + 1
             steps = steps + 1
     move = wp.vec3d(ZERO, ZERO, ZERO)
-    if found:
+    if inside:
         parts = divided[f]
         if parts > 0:
             bary = clamped(weights)

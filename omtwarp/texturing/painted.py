@@ -246,9 +246,9 @@ class PaintedMesh:
         keys, wanted = np.sort(here, axis=1), np.sort(number.reshape(-1)[triangles], axis=1)
         _, key = np.unique(np.concatenate([keys, wanted]), axis=0, return_inverse=True)
         key = key.reshape(-1)
-        found = np.full(int(key.max(initial=-1)) + 1, -1, dtype=np.int32)
-        found[key[: len(keys)][::-1]] = np.arange(len(keys), dtype=np.int32)[::-1]  # the first of several wins
-        origin = found[key[len(keys) :]]
+        place = np.full(int(key.max(initial=-1)) + 1, -1, dtype=np.int32)
+        place[key[: len(keys)][::-1]] = np.arange(len(keys), dtype=np.int32)[::-1]  # the first of several wins
+        origin = place[key[len(keys) :]]
         lost = int((origin < 0).sum())
         if lost:
             raise OmtwarpError(

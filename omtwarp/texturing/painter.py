@@ -318,23 +318,23 @@ class _Job:
         neutral = (0.8, 0.8, 0.8, 1.0)
         wanted = self.wanted
         if color is not None:
-            found = replace(material, picture=_opaque_if_it_is(as_bytes(color)), color=WHITE)
+            finished = replace(material, picture=_opaque_if_it_is(as_bytes(color)), color=WHITE)
         elif wanted.color == "normal":
-            found = replace(material, picture=bakes.object_normals(target), color=WHITE)
+            finished = replace(material, picture=bakes.object_normals(target), color=WHITE)
         elif wanted.color is not None:
             where = self.on_map, self.parts, self.origins, self.structure
             number = bakes.scalar(wanted.color, self.vertices, self.faces, *where)
-            found = replace(material, picture=number.picture(target, self.faces), color=WHITE)
+            finished = replace(material, picture=number.picture(target, self.faces), color=WHITE)
         elif self.own is None:
-            found = replace(material, color=neutral)
+            finished = replace(material, color=neutral)
         else:
-            found = material
+            finished = material
         if "ao" in wanted.names:
-            found = replace(found, occlusion_picture=bakes.occlusion(target, self.vertices, self.faces))
+            finished = replace(finished, occlusion_picture=bakes.occlusion(target, self.vertices, self.faces))
         if wanted.detail is not None and tangents is not None:
             normals = bakes.detail_normals(target, tangents, wanted.detail)
-            found = replace(found, normal_picture=normals, own_tangents=True)
-        return found
+            finished = replace(finished, normal_picture=normals, own_tangents=True)
+        return finished
 
     def on_atlas(self, look: Look) -> PaintedMesh:
         """Lay the surface out on one picture, which all of its materials share."""

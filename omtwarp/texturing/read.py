@@ -68,26 +68,26 @@ class _Statements:
 
 def _statements(text: bytes) -> _Statements:
     """Sort the statements of an OBJ file."""
-    found = _Statements()
+    statements = _Statements()
     joined = text.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").replace(b"\r", b"\n")
     current = ""
     for match in _STATEMENT.finditer(joined):
         kind, rest = match.group(1) or b"usemtl", match.group(2) or b""
         if kind == b"v":
-            found.points.append(rest.split())
+            statements.points.append(rest.split())
         elif kind == b"vt":
-            found.coordinates.append(rest.split()[:2])
+            statements.coordinates.append(rest.split()[:2])
         elif kind == b"f":
             words = rest.split()
-            found.corners += words
-            found.sizes.append(len(words))
-            found.before.append((len(found.points), len(found.coordinates)))
-            found.used.append(found.names.setdefault(current, len(found.names)))
+            statements.corners += words
+            statements.sizes.append(len(words))
+            statements.before.append((len(statements.points), len(statements.coordinates)))
+            statements.used.append(statements.names.setdefault(current, len(statements.names)))
         elif kind == b"usemtl":
             current = rest.decode("utf-8", "replace").strip()
         else:
-            found.libraries.append(rest.decode("utf-8", "replace").strip())
-    return found
+            statements.libraries.append(rest.decode("utf-8", "replace").strip())
+    return statements
 
 
 _PHONG = {name.lower(): name for name in ("Ns", "Ka", "Ks", "Ke", "Ni", "Tf", "illum")}
@@ -100,7 +100,7 @@ def read_mtl(text: str, picture: Callable[[str], Bytes | None]) -> dict[str, Mat
         text: the library.
         picture: reads a picture by its name, None where there is none.
     """
-    found: dict[str, Material] = {}
+    materials: dict[str, Material] = {}
     name = ""
     for line in text.splitlines():
         words = line.split("#", 1)[0].split()
@@ -109,12 +109,12 @@ def read_mtl(text: str, picture: Callable[[str], Bytes | None]) -> dict[str, Mat
         key, values = words[0].lower(), words[1:]
         if key == "newmtl":
             name = " ".join(values)
-            found[name] = Material(name=name)
+            materials[name] = Material(name=name)
             continue
-        if name not in found:
+        if name not in materials:
             continue
-        found[name] = _with(found[name], key, values, picture)
-    return found
+        materials[name] = _with(materials[name], key, values, picture)
+    return materials
 
 
 def _with(material: Material, key: str, values: list[str], picture: Callable[[str], Bytes | None]) -> Material:
@@ -195,14 +195,14 @@ def read_painted_mesh(path: str | os.PathLike[str]) -> PaintedMesh:
         with warnings.catch_warnings(action="ignore"), memory_for_file(len(data)):  # of what parsers guess
             if plain:
                 mesh = read_mesh(file)
-                found = PaintedMesh(mesh.vertices, corners_of(mesh.faces, len(mesh.vertices)), notes=mesh.notes)
+                painted = PaintedMesh(mesh.vertices, corners_of(mesh.faces, len(mesh.vertices)), notes=mesh.notes)
             elif suffix == "obj":
-                found = _from_obj(data, file)
+                painted = _from_obj(data, file)
             elif suffix == "ply":
-                found = _from_ply(data, file)
+                painted = _from_ply(data, file)
             else:
                 scene = load_scene(data, file, suffix)
-                found = _from_scene(scene, gltf_materials(data, file, suffix) if suffix in ("glb", "gltf") else None)
+                painted = _from_scene(scene, gltf_materials(data, file, suffix) if suffix in ("glb", "gltf") else None)
     except OmtwarpError as error:
         raise OmtwarpError(str(error) if str(error).startswith(str(file)) else f"{file}: {error}") from None
     except MemoryError:
@@ -210,23 +210,23 @@ def read_painted_mesh(path: str | os.PathLike[str]) -> PaintedMesh:
     except Exception as error:  # whatever a parser trips over, the file is not what its suffix says
         detail = " ".join(str(error).split())[:160] or type(error).__name__
         raise OmtwarpError(f"{file}: cannot be read as {suffix}: {detail}") from None
-    if len(found.faces) > MOST_FACES:
-        raise OmtwarpError(f"{file}: {len(found.faces):,} triangles, and {MOST_FACES:,} is the most")
-    return replace(found, source_files=(file, *found.source_files))
+    if len(painted.faces) > MOST_FACES:
+        raise OmtwarpError(f"{file}: {len(painted.faces):,} triangles, and {MOST_FACES:,} is the most")
+    return replace(painted, source_files=(file, *painted.source_files))
 
 
-def _obj_corners(found: _Statements) -> tuple[NDArray[np.int64], Floats | None, NDArray[np.intp], list[str]]:
+def _obj_corners(statements: _Statements) -> tuple[NDArray[np.int64], Floats | None, NDArray[np.intp], list[str]]:
     """Return vertices [F, 3] and coordinates [F, 3, 2] of an OBJ's triangles, their faces in the file, and notes.
 
     Raises:
         OmtwarpError: no faces, or one with fewer than three corners.
         ValueError: words where numbers belong.
     """
-    if not found.sizes:
+    if not statements.sizes:
         raise OmtwarpError("not a triangle mesh: no faces in it")
-    counts = np.array(found.sizes)
-    split = [word.split(b"/") for word in found.corners]
-    ahead = np.repeat(np.array(found.before), counts, axis=0)
+    counts = np.array(statements.sizes)
+    split = [word.split(b"/") for word in statements.corners]
+    ahead = np.repeat(np.array(statements.before), counts, axis=0)
     vertex = np.array([int(parts[0]) for parts in split], dtype=np.int64)
     require_counted_from_one(vertex)
     vertex = np.where(vertex < 0, vertex + ahead[:, 0], vertex - 1)
@@ -236,8 +236,8 @@ def _obj_corners(found: _Statements) -> tuple[NDArray[np.int64], Floats | None, 
     rows, notes = fans(np.arange(len(vertex)), counts)
     face = np.repeat(np.arange(len(counts)), counts)[rows[:, 0]]
     uv = None
-    if given.any() and found.coordinates:
-        table = np.array([[*row, b"0"][:2] for row in found.coordinates], dtype=np.float64)
+    if given.any() and statements.coordinates:
+        table = np.array([[*row, b"0"][:2] for row in statements.coordinates], dtype=np.float64)
         if which[given].max() >= len(table) or which[given].min() < 0:
             raise OmtwarpError(f"a face refers to texture coordinates {which[given].max() + 1} of {len(table)}")
         at_corner = np.full((len(vertex), 2), np.nan)
@@ -248,8 +248,8 @@ def _obj_corners(found: _Statements) -> tuple[NDArray[np.int64], Floats | None, 
 
 def _from_obj(data: bytes, file: Path) -> PaintedMesh:
     """Read an OBJ file and its material libraries."""
-    found = _statements(utf8(data))
-    corners, uv, face, notes = _obj_corners(found)
+    statements = _statements(utf8(data))
+    corners, uv, face, notes = _obj_corners(statements)
     named: list[Path] = []
 
     def picture(name: str) -> Bytes | None:
@@ -261,21 +261,21 @@ def _from_obj(data: bytes, file: Path) -> PaintedMesh:
         return _as_bytes(read_image(there))
 
     known: dict[str, Material] = {}
-    for library in found.libraries:
+    for library in statements.libraries:
         there = file_beside(file, library)
         if there is None:
             notes.append(f"the material library '{library}' is not there")
         else:
             named.append(there)
             known |= read_mtl(read_bytes(there, LARGEST_MESH_FILE).decode("utf-8", "replace"), picture)
-    materials = tuple(known.get(name, Material(name or "material")) for name in found.names)
-    points = np.array([row[:3] for row in found.points], dtype=np.float64)
+    materials = tuple(known.get(name, Material(name or "material")) for name in statements.names)
+    points = np.array([row[:3] for row in statements.points], dtype=np.float64)
     colors = None
-    if found.points and all(len(row) >= 6 for row in found.points):
-        given_colors = np.array([row[3:6] for row in found.points], dtype=np.float64)
+    if statements.points and all(len(row) >= 6 for row in statements.points):
+        given_colors = np.array([row[3:6] for row in statements.points], dtype=np.float64)
         scaled = given_colors * (255.0 if given_colors.max() <= 1.0 else 1.0)
         colors = _opaque(np.rint(np.clip(scaled, 0, 255)).astype(np.uint8))
-    used = np.array(found.used, dtype=np.int32)[face]
+    used = np.array(statements.used, dtype=np.int32)[face]
     faces = corners_of(corners, len(points))
     return PaintedMesh(points, faces, uv, materials, used, colors, tuple(notes), source_files=tuple(named))
 
@@ -374,14 +374,14 @@ def _from_scene(scene: trimesh.Scene, looks: list[GltfLook] | None) -> PaintedMe
         scene: of trimesh's.
         looks: of a glTF file's materials, whose colours are linear; None for other formats.
     """
-    found = placed_meshes(scene)
-    if not found:
+    placed = placed_meshes(scene)
+    if not placed:
         raise OmtwarpError("not a triangle mesh: no triangles in it")
     materials: list[Material] = []
     numbers: dict[int, int] = {}
     vertices, faces, uvs, which, colors = [], [], [], [], []
     start = 0
-    for _, one, points, triangles in found:
+    for _, one, points, triangles in placed:
         material, uv, color = _appearance(one, looks)
         key = id(getattr(one.visual, "material", one))
         if key not in numbers:
@@ -407,7 +407,7 @@ def _from_scene(scene: trimesh.Scene, looks: list[GltfLook] | None) -> PaintedMe
         tuple(materials),
         np.concatenate(which),
         all_colors,
-        (f"took {len(found)} geometries together",) if len(found) > 1 else (),
+        (f"took {len(placed)} geometries together",) if len(placed) > 1 else (),
     )
     return joined_seams(mesh)
 

@@ -158,14 +158,16 @@ def bake_materials(
             count = len(some) * SAMPLES**2
             points = wp.empty((count, 4 if by_color else 2), dtype=wp.float64, device=where)
             layout.interpolate(values, some, SAMPLES, points)
-            found = points
+            sampled = points
             if not by_color:
-                found = wp.empty((count, 4), dtype=wp.float64, device=where)
-                wp.launch(kernels.sample_repeated, dim=count, inputs=[source, points, found], device=where)
-            wp.launch(average_samples, dim=len(some), inputs=[found, SAMPLES, some, out], device=where)
-    found = layout.dilate(out, rings).numpy()
-    found[~layout.known & (found[:, 3] == 0), 3] = 1.0  # texels outside of all triangles make no material transparent
-    return found.reshape(layout.height, layout.width, 4)
+                sampled = wp.empty((count, 4), dtype=wp.float64, device=where)
+                wp.launch(kernels.sample_repeated, dim=count, inputs=[source, points, sampled], device=where)
+            wp.launch(average_samples, dim=len(some), inputs=[sampled, SAMPLES, some, out], device=where)
+    sampled = layout.dilate(out, rings).numpy()
+    sampled[~layout.known & (sampled[:, 3] == 0), 3] = (
+        1.0  # texels outside of all triangles make no material transparent
+    )
+    return sampled.reshape(layout.height, layout.width, 4)
 
 
 def tinted(picture: NDArray[np.float32], factor: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -316,7 +318,7 @@ def sheet_of_parts(vertices: Floats, faces: Ints, sphere: Floats, parts: NDArray
     wide = np.maximum((sizes[:, 0] * (scale * side / step)).astype(np.int64), fewest) * step
     left, bottom = np.rint(corner * side).astype(np.int64).T
     picture = None
-    found = []
+    drawn_parts = []
     for part, width in enumerate(wide.tolist()):
         mine = np.flatnonzero(parts == part)
         used, own = np.unique(faces[mine], return_inverse=True)
@@ -333,15 +335,17 @@ def sheet_of_parts(vertices: Floats, faces: Ints, sphere: Floats, parts: NDArray
             row, column = side - int(bottom[part]) - high - gap + 1, int(left[part]) - gap + 1
             picture[row : row + drawn.shape[0], column : column + drawn.shape[1]] = drawn
         uv = (sheet.uv * (across, high) + (left[part], bottom[part])) / side
-        found.append(replace(sheet, uv=uv, source_face=mine[sheet.source_face]))
-    before = np.concatenate([[0], np.cumsum([len(sheet.vertices) for sheet in found])])
+        drawn_parts.append(replace(sheet, uv=uv, source_face=mine[sheet.source_face]))
+    before = np.concatenate([[0], np.cumsum([len(sheet.vertices) for sheet in drawn_parts])])
     return Sheet(
-        vertices=np.concatenate([sheet.vertices for sheet in found]),
-        faces=np.concatenate([sheet.faces + at for sheet, at in zip(found, before[:-1], strict=True)]).astype(np.int32),
-        uv=np.concatenate([sheet.uv for sheet in found]),
-        normals=np.concatenate([sheet.normals for sheet in found]),
-        source_face=np.concatenate([sheet.source_face for sheet in found]),
-        weights=np.concatenate([sheet.weights for sheet in found]),
+        vertices=np.concatenate([sheet.vertices for sheet in drawn_parts]),
+        faces=np.concatenate([sheet.faces + at for sheet, at in zip(drawn_parts, before[:-1], strict=True)]).astype(
+            np.int32
+        ),
+        uv=np.concatenate([sheet.uv for sheet in drawn_parts]),
+        normals=np.concatenate([sheet.normals for sheet in drawn_parts]),
+        source_face=np.concatenate([sheet.source_face for sheet in drawn_parts]),
+        weights=np.concatenate([sheet.weights for sheet in drawn_parts]),
         size=(side, side),
         picture=picture,
     )

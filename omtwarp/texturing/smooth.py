@@ -439,14 +439,14 @@ def _inside(
     inner = (near + crossing + np.roll(crossing, 1, axis=1)) / 3.0
     centre = inner.mean(axis=1)
 
-    found = np.empty((len(faces), len(share), 3))
+    curve = np.empty((len(faces), len(share), 3))
     for index, part in enumerate(share):
         lone = int(np.argmin(part))  # the corner opposite to the side whose third the point lies in
         k = (lone + 1) % 3
         w = 3.0 * part[lone]
         a, b = part[k] - part[lone], part[(k + 1) % 3] - part[lone]
         j = (k + 1) % 3
-        found[:, index] = (
+        curve[:, index] = (
             a**3 * value[:, k]
             + 3.0 * a * a * b * after[:, k]
             + 3.0 * a * b * b * before[:, k]
@@ -458,7 +458,7 @@ def _inside(
             + 3.0 * b * w * w * inner[:, j]
             + w**3 * centre
         )
-    return found
+    return curve
 
 
 def _weights(ends: NDArray[np.int64], faces: Ints, steps: Floats, share: Floats, count: int) -> sparse.csr_matrix:

@@ -430,8 +430,8 @@ def spheres_of(result: object) -> NDArray[np.intp] | None:
     part = getattr(result, "part", None)
     if part is None or getattr(result, "cap_centres", None) is not None:
         return None
-    found, number = np.unique(part, return_inverse=True)
-    return number if len(found) > 1 else None
+    distinct, number = np.unique(part, return_inverse=True)
+    return number if len(distinct) > 1 else None
 
 
 def _natural_size(picture: NDArray, atlas: str) -> int | tuple[int, int] | None:

@@ -257,21 +257,21 @@ def on_shelves(sizes: Floats, width: float, margin: float, least: Floats | float
     if _rows(np.maximum(0.0 * sizes, least), width, margin) is None:
         raise OmtwarpError(f"a margin of {margin} leaves no room for {len(sizes)} charts")
     low, high = 0.0, float((np.array([width, 1.0]) / np.maximum(sizes.max(axis=0), TINY)).min())
-    found = _rows(np.maximum(high * sizes, least), width, margin)
-    low = high if found is not None else low
-    for _ in range(halvings if found is None else 0):
+    fitted = _rows(np.maximum(high * sizes, least), width, margin)
+    low = high if fitted is not None else low
+    for _ in range(halvings if fitted is None else 0):
         middle = 0.5 * (low + high)
         placed = _rows(np.maximum(middle * sizes, least), width, margin)
         if placed is None:
             high = middle
         else:
-            low, found = middle, placed
-    if found is None or low == 0.0:
+            low, fitted = middle, placed
+    if fitted is None or low == 0.0:
         raise OmtwarpError(f"a margin of {margin} leaves no room for {len(sizes)} charts")
     placed_sizes = np.maximum(low * sizes, least)
-    used = (found + placed_sizes + margin).max(axis=0)
-    found = found + 0.5 * (np.array([width, 1.0]) - used)
-    return np.stack([found[:, 0], 1.0 - found[:, 1] - placed_sizes[:, 1]], axis=1), low
+    used = (fitted + placed_sizes + margin).max(axis=0)
+    fitted = fitted + 0.5 * (np.array([width, 1.0]) - used)
+    return np.stack([fitted[:, 0], 1.0 - fitted[:, 1] - placed_sizes[:, 1]], axis=1), low
 
 
 def _rows(sizes: Floats, width: float, margin: float) -> Floats | None:

@@ -53,8 +53,8 @@ def split_at(vertices: NDArray[np.float64], faces: NDArray, edges: NDArray) -> D
     keys = edge_keys(np.stack([triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()], axis=1), count)
     number = np.searchsorted(split, keys)
     number[number == len(split)] = 0
-    found = split[number] == keys if len(split) else np.zeros(len(keys), dtype=bool)
-    midpoint = np.where(found, count + number, -1)
+    known = split[number] == keys if len(split) else np.zeros(len(keys), dtype=bool)
+    midpoint = np.where(known, count + number, -1)
     cut, face_origin = _subdivided(triangles, midpoint.reshape(-1, 3))
     return Derived(
         np.r_[np.arange(count), np.full(len(ends), -1)],

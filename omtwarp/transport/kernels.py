@@ -189,14 +189,14 @@ def values_at_points(
     level_starts: wp.array[wp.int32],
     values: wp.array[wp.float64],
     # Data out:
-    found: wp.array[wp.float64],
+    holding: wp.array[wp.float64],
 ):
     """Interpolate a function of the nodes linearly; ``hints`` as in :func:`advect_points`."""
     v = wp.tid()
     p = points[v]
     g, w = triangle_near(p, hints[v], nodes, faces, level_starts)
     total = w[0] * values[faces[g, 0]] + w[1] * values[faces[g, 1]] + w[2] * values[faces[g, 2]]
-    found[v] = total / (w[0] + w[1] + w[2])
+    holding[v] = total / (w[0] + w[1] + w[2])
 
 
 @wp.kernel

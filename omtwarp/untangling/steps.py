@@ -178,13 +178,13 @@ class FlipFreeSteps:
             first = np.cumsum(counts) - counts
             around = corners[np.arange(counts.sum()) + np.repeat(offsets[held] - first, counts)] // 3
             near = np.unique(around)
-            marks, found = (
+            marks, nearby = (
                 empty(len(near), wp.int32, device),
                 wp.zeros(1, dtype=wp.int32, device=device),
             )
             triangles = wp.array(faces[near], dtype=wp.vec3i, device=device)
             inputs = [moved, triangles, wp.array(before[near], dtype=wp.float64, device=device)]
-            wp.launch(triangle_trouble, dim=len(near), inputs=inputs, outputs=[marks, found], device=device)
+            wp.launch(triangle_trouble, dim=len(near), inputs=inputs, outputs=[marks, nearby], device=device)
             bad = near[marks.numpy() > 0]
             if not len(bad):
                 return moved, wp.array(shares, dtype=wp.float64, device=device)

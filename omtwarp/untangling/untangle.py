@@ -179,8 +179,8 @@ def untangle(
     start = np.array(as_sphere(sphere, surface))
     budget = RepairBudget(surface) if budget is None else budget
     points, faces = start.copy(), surface.faces
-    found = examine(points, faces)
-    before, tangled = found.flips, found.tangled
+    examined = examine(points, faces)
+    before, tangled = examined.flips, examined.tangled
     rounds = 0
     history: list[dict[str, int]] = []
     for attempt, schedule in enumerate(schedules):
@@ -193,8 +193,8 @@ def untangle(
             progress("untangle", attempt, len(schedules), {"tangled": int(tangled.sum())})
         untangling = _Untangling(surface, points, seeds, schedule, where)
         points, done = untangling.solve(budget)
-        found = examine(points, faces)
-        tangled = found.tangled
+        examined = examine(points, faces)
+        tangled = examined.tangled
         rounds += done
         history.append(
             {
@@ -202,11 +202,11 @@ def untangle(
                 "vertices": untangling.whole.free,
                 "patches": untangling.whole.count,
                 "rounds": done,
-                "flips": found.flips,
+                "flips": examined.flips,
             }
         )
     moved = int(np.any(points != start, axis=1).sum())
-    return UntangleResult(points, before, found.flips, not tangled.any(), rounds, moved, history)
+    return UntangleResult(points, before, examined.flips, not tangled.any(), rounds, moved, history)
 
 
 def untangle_patches(
