@@ -101,8 +101,8 @@ def align_map(
     elif not printing.quiet:
         mirrored = ", mirrored" * alignment.mirrored
         print(
-            f"{output}: turned by {_degrees(alignment):.3f} degrees{mirrored}; by {alignment.method} ({alignment.basis}), "
-            f"score {alignment.score:.6f}"
+            f"{output}: turned by {_degrees(alignment):.3f} degrees{mirrored}; by {alignment.method} "
+            f"({alignment.basis}), score {alignment.score:.6f}"
         )
 
 
