@@ -9,9 +9,11 @@ from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.optimal.cells import RingCells
 from omtwarp.optimal.energy import MapTerms, TransportEnergy
 from omtwarp.optimal.restoration import restore_areas
-from omtwarp.refine.energy import DistortionEnergy
+from omtwarp.optimal.sphere import GeodesicCost, Sphere, SphereShape
+from omtwarp.refine.energy import DistortionEnergy, Terms
 from omtwarp.refine.vertex_term import VertexTerm
 from omtwarp.spheres import triangle_solid_angles
 
@@ -40,8 +42,6 @@ class WarpEnergy(TransportEnergy):
         most_strain, vertex_term: as of :class:`omtwarp.refine.energy.DistortionEnergy`.
     """
 
-    local_steps = False  # they know the distortion alone
-
     def __init__(
         self,
         sphere: Surface,
@@ -50,9 +50,13 @@ class WarpEnergy(TransportEnergy):
         vertex_term: VertexTerm | None = None,
     ):
         device = resolve_device("cpu")
-        super().__init__(sphere, vectors(sphere.vertices, device), device, 1.0, 0.0, area_weight)
-        self.shape = DistortionEnergy(sphere, device, most_strain=most_strain, vertex_term=vertex_term)
-        self.wanted = areas_around(sphere.vertices, sphere.faces)
+        self.distortion = DistortionEnergy(sphere, device, most_strain=most_strain, vertex_term=vertex_term)
+        cells, shape = RingCells(sphere, device), SphereShape(sphere, device)
+        cells.wanted, shape.distortion = areas_around(sphere.vertices, sphere.faces), self.distortion
+        cost = GeodesicCost(sphere, vectors(sphere.vertices, device), device)
+        domain, workspace = Sphere(sphere, device), self.distortion.workspace
+        super().__init__(domain, cells, cost, shape, 1.0, 0.0, area_weight, workspace=workspace)
+        self.has_local_steps = False  # they know the distortion alone
 
     def cost(self, terms: MapTerms) -> float:
         """Return 4π, a mean of 1: gains are compared with the distortion, not with a cost."""
@@ -63,7 +67,8 @@ class WarpEnergy(TransportEnergy):
     ) -> tuple[Floats, Floats, Floats]:
         """Return what the base class does, with the term at vertices on the diagonal."""
         diagonal, off_diagonal, gradients = super().blocks(points, terms, curvature_share, least)
-        further = self.shape.vertex_blocks(points, terms.shape)
+        assert isinstance(terms.shape, Terms)
+        further = self.distortion.vertex_blocks(points, terms.shape)
         return (diagonal if further is None else diagonal + further), off_diagonal, gradients
 
 

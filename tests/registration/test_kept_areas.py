@@ -84,7 +84,7 @@ def test_the_energy_has_the_gradient_of_its_value_and_the_term_in_its_matrix():
     )
     assert float((gradient * step).sum()) == pytest.approx((ahead - behind) / 2e-5, rel=1e-2)
     diagonal = energy.blocks(here, terms, 1.0, 1e-3)[0] - without.blocks(here, without.terms(here), 1.0, 1e-3)[0]
-    trace = np.einsum("vdd->", energy.shape.vertex_blocks(here, terms.shape))
+    trace = np.einsum("vdd->", energy.distortion.vertex_blocks(here, terms.shape))
     assert np.einsum("vdd->", diagonal) == pytest.approx(trace) and trace > 0.0
 
 
