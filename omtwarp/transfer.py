@@ -85,7 +85,7 @@ def transfer_texture(
         moving, fixed = _points(other), _points(result)
         # Equal faces alone do not make vertices correspond: two subdivided spheres have them.
         same = np.array_equal(moving.grid.triangles, fixed.grid.triangles) and np.allclose(there, vertices)
-        alignment = align(moving, fixed, by="vertices" if same else "features", mirror=mirror)
+        alignment = align(moving, fixed, by="vertices" if same else "features", mirror=mirror, check=False)
         if alignment.method == "places":
             text = (
                 "a surface has no features to align by, as a ball has none: colours keep their directions in space "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -16,7 +17,7 @@ from omtwarp.alignment.features import (
     varying_features,
 )
 from omtwarp.alignment.rotation_search import Best, best_rotations, complex_coefficients, improved
-from omtwarp.errors import OmtwarpError, choose
+from omtwarp.errors import OmtwarpError, OmtwarpWarning, choose
 from omtwarp.geometry.harmonics import check_degree
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.arrays import TINY
@@ -28,6 +29,7 @@ from omtwarp.spheres import SphereGrid
 Floats = NDArray[np.float64]
 
 DEGREE = 16  # of the harmonics that are correlated by default: they resolve about 180 / 16 = 11 degrees
+CLEARLY = 0.05  # difference of correlations: those of nearly symmetric shapes and their mirror images differ by less
 MIRROR = np.diag([-1.0, 1.0, 1.0])  # reflects in the plane x = 0
 
 
@@ -59,6 +61,11 @@ class Alignment:
     mirrored: bool
     frame: Floats | None = None
     basis: str = ""
+
+    @property
+    def margin(self) -> float:
+        """How much better it fits than the next best position; infinite if there is none."""
+        return self.score - self.runner_up if self.runner_up > -1.0 else float("inf")
 
     def to_dict(self) -> dict[str, object]:
         """Return all fields but the sphere as plain values, ready for JSON."""
@@ -145,6 +152,7 @@ def align(
     by: AlignByLike = "auto",
     mirror: bool = False,
     degree: int = DEGREE,
+    check: bool = True,
 ) -> Alignment:
     """Rotate a map's sphere to that of another map, or to the shape's own axes.
 
@@ -172,6 +180,8 @@ def align(
             and why.
         mirror: also try the mirror image of the shape, and take it if it fits better.
         degree: the highest degree of the harmonics, 1 to 64.
+        check: by features, also try the mirror image, and every given feature with the other sign, and warn
+            (:class:`omtwarp.OmtwarpWarning`) where that fits clearly better.
 
     Returns:
         The turned map, the rotation, and how well the two agree.
@@ -202,16 +212,25 @@ def align(
     one_surface = _why_one_surface(moving, fixed) if by == "auto" and not features else ""
     by_vertices = by == "vertices" or bool(one_surface)
 
-    def aligned(points: SpherePoints) -> Alignment:
+    def aligned(points: SpherePoints, ours: Mapping[str, ArrayLike] | None = features) -> Alignment:
         if by_vertices:
             return _by_vertices(points, fixed)
-        return _by_features(points, fixed, features, to_features, degree)
+        return _by_features(points, fixed, ours, to_features, degree)
 
     alignment = aligned(moving)
-    if mirror:
-        image = aligned(mirror_image(moving))
-        if image.score > alignment.score:
-            alignment = replace(image, rotation=image.rotation @ MIRROR, mirrored=True)
+    check = check and alignment.method == "features"
+    image = aligned(mirror_image(moving)) if mirror or check else alignment
+    if mirror and image.score > alignment.score:
+        alignment = replace(image, rotation=image.rotation @ MIRROR, mirrored=True)
+        moving = mirror_image(moving)
+    if check:
+        scores = {"the mirror image fits better": image.score}
+        for name, values in (features or {}).items():
+            turned = {**(features or {}), name: -np.asarray(values, dtype=np.float64)}
+            scores[f"feature '{name}' fits better with the other sign"] = aligned(moving, turned).score
+        for words, score in scores.items():
+            if score > alignment.score + CLEARLY:
+                warnings.warn(f"{words}: score {score:.3f}, not {alignment.score:.3f}", OmtwarpWarning, stacklevel=2)
     return replace(alignment, basis=one_surface) if one_surface else alignment
 
 

@@ -18,7 +18,7 @@ from omtwarp.commands._features import (
 )
 from omtwarp.commands._options import Printing, RadiusOption
 from omtwarp.commands._progress import progress_bar, steps
-from omtwarp.commands._streams import input_file
+from omtwarp.commands._streams import input_file, warnings_as_lines
 from omtwarp.commands._work import report_text
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output
@@ -61,6 +61,8 @@ def align_map(
     another map, features are correlated over all rotations: distance from the centre of the surface, area over area on
     the sphere, or those given.
     """
+    import numpy as np
+
     from omtwarp.alignment import align
     from omtwarp.mesh.neuro import require_same_structure
     from omtwarp.mesh.write import SUFFIXES, write_mesh
@@ -80,15 +82,16 @@ def align_map(
         fixed = "axes" if to == "axes" else as_points(to) if other is None else file_points(other, to_surface)
         notify(1)
         mine, others = read_features(feature or [], to_feature or [], (source, surface), (other, to_surface))
-        alignment = align(
-            moving,
-            fixed,
-            features=mine or None,
-            to_features=others or None,
-            by=by,
-            mirror=mirror,
-            degree=degree,
-        )
+        with warnings_as_lines():
+            alignment = align(
+                moving,
+                fixed,
+                features=mine or None,
+                to_features=others or None,
+                by=by,
+                mirror=mirror,
+                degree=degree,
+            )
         notify(2)
         if output.suffix.lower() == ".npz":
             _save_map(source, output, alignment)
@@ -100,9 +103,10 @@ def align_map(
         print(report_text({"output": str(output), **alignment.to_dict()}), end="")
     elif not printing.quiet:
         mirrored = ", mirrored" * alignment.mirrored
+        margin = f", {alignment.margin:.3f} above the next best" if np.isfinite(alignment.margin) else ""
         print(
-            f"{output}: turned by {_degrees(alignment):.3f} degrees{mirrored}; by {alignment.method} "
-            f"({alignment.basis}), score {alignment.score:.6f}"
+            f"{output}: turned by {_degrees(alignment):.3f} degrees{mirrored}; by {alignment.method} ({alignment.basis}), "
+            f"score {alignment.score:.6f}{margin}"
         )
 
 

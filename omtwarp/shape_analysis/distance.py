@@ -94,7 +94,7 @@ def shape_distance(
        comparison", IEEE Trans. Pattern Anal. Mach. Intell. 37 (2015).
     """
     degree = check_degree(degree)
-    alignment = align(first, second)
+    alignment = align(first, second, check=False)
     whole = first.closed(), second.closed()
     spheres = unit_sphere(whole[0].sphere) @ alignment.rotation.T, whole[1].sphere
     coefficients = [
@@ -148,7 +148,7 @@ def transport_distance(first: MapResult, second: MapResult, *, device: str | Non
         own = None if closed is one else (len(one.vertices), len(one.faces))
         grid = mesh_grid(closed.conformal, closed.faces, f"the conformal map of the {name} shape", own)
         ends.append(SpherePoints(grid, closed.vertices))
-    turned = ends[0].grid.points @ align(*ends, by="features").rotation.T
+    turned = ends[0].grid.points @ align(*ends, by="features", check=False).rotation.T
     target = vertex_density(whole[1].conformal, whole[1].faces, whole[1].density, device=device)
     # Both densities are linear between vertices, so that a shape is at no distance from itself.
     surface = Surface(whole[0].vertices, whole[0].faces)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 
 import numpy as np
 import pytest
@@ -197,10 +198,35 @@ def test_mirror_image_is_found_where_asked_for():
         mesh_grid(blob.grid.points * [1, -1, 1] @ rotation.T, blob.grid.triangles[:, ::-1], "image"),
         blob.vertices * [1, -1, 1],
     )
-    plain, found = align(blob, image, by="features"), align(blob, image, by="features", mirror=True)
+    with pytest.warns(omtwarp.OmtwarpWarning, match="the mirror image fits better: score 1.000, not 0"):
+        plain = align(blob, image, by="features")
+    found = align(blob, image, by="features", mirror=True)
     assert found.mirrored and not plain.mirrored and found.score > 0.99999 > plain.score
     np.testing.assert_allclose(found.rotation, rotation @ np.diag([1.0, -1.0, 1.0]), atol=1e-6)
     np.testing.assert_allclose(found.sphere, image.grid.points, atol=1e-6)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_reversed_sign_is_warned_of(sign):
+    """A feature with the other sign on one side puts a shape elsewhere; the warning names it, and only then."""
+    blob = blob_map()
+    rotation = random_rotation(5)
+    other = turned(blob, rotation)
+    radius = np.linalg.norm(blob.vertices, axis=1)
+    height = blob.vertices[:, 0] * blob.vertices[:, 2]
+    ours, theirs = {"sulc": radius, "height": height}, {"sulc": sign * radius, "height": height}
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found = align(blob, other, by="features", features=ours, to_features=theirs)
+    said = [str(one.message) for one in caught]
+    assert found.margin == found.score - found.runner_up > 0.0
+    if sign > 0.0:
+        assert not said and degrees_apart(found.rotation, rotation) < 1e-3
+    else:
+        assert any("'sulc' fits better with the other sign: score 1.000" in words for words in said)
+        assert not any("'height'" in words for words in said)
+        align(blob, other, by="features", features=ours, to_features=theirs, check=False)
+        assert len(caught) == len(said)
 
 
 def test_same_faces_are_aligned_by_vertices():

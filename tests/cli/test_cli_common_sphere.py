@@ -196,7 +196,7 @@ def test_same_bits_twice(desk, capsys):
         found.append((digests(desk / "out"), capsys.readouterr().out))
         (desk / "out").rename(desk / f"out{len(found)}")
     assert found[0] == found[1]
-    assert len(found[0][0]) == 12 + 6 + 1  # the last records what was written
+    assert len(found[0][0]) == 12 + 12 + 1  # the last records what was written
 
 
 def test_map_beside_its_surface_in_ply(desk):
