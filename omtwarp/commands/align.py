@@ -105,8 +105,8 @@ def align_map(
         mirrored = ", mirrored" * alignment.mirrored
         margin = f", {alignment.margin:.3f} above the next best" if np.isfinite(alignment.margin) else ""
         print(
-            f"{output}: turned by {_degrees(alignment):.3f} degrees{mirrored}; by {alignment.method} ({alignment.basis}), "
-            f"score {alignment.score:.6f}{margin}"
+            f"{output}: turned by {_degrees(alignment):.3f} degrees{mirrored}; by {alignment.method} "
+            f"({alignment.basis}), score {alignment.score:.6f}{margin}"
         )
 
 
