@@ -13,7 +13,7 @@ import importlib
 from types import ModuleType as _ModuleType
 from typing import TYPE_CHECKING
 
-from omtwarp.maps.display import Shown as _Shown
+from omtwarp.maps.display import Displayable as _Displayable
 
 # The module that every public name comes from; `shapes` is itself a module.
 _PUBLIC = {
@@ -120,7 +120,7 @@ def _viewers() -> _ModuleType:
     return notebook
 
 
-_Shown.viewers = _viewers
+_Displayable.viewers = _viewers
 
 
 def __getattr__(name: str) -> object:

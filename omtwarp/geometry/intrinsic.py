@@ -189,7 +189,7 @@ def intrinsic_edges(surface: Surface) -> tuple[NDArray[np.int32], NDArray[np.flo
         weights = np.bincount(place, edges.weights[apart]).astype(np.float64)
         return np.stack([keys // count, keys % count], axis=1).astype(np.int32), weights
 
-    return surface.kept("intrinsic Delaunay edges", pairs)
+    return surface.cached("intrinsic Delaunay edges", pairs)
 
 
 def _opposite_cotangents(

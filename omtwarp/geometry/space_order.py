@@ -140,7 +140,7 @@ def in_space_order(surface: Surface) -> OrderedSurface:
         >>> in_space_order(shapes.icosphere(2)).surface
         Surface(42 vertices, 80 faces)
     """
-    kept = surface.kept("space order", lambda: _ordered(surface))
+    kept = surface.cached("space order", lambda: _ordered(surface))
     areas = surface.face_areas[kept.face_origin] if surface.weighted else None
     other = kept.surface if areas is None else kept.surface.with_areas(areas)
     other.checked = surface.checked

@@ -303,7 +303,7 @@ def _on_caps(maps: list[MapResult], shares: Floats, wanted: Floats) -> tuple[lis
 
 
 def _on_caps_exactly(maps: list[MapResult], shares: Floats, wanted: Floats) -> tuple[list[MapResult], Floats]:
-    """Do the same for quartered meshes; the maps have exact areas, as the shares returned are a little smaller."""
+    """Carry maps of quartered meshes to caps, with exact areas: the shares returned are a little smaller."""
     rims = []
     for each in maps:
         whole, faces = _whole(each)

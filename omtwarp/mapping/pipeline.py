@@ -171,7 +171,7 @@ def map_to_sphere(
     surface = weighted_surface(as_surface(mesh), weights, weights_at)
     ordered = in_space_order(surface)
     with solving_with(options.solver, str(where)):
-        result = _Run(ordered.surface, options, str(where), progress, density).result()
+        result = MapComputation(ordered.surface, options, str(where), progress, density).result()
     for finding in result.report["warnings"]:
         warnings.warn(finding["text"], OmtwarpWarning, stacklevel=3)
     return _in_order_of(surface, ordered, result)
@@ -199,13 +199,13 @@ def map_double(
     """
     where = str(resolve_device(options.device))
     with solving_with(options.solver, where):
-        result = _Run(as_surface(surface), options, where, progress, mirror=double).result()
+        result = MapComputation(as_surface(surface), options, where, progress, mirror=double).result()
     for finding in result.report["warnings"]:
         warnings.warn(finding["text"], OmtwarpWarning, stacklevel=stacklevel + 1)
     return result
 
 
-class _Run:
+class MapComputation:
     """The computation of one map: the maps of the stages so far, and their records.
 
     A stage is a method of no arguments: it reads ``sphere``, the map of the previous stage, and ends with
@@ -455,7 +455,7 @@ class _Run:
             self.transport_as_published()
             return
         initial = self.sphere
-        if self.by_newton:
+        if self.uses_newton:
             self.transport_by_newton()
             return
         # The kernels of the flow are read where they are used: they are a third of all that a map would import.
@@ -496,14 +496,14 @@ class _Run:
         self.finish(Stage.OMT, sphere, len(self.history) - 1, repaired=repaired, **ended)
 
     @property
-    def by_newton(self) -> bool:
+    def uses_newton(self) -> bool:
         """Whether the optimal map is the discrete one, found by Newton's method."""
         return self.options.scheme is Scheme.DEFAULT and self.target is None
 
     @property
     def optimal_by_newton(self) -> bool:
         """Whether the optimal map is among the stages, and found by Newton's method."""
-        return self.by_newton and Stage.OMT in self.options.stages
+        return self.uses_newton and Stage.OMT in self.options.stages
 
     def transport_by_newton(self) -> None:
         """Compute the discrete optimal map: areas around vertices kept, and the cost at its minimum."""
@@ -525,7 +525,7 @@ class _Run:
         elif self.options.optimality:
             self.measured = self.bounded(optimal.sphere)
         sphere, repaired = self.untangle(self.sphere, optimal.sphere)
-        converged, ended = self.how_it_ended(optimal)
+        converged, ended = self.termination(optimal)
         details: dict[str, str | float | None] = {
             "road": road,
             "repaired": repaired,
@@ -555,7 +555,7 @@ class _Run:
             sphere = embedding
         return sphere, EMBEDDED
 
-    def how_it_ended(self, optimal: OptimalMap) -> tuple[bool, str]:
+    def termination(self, optimal: OptimalMap) -> tuple[bool, str]:
         """Return whether a minimisation reached an optimal map, and how it ended; ``measured`` is of its map."""
         if optimal.converged and self.is_far(self.measured):
             assert self.measured is not None
@@ -640,7 +640,7 @@ class _Run:
         if self.options.optimality and self.options.cost is Cost.SQUARED:
             self.measured = self.bounded(exact.sphere)
         sphere, repaired = self.untangle(before, exact.sphere)
-        converged, ended = self.how_it_ended(exact)
+        converged, ended = self.termination(exact)
         self.finish(
             EXACT,
             sphere,

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 
-class Shown:
+class Displayable:
     """The ways to display a map; nothing is computed before one of these is called.
 
     Attributes:
@@ -26,7 +26,7 @@ class Shown:
 
     def _repr_html_(self) -> str:
         """Return the view that Jupyter, JupyterLab and VS Code show of a map at the end of a cell."""
-        return Shown.viewers().notebook_view(self)
+        return Displayable.viewers().notebook_view(self)
 
     def plot(self, *, pattern: PatternLike = "circles", size: tuple[int, int] = (640, 480), **options: object) -> Image:
         """Draw the map: the surface, with a pattern carried to it.
@@ -43,7 +43,7 @@ class Shown:
         Raises:
             OmtwarpError: an option has an invalid value.
         """
-        return Shown.viewers().plot(self, pattern=pattern, size=size, **options)
+        return Displayable.viewers().plot(self, pattern=pattern, size=size, **options)
 
     def to_pyvista(self) -> pyvista.PolyData:
         """Convert the map for PyVista: ``result.to_pyvista().plot(scalars="area_ratio")``.
@@ -55,7 +55,7 @@ class Shown:
         Raises:
             OmtwarpError: PyVista is not installed.
         """
-        return Shown.viewers().to_pyvista(self)
+        return Displayable.viewers().to_pyvista(self)
 
     def to_polyscope(self, name: str = "surface") -> polyscope.SurfaceMesh:
         """Register the map with Polyscope: surface and sphere side by side; ``polyscope.show()`` opens the window.
@@ -69,4 +69,4 @@ class Shown:
         Raises:
             OmtwarpError: Polyscope is not installed.
         """
-        return Shown.viewers().to_polyscope(self, name)
+        return Displayable.viewers().to_polyscope(self, name)

@@ -17,7 +17,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import open_input, read_arrays, write_arrays
 from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.files.output import as_path
-from omtwarp.maps.display import Shown
+from omtwarp.maps.display import Displayable
 from omtwarp.mesh.arrays import Layout, fitting_arrays, owned, real_numbers, require_unit_length, whole_numbers
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
@@ -184,7 +184,7 @@ class StageRecord:
         return cast(StageReport, whole)
 
 
-class StoredMap(Shown):
+class StoredMap(Displayable):
     """What maps to the sphere and to a torus have in common: checked arrays of their own, and a file.
 
     Attributes:

@@ -185,7 +185,7 @@ class Surface:
             raise OmtwarpError("the surface is not closed and manifold: an edge does not have two triangles")
         return self._sides.reshape(-1, 2)
 
-    def kept(self, name: str, make: Callable[[], Kind]) -> Kind:
+    def cached(self, name: str, make: Callable[[], Kind]) -> Kind:
         """Return what ``make`` computes from shape and connectivity, computed once under each name and kept.
 
         Solvers and others cache here what they derive from a surface, so that it lives as long as the surface and is

@@ -228,7 +228,7 @@ def surface_saddle_factor(surface: Surface, workspace: Workspace | None = None) 
     if solves_with_scipy():
         i, j = surface.edges.T
         return SparseSaddleFactor(surface.vertex_count, surface.edges, np.r_[i, j], np.r_[j, i])
-    order = surface.kept("saddle-point order", lambda: begin_saddle_order(surface).result())
+    order = surface.cached("saddle-point order", lambda: begin_saddle_order(surface).result())
     surface.let_go(BEGUN_ORDER)
     return SaddleFactor(surface_dissection(surface), workspace, order, _surface_factor_maker())
 
@@ -248,7 +248,7 @@ def begin_saddle_order(surface: Surface) -> Future[Dissection]:
         order = surface_dissection(surface)
         return pool().submit(expand, order)
 
-    return surface.kept(BEGUN_ORDER, begin)
+    return surface.cached(BEGUN_ORDER, begin)
 
 
 def saddle_factor(count: int, edges: NDArray[np.int32], dissection: Callable[[], Dissection]) -> SaddlePointFactor:

@@ -22,7 +22,7 @@ from omtwarp.texturing.kernels import average_samples
 from omtwarp.texturing.materials import Bytes, Floats, Ints, Material
 from omtwarp.texturing.patterns import Pattern, is_name
 from omtwarp.texturing.textured import TexturedSurface, texture, texture_torus
-from omtwarp.texturing.unwrap import on_shelves
+from omtwarp.texturing.unwrap import pack_rows
 
 PADDING = 16
 """Texels by which charts are continued beyond their borders: bilinear samples see them at the fifth mip level yet."""
@@ -312,7 +312,7 @@ def sheet_of_parts(vertices: Floats, faces: Ints, sphere: Floats, parts: NDArray
     least = np.array([one.width, one.height])
     sizes = np.sqrt(np.bincount(parts, triangle_areas(vertices, faces)))[:, None] * [1.0, height]
     try:
-        corner, scale = on_shelves(sizes, 1.0, gap / side, least / side)
+        corner, scale = pack_rows(sizes, 1.0, gap / side, least / side)
     except OmtwarpError:
         raise OmtwarpError(f"a picture of {side} x {side} texels has no room for {len(sizes)} parts") from None
     wide = np.maximum((sizes[:, 0] * (scale * side / step)).astype(np.int64), fewest) * step

@@ -223,12 +223,12 @@ def _packed(charts: _Charts, aspect: float, margin: float) -> Floats:
     """Return the coordinates of any charts, on shelves in the picture."""
     numbers, which = np.unique(charts.number, return_inverse=True)
     low, high = _boxes(charts)
-    corner, scale = on_shelves((high - low)[numbers], aspect, margin)
+    corner, scale = pack_rows((high - low)[numbers], aspect, margin)
     moved = (charts.plane - low[charts.number][:, None, :]) * scale + corner[which][:, None, :]
     return moved / (aspect, 1.0)
 
 
-def on_shelves(sizes: Floats, width: float, margin: float, least: Floats | float = 0.0) -> tuple[Floats, float]:
+def pack_rows(sizes: Floats, width: float, margin: float, least: Floats | float = 0.0) -> tuple[Floats, float]:
     """Place boxes on a picture of height 1, as large as rows of them allow, all at one scale.
 
     The highest come first, each in the first row in which there is room for it [1]_; the scale is bisected.
@@ -246,7 +246,7 @@ def on_shelves(sizes: Floats, width: float, margin: float, least: Floats | float
         OmtwarpError: the margins alone do not fit.
 
     >>> import numpy as np
-    >>> corners, scale = on_shelves(np.array([[2.0, 1.0], [2.0, 1.0]]), 1.0, 0.0)
+    >>> corners, scale = pack_rows(np.array([[2.0, 1.0], [2.0, 1.0]]), 1.0, 0.0)
     >>> corners.tolist(), round(scale, 6)
     ([[0.0, 0.5], [0.0, 0.0]], 0.5)
 

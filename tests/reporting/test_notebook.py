@@ -16,7 +16,7 @@ from PIL import Image
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.mapping.any_surface import map_surface
-from omtwarp.maps.display import Shown
+from omtwarp.maps.display import Displayable
 from omtwarp.maps.result import MapResult
 from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh import shapes
@@ -64,7 +64,7 @@ def test_repr_computes_nothing(result, monkeypatch):
 
 
 def test_every_map_shows_itself():
-    assert issubclass(MapResult, MapResult) and all(issubclass(kind, Shown) for kind in (MapResult, TorusMap))
+    assert issubclass(MapResult, MapResult) and all(issubclass(kind, Displayable) for kind in (MapResult, TorusMap))
 
 
 def test_view_is_a_picture_with_a_frame_over_it(view):

@@ -9,7 +9,7 @@ from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import plane_areas, triangle_areas
 from omtwarp.texturing.sheets import covered, overlap
-from omtwarp.texturing.unwrap import MARGIN, laid_out, on_shelves, unwrap_uv
+from omtwarp.texturing.unwrap import MARGIN, laid_out, pack_rows, unwrap_uv
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +127,7 @@ def test_boxes_on_shelves_lie_apart():
     for count in (1, 7, 60):
         sizes = rng.uniform(0.1, 1.0, (count, 2))
         for width in (1.0, 2.5):
-            corner, scale = on_shelves(sizes, width, MARGIN)
+            corner, scale = pack_rows(sizes, width, MARGIN)
             low, high = corner - 0.999 * MARGIN, corner + scale * sizes + 0.999 * MARGIN
             assert low.min() > 0.0 and (high < (width, 1.0)).all()
             apart = (low[:, None] >= high[None]).any(axis=2) | (high[:, None] <= low[None]).any(axis=2)

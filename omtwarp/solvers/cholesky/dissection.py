@@ -401,7 +401,7 @@ def surface_dissection(surface: Surface) -> Dissection:
 
     It is computed once and cached with the surface.
     """
-    return surface.kept("dissection", lambda: _fronts(_surface_nodes(surface), surface.edges))
+    return surface.cached("dissection", lambda: _fronts(_surface_nodes(surface), surface.edges))
 
 
 def part_dissection(surface: Surface, vertices: NDArray[np.intp], edges: NDArray[np.int32]) -> Dissection:
@@ -433,7 +433,7 @@ def _surface_nodes(surface: Surface) -> NDArray[np.int64]:
         edges = np.stack([keys // count, keys % count], axis=1).astype(np.int32)
         return _bisect(surface.scaled_vertices, edges, MAX_LEAF_VERTICES)
 
-    return surface.kept("tree of dissection", tree)
+    return surface.cached("tree of dissection", tree)
 
 
 def of_unknowns(
