@@ -137,12 +137,13 @@ class Picture:
         Raises:
             OmtwarpError: options are given that only an atlas by itself has.
         """
-        only = "for an atlas only, without --uv own, --keep-materials and --bake"
         if self.size == "auto":
-            raise OmtwarpError(f"--size auto is {only}")
+            raise OmtwarpError("--size auto is for an atlas only, without --uv own, --keep-materials and --bake")
         sides = sides_of(self.size)
         if isinstance(sides, tuple):
-            raise OmtwarpError(f"--size WIDTHxHEIGHT is {only}")
+            raise OmtwarpError(
+                "--size WIDTHxHEIGHT is for an atlas only, without --uv own, --keep-materials and --bake"
+            )
         if self.seam != "180":
             raise OmtwarpError("--seam is for an equirectangular atlas only, without --keep-materials and --bake")
         return sides

@@ -1,4 +1,4 @@
-"""How far a map is from optimal transport: the remaining curl, a lower bound on the cost, and the exact optimum.
+"""How far a map is from optimal transport: the remaining curl, and a lower bound on the cost.
 
 The map sends x_i on the conformal sphere, with mass m_i (the original area around vertex i, 4π in all), to y_i. The
 cost is the squared geodesic one, M = Σ m_i d(x_i, y_i)² (equation 6); c = d²/2 inside, where gradients are simpler.
@@ -400,45 +400,6 @@ def map_curl(
     if cost == Cost.GEODESIC:
         log /= np.maximum(np.linalg.norm(log, axis=1, keepdims=True), TINY)
     return _curl_part(surface, y, log, device)
-
-
-def exact_transport(
-    sources: ArrayLike, source_masses: ArrayLike, targets: ArrayLike, target_masses: ArrayLike
-) -> tuple[float, float]:
-    """Return the optimal plan between two sets of points on the sphere, by network simplex (POT's ``emd``).
-
-    Memory is 8 bytes for every pair of points, several times over: for a few thousand points.
-
-    Args:
-        sources: unit vectors, shape [N, 3].
-        source_masses: shape [N], scaled to sum to 4π.
-        targets: unit vectors, shape [K, 3].
-        target_masses: shape [K], scaled to sum to 4π.
-
-    Returns:
-        The least Σ plan_ij d(x_i, z_j)², and Σ m_i d(x_i, z̄_i)² with z̄_i the mean image of x_i under the plan. The
-        second omits most of the cost of spreading a point over many targets; compare it with a map's cost when the
-        targets are finer than the sources.
-
-    Raises:
-        OmtwarpError: POT is not installed, or its solver gives up.
-    """
-    try:
-        import ot
-    except ImportError as error:
-        raise OmtwarpError("the exact optimum needs the package POT: pip install 'omtwarp[test]'") from error
-    x, z = (np.ascontiguousarray(p, dtype=np.float64) for p in (sources, targets))
-    a, b = (np.asarray(w, dtype=np.float64) / np.sum(w) for w in (source_masses, target_masses))
-    squared = 2.0 * np.arcsin(np.clip(np.sqrt(np.maximum(2.0 - 2.0 * (x @ z.T), 0.0)) / 2.0, 0.0, 1.0))
-    squared *= squared
-    # Most pivots, of the network simplex: POT's default of 100,000 ends too soon above some thousand points
-    plan, log = ot.emd(a, b, squared, numItermax=10_000_000, log=True)
-    if log.get("warning"):
-        raise OmtwarpError(f"the exact optimum was not found: {log['warning']}")
-    mean = plan @ z
-    mean /= np.linalg.norm(mean, axis=1)[:, None]
-    angle = 2.0 * np.arcsin(np.clip(np.linalg.norm(x - mean, axis=1) / 2.0, 0.0, 1.0))
-    return SPHERE_AREA * float((plan * squared).sum()), SPHERE_AREA * float(a @ angle**2)
 
 
 def _curl_part(surface: Surface, y: Array, log: Array, device: str | None) -> Curl:
