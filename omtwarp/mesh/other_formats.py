@@ -20,14 +20,14 @@ MESHIO_FORMATS = {"msh": "gmsh", "mesh": "medit", "inp": "abaqus"}
 
 _EXPORT = "export a .glb, .obj or .ply from the program that made it, or from Blender"
 _MESH_IT = "a solid of curved faces: mesh it first, in FreeCAD or gmsh, and export an .stl"
-_VOLUME = "a volume: extract a surface from it first, in 3D Slicer or by marching cubes"
+_VOLUME = "a volume: save its labels as .nii.gz, whose surfaces are taken"
 
 WAYS_ROUND = {
     **dict.fromkeys(
         ("fbx", "usd", "usda", "usdc", "usdz", "blend", "max", "ma", "mb", "c4d", "lwo", "3ds", "x3d"), _EXPORT
     ),
     **dict.fromkeys(("step", "stp", "iges", "igs", "sat", "sldprt", "f3d", "3dm"), _MESH_IT),
-    **dict.fromkeys(("nii", "mgh", "mgz", "nrrd", "mha", "mhd", "dcm", "tif", "tiff"), _VOLUME),
+    **dict.fromkeys(("nrrd", "mha", "mhd", "dcm", "tif", "tiff"), _VOLUME),
     "drc": "meshes compressed by Draco: decode it first, by 'gltf-transform copy' or draco_decoder",
 }
 """Formats that are known and not read, and what to do about each."""

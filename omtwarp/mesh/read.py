@@ -33,6 +33,7 @@ from omtwarp.mesh.ply import read_ply
 from omtwarp.mesh.polygons import fans
 from omtwarp.mesh.scenes import load_scene, placed_meshes, scene_formats
 from omtwarp.mesh.small_formats import read_freesurfer_text, read_mni, read_mz3, read_plates
+from omtwarp.mesh.volumes import VOLUMES, label_surfaces
 from omtwarp.mesh.vtk import read_vtk, read_vtk_xml
 
 if TYPE_CHECKING:
@@ -59,7 +60,8 @@ def read_mesh(path: str | os.PathLike[str], *, together: bool = False) -> MeshFi
 
     Args:
         path: a file of any format that trimesh reads (ply, obj, off, stl, glb, gltf, ...), a map or mesh in ``.npz``
-            (``vertices``, ``faces``), VTK, GIFTI or a FreeSurfer surface of any name (both need nibabel), and those of
+            (``vertices``, ``faces``), VTK, GIFTI or a FreeSurfer surface of any name (both need nibabel), a volume of
+            labels (:mod:`omtwarp.mesh.volumes`), whose surfaces are taken together, and those of
             :data:`omtwarp.mesh.other_formats.MESHIO_FORMATS` (which need meshio); compressed by gzip or not.
         together: take several geometries of a scene together instead of refusing them.
 
@@ -314,6 +316,10 @@ def _read_plates(data: bytes, file: Path) -> _Read:
     return *read_plates(data), []
 
 
+def _read_volume(data: bytes, file: Path) -> _Read:
+    return label_surfaces(data, file.name.lower().removesuffix(".gz").rpartition(".")[2])
+
+
 def _read_by_meshio(data: bytes, file: Path) -> _Read:
     name = MESHIO_FORMATS[file.name.lower().removesuffix(".gz").rpartition(".")[2]]
     if name == "gmsh" and b"$MeshFormat" not in data:
@@ -337,6 +343,7 @@ _OWN: dict[str, Callable[[bytes, Path], _Read]] = {
     "freesurfer": _read_freesurfer,
     "freesurfer text": _read_freesurfer_text,
     "mni": _read_mni,
+    **dict.fromkeys(VOLUMES, _read_volume),
     **dict.fromkeys(MESHIO_FORMATS, _read_by_meshio),
 }
 """The formats that are not read through trimesh, by suffix."""

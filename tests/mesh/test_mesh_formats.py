@@ -237,7 +237,7 @@ def test_parts_of_every_format_are_mapped_alike(tmp_path, monkeypatch, option):
         assert len(result.faces) >= 2 * F
 
 
-@pytest.mark.parametrize("suffix", ["fbx", "usdz", "step", "nii", "drc"])
+@pytest.mark.parametrize("suffix", ["fbx", "usdz", "step", "nrrd", "drc"])
 def test_formats_that_are_not_read_come_with_a_way_round(tmp_path, suffix):
     (tmp_path / f"a.{suffix}").write_bytes(b"content")
     with pytest.raises(OmtwarpError) as caught:

@@ -1,0 +1,160 @@
+"""Surfaces of the labels of a volume, as segmentations hold them: NIfTI and FreeSurfer's MGH, which nibabel reads.
+
+Every cell of eight neighbouring voxels is cut into six tetrahedra along its diagonal, and each tetrahedron with corners
+in the label and outside by the triangle or the quadrilateral through the middles of its edges [1]_. The tetrahedra of
+neighbouring cells meet in the same triangles, so that every surface is closed and a manifold, whatever the voxels.
+
+.. [1] A. Doi, A. Koide, "An efficient method of triangulating equi-valued surfaces by using tetrahedral cells",
+   IEICE Trans. Inf. Syst. E74 (1991).
+"""
+
+from __future__ import annotations
+
+from itertools import permutations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.neuro import nibabel_module
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+VOLUMES = ("nii", "mgh", "mgz")  # suffixes
+# Of smoothing: the area of a ball of 8 voxels goes from 1.30 to 1.07 times that of the sphere, its volume from 1.010 to
+# 1.014.
+ROUNDS = 20
+
+
+def label_surfaces(data: bytes, suffix: str) -> tuple[Floats, Ints, list[str]]:
+    """Extract and smooth the surface of every label of a volume, in the volume's own space.
+
+    Args:
+        data: the file.
+        suffix: one of :data:`VOLUMES`.
+
+    Returns:
+        Vertices [V, 3] in millimetres and faces [F, 3], those of a label together, in the order of the labels, and
+        what was done in words.
+
+    Raises:
+        OmtwarpError: no volume of three dimensions, numbers that are not labels, or no label but 0.
+        Exception: what nibabel raises on a damaged file.
+    """
+    # Labels of a volume: more are grey values
+    most_labels = 1000
+    volume, affine = _volume(data, suffix)
+    labels = np.unique(volume)
+    if not np.isfinite(labels).all() or (labels != np.floor(labels)).any() or len(labels) > most_labels:
+        raise OmtwarpError("a volume of grey values, not of labels: segment it first, and save the labels")
+    labels = labels[labels != 0]
+    if not len(labels):
+        raise OmtwarpError("a volume without a label: all of it is 0")
+    vertices, faces, start = [], [], 0
+    for label in labels:
+        points, triangles = surface_of(volume == label)
+        vertices.append(smoothed(points, triangles, ROUNDS) @ affine[:3, :3].T + affine[:3, 3])
+        faces.append(triangles + start)
+        start += len(points)
+    corners = np.concatenate(faces)
+    if np.linalg.det(affine[:3, :3]) < 0.0:
+        corners = corners[:, ::-1]
+    shown = ", ".join(f"{label:.0f}" for label in labels[:8]) + (", ..." if len(labels) > 8 else "")
+    notes = [f"took the surfaces of {len(labels)} label{'s' * (len(labels) > 1)} ({shown}) together"]
+    notes += [f"smoothed them by {ROUNDS} rounds of Taubin's filter"]
+    return np.concatenate(vertices), corners, notes
+
+
+def _volume(data: bytes, suffix: str) -> tuple[NDArray[np.generic], Floats]:
+    """Return the numbers of a volume, shape [X, Y, Z], and the matrix from voxels to millimetres, shape [4, 4]."""
+    nibabel = nibabel_module()
+    if suffix == "nii":
+        second = int.from_bytes(data[:4], "little") in (540, int.from_bytes((540).to_bytes(4, "big"), "little"))
+        image = (nibabel.Nifti2Image if second else nibabel.Nifti1Image).from_bytes(data)
+    else:
+        image = nibabel.freesurfer.MGHImage.from_bytes(data)
+    shape = image.shape
+    while len(shape) > 3 and shape[-1] == 1:
+        shape = shape[:-1]
+    if len(shape) != 3 or min(shape) < 2:
+        raise OmtwarpError(f"no volume of three dimensions: {' x '.join(map(str, image.shape))} numbers")
+    return np.asanyarray(image.dataobj).reshape(shape), np.asarray(image.affine, dtype=np.float64)
+
+
+def surface_of(inside: NDArray[np.bool_]) -> tuple[Floats, Ints]:
+    """Return the surface between voxels inside and outside, closed at the sides of the volume too.
+
+    Args:
+        inside: shape [X, Y, Z], with a voxel inside.
+
+    Returns:
+        Vertices in voxels, shape [V, 3], and faces seen from outside, shape [F, 3].
+    """
+    used = [np.flatnonzero(inside.any(axis=tuple({0, 1, 2} - {axis}))) for axis in range(3)]
+    first = np.array([own[0] for own in used])
+    box = np.pad(inside[tuple(slice(own[0], own[-1] + 1) for own in used)], 1)
+    steps = np.array([box.shape[1] * box.shape[2], box.shape[2], 1])
+    flat = box.ravel()
+    corners = [(slice(0, -1), slice(1, None))[k] for k in (0, 1)]
+    count = sum(box[corners[x], corners[y], corners[z]].astype(np.int8) for x in (0, 1) for y in (0, 1) for z in (0, 1))
+    cells = np.argwhere((count > 0) & (count < 8)) @ steps
+    edges = []
+    for order in permutations(range(3)):
+        # A tetrahedron of every cell: from its first corner to its last one along the axes in this order.
+        tetrahedra = cells[:, None] + np.concatenate([[0], np.cumsum(steps[list(order)])])
+        edges += _cut(tetrahedra, flat[tetrahedra])
+    pairs = np.concatenate(edges)  # the grid points on either side of every corner, shape [F, 3, 2]
+    numbered = pairs[..., 0] * len(flat) + pairs[..., 1]
+    keys, faces = np.unique(numbered, return_inverse=True)
+    ends = np.stack([np.stack(np.unravel_index(k, box.shape), axis=1) for k in (keys // len(flat), keys % len(flat))])
+    faces = faces.reshape(-1, 3)
+    vertices = ends.mean(axis=0)
+    within = ends[np.where(flat[keys // len(flat)], 0, 1), np.arange(len(keys))]
+    outward = (vertices - within)[faces].sum(axis=1)
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    inward = (np.cross(b - a, c - a) * outward).sum(axis=1) < 0.0
+    faces[inward] = faces[inward][:, ::-1]
+    return vertices + (first - 1.0), faces
+
+
+def _cut(tetrahedra: Ints, inside: NDArray[np.bool_]) -> list[Ints]:
+    """Cut tetrahedra [T, 4] between corners inside and outside; return triangles of edges, each [F, 3, 2]."""
+    count = inside.sum(axis=1)
+    sorted_in = np.argsort(~inside, axis=1, kind="stable")  # corners inside first
+    ordered = np.take_along_axis(tetrahedra, sorted_in, axis=1)
+    found = []
+    for alone, others in (((0,), (1, 2, 3)), ((3,), (0, 1, 2))):
+        chosen = ordered[count == (1 if alone == (0,) else 3)]
+        pairs = [np.sort(chosen[:, [alone[0], other]], axis=1) for other in others]
+        found.append(np.stack(pairs, axis=1))
+    chosen = ordered[count == 2]
+    around = [np.sort(chosen[:, list(pair)], axis=1) for pair in ((0, 2), (0, 3), (1, 3), (1, 2))]
+    found += [np.stack([around[k] for k in triangle], axis=1) for triangle in ((0, 1, 2), (0, 2, 3))]
+    return found
+
+
+def smoothed(vertices: Floats, faces: Ints, rounds: int) -> Floats:
+    """Smooth a closed mesh by Taubin's filter, which does not shrink it [1]_.
+
+    Args:
+        vertices: shape [V, 3].
+        faces: shape [F, 3].
+        rounds: each a step towards the mean of the neighbours, and one back.
+
+    .. [1] G. Taubin, "A signal processing approach to fair surface design", SIGGRAPH 1995.
+    """
+    # Shares of the way to the mean there and back; they keep waves of more than 1 / 0.1 edges
+    there, back = 0.5, -0.5 / (1.0 - 0.1 * 0.5)
+    count = len(vertices)
+    sides = faces[:, [0, 1, 2, 1, 2, 0]].reshape(-1), faces[:, [1, 2, 0, 0, 1, 2]].reshape(-1)
+    neighbours = sparse.csr_matrix((np.ones(len(sides[0])), sides), shape=(count, count)).sign()
+    valence = np.asarray(neighbours.sum(axis=1))
+    for _ in range(rounds):
+        for share in (there, back):
+            vertices = vertices + share * (neighbours @ vertices / valence - vertices)
+    return vertices
+
+
+__all__ = ["ROUNDS", "VOLUMES", "label_surfaces", "smoothed", "surface_of"]
