@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from omtwarp.benchmark.records import Gpu, Machine
+from omtwarp.benchmark.tables import Gpu, Machine
 from omtwarp.device.start import wp
 from omtwarp.device.threads import core_count
 from omtwarp.files.children import interpreter

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from omtwarp.benchmark.records import FlowTimes, KernelRow, KernelTable
+from omtwarp.benchmark.tables import FlowTimes, KernelRow, KernelTable
 from omtwarp.device.graphs import step_by_step
 from omtwarp.device.start import wp
 from omtwarp.mapping.pipeline import map_to_sphere

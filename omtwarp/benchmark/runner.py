@@ -12,8 +12,8 @@ from scipy import sparse
 
 from omtwarp.benchmark.measure import Clock, PeakMemory, first_use, machine, splu_reference
 from omtwarp.benchmark.meshes import MeshSource, all_meshes, made
-from omtwarp.benchmark.records import Benchmark, MapTimes, MeshTimes, StageTimes
 from omtwarp.benchmark.roofline import kernel_table
+from omtwarp.benchmark.tables import Benchmark, MapTimes, MeshTimes, StageTimes
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError

@@ -15,8 +15,7 @@ from omtwarp.device.policy import resolve_device, solving_with
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.lambert import disk_to_cap, from_gnomonic, hemisphere_to_disk, to_gnomonic
 from omtwarp.geometry.space_order import in_space_order
-from omtwarp.mapping.input_order import in_input_order, torus_in_input_order
-from omtwarp.mapping.joined import joined
+from omtwarp.mapping.joined import in_input_order, joined, torus_in_input_order
 from omtwarp.mapping.pipeline import map_double, map_to_sphere
 from omtwarp.maps.result import MapResult, MeshReport, StageReport, SurfaceReport
 from omtwarp.maps.torus_map import TorusMap

@@ -62,8 +62,7 @@ from omtwarp.solvers.mesh_factor import begin_saddle_order
 from omtwarp.start.choice import bijective_start
 from omtwarp.texturing.density import TargetLike, as_target
 from omtwarp.topology.doubling import Double, quartered_double
-from omtwarp.transport.area import AreaMonitor
-from omtwarp.transport.cost import transport_cost
+from omtwarp.transport.cost import AreaMonitor, transport_cost
 from omtwarp.untangling.untangle import RepairBudget, untangle
 from omtwarp.version import package_version
 

@@ -10,11 +10,13 @@ from typing import TypeAlias, TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
+from scipy.spatial import cKDTree
 
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.inputs import holds_array, read_bytes
 from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.files.output import as_path, staged
+from omtwarp.location import Locator
 from omtwarp.maps.result import OF_MAPS, MapResult
 from omtwarp.mesh.arrays import real_numbers, whole_numbers
 from omtwarp.mesh.checks import MeshLike
@@ -23,10 +25,111 @@ from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.options import Domain, Interpolation, InterpolationLike
-from omtwarp.resampling import weights
+from omtwarp.resampling.overlap import overlap_areas
 from omtwarp.spheres import SphereGrid, is_named, mesh_grid, named_grid
 
 Floats = NDArray[np.float64]
+
+
+def barycentric(source: SphereGrid, target: SphereGrid, device: str | None = "auto") -> sparse.csr_matrix:
+    """Return the matrix of linear interpolation in the flat triangle nearest to each target point, shape [T, S].
+
+    The weights are those of Connectome Workbench's BARYCENTRIC. Constants are kept, integrals are not. Rows of points
+    in what fills holes of the source are empty.
+    """
+    # Barycentric coordinate up to which a point is on a side of a triangle: single precision puts vertices of the rim
+    # of a filled hole so far into its filling.
+    rim = 1e-6
+    faces = source.triangles
+    nearest = Locator(source.points, faces, device=device).find_closest(target.points)
+    matrix = nearest.matrix(faces, len(source.points))
+    if source.own is None:
+        return matrix
+    of_surface = np.where(faces[nearest.faces] < source.own[0], nearest.coordinates, 0.0).sum(axis=1)
+    on_rim = (nearest.coordinates.min(axis=1) < rim) & (of_surface > 1.0 - rim)
+    return _without_rows(matrix, (nearest.faces >= source.own[1]) & ~on_rim)
+
+
+def nearest(source: SphereGrid, target: SphereGrid, device: str | None = "auto") -> sparse.csr_matrix:
+    """Return the matrix that takes the value of the source point nearest to each target point, shape [T, S].
+
+    Rows of points in what fills holes of the source are empty.
+    """
+    _, chosen = cKDTree(source.points[: source.own_points]).query(target.points)
+    count = len(target.points)
+    matrix = sparse.csr_matrix((np.ones(count), chosen, np.arange(count + 1)), shape=(count, len(source.points)))
+    return matrix if source.own is None else _without_rows(matrix, _empty(barycentric(source, target, device)))
+
+
+def adaptive(
+    source: SphereGrid,
+    target: SphereGrid,
+    source_areas: Floats,
+    target_areas: Floats,
+    device: str | None = "auto",
+) -> sparse.csr_matrix:
+    """Return barycentric weights in which every source point takes part, corrected for areas, shape [T, S].
+
+    Connectome Workbench's ADAP_BARY_AREA: each target point takes its own barycentric weights, or those of the source
+    points that lie in the triangles around it where these are more. Weights are then scaled so that each source point
+    distributes its area, and rows are normalised to sum 1.
+
+    Args:
+        source, target: grids.
+        source_areas, target_areas: area of the surface around every point, shapes [S] and [T].
+        device: ``auto``, ``cpu`` or ``cuda:N``.
+    """
+    forward = barycentric(source, target, device)
+    backward = barycentric(target, source, device).T.tocsr()
+    # Where the forward weights include every source point that refers to the target point, they include more.
+    looked_at = forward.copy()
+    looked_at.data[:] = 1.0
+    looking = backward.copy()
+    looking.data[:] = 1.0
+    missed = (looking - looking.multiply(looked_at)).tocsr()
+    use_backward = np.asarray(missed.sum(axis=1)).ravel() > 0
+    chosen = sparse.diags_array((~use_backward).astype(float)) @ forward
+    chosen = sparse.csr_matrix(chosen + sparse.diags_array(use_backward.astype(float)) @ backward)
+    chosen.eliminate_zeros()
+    by_area = sparse.diags_array(target_areas) @ chosen
+    given = np.asarray(by_area.sum(axis=0)).ravel()
+    scale = np.divide(source_areas, given, out=np.zeros_like(given), where=given > 0)
+    corrected = sparse.csr_matrix(by_area @ sparse.diags_array(scale))
+    if source.own is not None:
+        corrected = _without_rows(corrected, _empty(forward))
+    return _rows_to_one(corrected)
+
+
+def conservative(source: SphereGrid, target: SphereGrid, device: str | None = "auto") -> sparse.csr_matrix:
+    """Return the matrix of means over each target cell of the function that is constant on source cells, [T, S].
+
+    Overlaps are exact (:func:`omtwarp.resampling.overlap.overlap_areas`), so that integrals with respect to the cells'
+    areas are kept up to round-off, as are constants, bounds and signs. What fills holes has no cells: means are over
+    the rest, and rows are empty where nothing is left.
+    """
+    return _rows_to_one(overlap_areas(target, source, device=device))
+
+
+def _empty(matrix: sparse.csr_matrix) -> NDArray[np.bool_]:
+    """Return which rows hold nothing, shape [T]."""
+    return np.diff(matrix.indptr) == 0
+
+
+def _without_rows(matrix: sparse.csr_matrix, left_out: NDArray[np.bool_]) -> sparse.csr_matrix:
+    """Return the matrix with some rows emptied; none is stored there.
+
+    Args:
+        matrix: shape [T, S].
+        left_out: which rows, shape [T].
+    """
+    kept = sparse.csr_matrix(sparse.diags_array((~left_out).astype(float)) @ matrix)
+    kept.eliminate_zeros()
+    return kept
+
+
+def _rows_to_one(matrix: sparse.csr_matrix) -> sparse.csr_matrix:
+    sums = np.asarray(matrix.sum(axis=1)).ravel()
+    return sparse.csr_matrix(sparse.diags_array(1.0 / np.where(sums > 0, sums, 1.0)) @ matrix)
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,11 +420,11 @@ def resample(
     chosen = choose(Interpolation, method)
     here, there = as_points(source, "the source"), as_points(target, "the target")
     if chosen is Interpolation.NEAREST:
-        matrix = weights.nearest(here.grid, there.grid, device)
+        matrix = nearest(here.grid, there.grid, device)
     elif chosen is Interpolation.CONSERVATIVE:
-        matrix = weights.conservative(here.grid, there.grid, device)
+        matrix = conservative(here.grid, there.grid, device)
     elif chosen is Interpolation.BARYCENTRIC:
-        matrix = weights.barycentric(here.grid, there.grid, device)
+        matrix = barycentric(here.grid, there.grid, device)
     else:
         # Source points in a filled hole of the target give their area to what is there, not to the hole's rim.
         given = here.surface_areas() if source_areas is None else _areas(source_areas, here, "source")
@@ -330,11 +433,11 @@ def resample(
             wanted = _areas(target_areas, there, "target")
             wanted[there.grid.own_points :] = whole.surface_areas()[there.grid.own_points :]
         elif here.vertices is not None and there.grid.faces is not None:
-            moved = weights.barycentric(here.closed().grid, whole.grid, device) @ here.vertices
+            moved = barycentric(here.closed().grid, whole.grid, device) @ here.vertices
             wanted = SpherePoints(whole.grid, np.asarray(moved)).surface_areas()
         else:
             wanted = whole.grid.areas if here.vertices is None else whole.surface_areas()
-        matrix = weights.adaptive(here.grid, whole.grid, given, wanted, device)
+        matrix = adaptive(here.grid, whole.grid, given, wanted, device)
     if here.grid.own is not None or there.grid.own is not None:
         matrix = sparse.csr_matrix(matrix[: there.grid.own_points, : here.grid.own_points])
     return Resampling(matrix, chosen, here, there, device)

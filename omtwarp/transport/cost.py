@@ -1,4 +1,4 @@
-"""The transport cost of a map, equation 6."""
+"""The transport cost of a map, equation 6, and the area error of a moving one, which shows whether a fall is real."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, wp
+from omtwarp.device.sums import RowSums
 from omtwarp.errors import choose
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
+from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.options import Cost
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -81,3 +83,33 @@ def transport_cost(
     x, y = (as_sphere(array.numpy() if isinstance(array, wp.array) else array, surface) for array in (start, sphere))
     moved = np.arctan2(np.linalg.norm(np.cross(x, y), axis=1), np.einsum("vi,vi->v", x, y))
     return float(surface.vertex_areas @ (moved * moved if cost == "squared" else moved))
+
+
+# A triangle's area error D + 1/D - 2 counts at most this much, so that a few degenerate triangles do not decide.
+LARGEST_ERROR = 0.1
+
+
+class AreaMonitor:
+    """Measures the area error of a moving map on the device.
+
+    Where a mesh is too coarse for a motion, its vertices can shorten their paths by losing area, and the cost falls
+    below that of any mass-preserving map. A falling cost is meaningful only if the area error does not grow.
+    """
+
+    def __init__(self, surface: Surface, device: wp.Device):
+        self.device = device
+        mesh = surface.on(device)
+        self._faces, self._areas = mesh.faces, mesh.face_areas
+        self._errors = wp.empty((surface.face_count, 1), dtype=wp.float64, device=device)
+        self._sums = RowSums(surface.face_count, 1, device)
+
+    def error(self, points: wp.array) -> float:
+        """Return the mean of D + 1/D - 2 weighted by original area, each triangle counting at most LARGEST_ERROR."""
+        wp.launch(
+            capped_area_error,
+            dim=len(self._errors),
+            inputs=[points, self._faces, self._areas, wp.float64(LARGEST_ERROR)],
+            outputs=[self._errors],
+            device=self.device,
+        )
+        return float(self._sums(self._errors).numpy().sum()) / SPHERE_AREA

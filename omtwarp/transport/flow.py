@@ -28,7 +28,7 @@ from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.metrics.optimality import relative_curl
 from omtwarp.options import Cost, Progress, Record, Scheme
-from omtwarp.transport.area import LARGEST_ERROR
+from omtwarp.transport.cost import LARGEST_ERROR
 from omtwarp.transport.descent_kernels import (
     FlowState,
     begin_iteration,

@@ -28,7 +28,7 @@ from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.options import Progress, Record
 from omtwarp.solvers.poisson import cotangent_solver, solve_arrays
-from omtwarp.transport.area import LARGEST_ERROR
+from omtwarp.transport.cost import LARGEST_ERROR
 from omtwarp.transport.flow import AREA_PRICE, OPTIMAL_CURL, TransportMap
 from omtwarp.transport.polish_kernels import (
     cost_and_area_errors,
