@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError, choose
-from omtwarp.files.inputs import array_of, read_bytes
-from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.geometry.sphere_hierarchy import sphere_hierarchy
 from omtwarp.mesh.arrays import real_numbers
-from omtwarp.mesh.data import from_text
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.options import WeightsAt
 
@@ -200,33 +196,3 @@ def weights_belong_to(shape: tuple[int, ...], vertices: int, faces: int, at: str
             "by --weights-at (weights_at in Python) vertices or triangles"
         )
     return fitting[0]
-
-
-def read_numbers(path: Path) -> NDArray[np.float64]:
-    """Read one number per line, or a one-dimensional array.
-
-    Args:
-        path: ``.npy``, or text with one number a line (a header line and a comma at its end are let pass).
-
-    Returns:
-        float64, shape [N].
-
-    Raises:
-        OmtwarpError: the file is missing, or holds something else.
-    """
-    data = read_bytes(path, LARGEST_MESH_FILE, "file of weights")
-    if path.suffix.lower() == ".npy":
-        try:
-            values = array_of(data).squeeze()
-        except OmtwarpError as error:
-            raise OmtwarpError(f"{path}: {error}") from None
-    else:
-        try:
-            values = from_text(data.decode("utf-8-sig")).values
-        except (OmtwarpError, UnicodeDecodeError) as error:
-            detail = str(error) if isinstance(error, OmtwarpError) else "no list of numbers: no text"
-            raise OmtwarpError(f"{path}: {detail}") from None
-        values = values[:, 0] if values.shape[1] == 1 else values
-    if values.ndim != 1 or values.dtype.kind not in "uifb":
-        raise OmtwarpError(f"{path}: an array of shape {list(values.shape)}, not one number a vertex or face")
-    return values.astype(np.float64)

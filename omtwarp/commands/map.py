@@ -120,7 +120,8 @@ class Mass:
     weights: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="Numbers per vertex or triangle (.npy, .txt, .csv): twice the weight, twice the area."
+            metavar="FILE",
+            help="Numbers per vertex or triangle (.npy, .csv, .gii, ...): twice the weight, twice the area.",
         ),
     ] = None
     weights_at: Annotated[WeightsAt, named(WeightsAt, "What the weights belong to; auto goes by their number.")] = (
@@ -208,7 +209,8 @@ def map_mesh(
 
     def map_one(mesh: Path, target: Path | None) -> None:
         sound = read_sound_mesh(mesh, repair, any_surface=any_surface is not None)
-        weights, belong = (None, mass.weights_at) if mass.weights is None else weights_of(mass, sound)
+        structure = structure_of(mesh)
+        weights, belong = (None, mass.weights_at) if mass.weights is None else weights_of(mass, sound, structure)
         result = make_map(
             sound.surface,
             mapping,
@@ -219,7 +221,6 @@ def map_mesh(
             target=goal,
         )
         require_bijective(result)
-        structure = structure_of(mesh)
         if structure is not None:
             result.report["structure"] = structure
         result, file_faces = with_copies(result, sound, any_surface is None)
@@ -293,8 +294,13 @@ def with_copies(
     return result, None
 
 
-def weights_of(mass: Mass, sound: Input) -> tuple[NDArray[np.float64], WeightsAt]:
+def weights_of(mass: Mass, sound: Input, structure: str | None) -> tuple[NDArray[np.float64], WeightsAt]:
     """Read weights of a file's mesh, and reorder them where it was repaired or copies of its vertices were joined.
+
+    Args:
+        mass: names the file of weights.
+        sound: the mesh.
+        structure: the part of the brain that it is, where its file says it.
 
     Returns:
         The weights of the mesh's vertices or triangles, and which of them.
@@ -303,10 +309,14 @@ def weights_of(mass: Mass, sound: Input) -> tuple[NDArray[np.float64], WeightsAt
         OmtwarpError: the file holds no numbers, or not as many as the mesh's file has vertices or triangles; or parts
             of the repaired mesh have no weights.
     """
-    from omtwarp.measures import read_numbers, weights_belong_to
+    from omtwarp.measures import weights_belong_to
+    from omtwarp.mesh.data import read_data
 
     assert mass.weights is not None
-    weights = read_numbers(mass.weights)
+    columns = read_data(mass.weights, structure).values
+    if columns.shape[1] != 1:
+        raise OmtwarpError(f"{mass.weights}: {columns.shape[1]} numbers for every vertex or face, not one")
+    weights = columns[:, 0].astype(float)
     belong = weights_belong_to(weights.shape, *sound.sizes, mass.weights_at)
     origins = sound.surface.origins
     if origins is None:

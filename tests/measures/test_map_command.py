@@ -7,6 +7,7 @@ import pytest
 from PIL import Image
 
 from omtwarp.commands._cli import main
+from omtwarp.mesh.data import VertexData, write_data
 from omtwarp.mesh.shapes import blob
 from omtwarp.mesh.write import write_mesh
 
@@ -76,6 +77,31 @@ def test_weights_that_cannot_be_used(desk, capsys, content, message):
     assert error.count("\n") == 1
     assert not (desk / "x.npz").exists()
     assert run("map", "mesh.ply", "-o", "x.npz", "--weights", "missing.npy") == 1
+
+
+def test_weights_of_every_format_of_data_are_the_same(desk):
+    """Of a CIFTI file those of the mesh's hemisphere; a row of two numbers is refused."""
+    nibabel = pytest.importorskip("nibabel")
+    write_mesh("lh.mesh.ply", SURFACE.vertices, SURFACE.faces)
+    count = SURFACE.vertex_count
+    weights = (1.0 + np.arange(count) % 5).astype(np.float32)
+    np.save("w.npy", weights)
+    write_data(desk / "w.shape.gii", VertexData(weights[:, None].astype(float), ("w",)))
+    nibabel.save(nibabel.freesurfer.MGHImage(weights.reshape(count, 1, 1), np.eye(4)), "w.mgh")
+    axes = nibabel.cifti2.cifti2_axes
+    sides = [f"CIFTI_STRUCTURE_CORTEX_{side}" for side in ("LEFT", "RIGHT")]
+    models = [axes.BrainModelAxis.from_surface(np.arange(count), count, side) for side in sides]
+    both = np.concatenate([weights, weights[::-1]])[None]
+    nibabel.save(nibabel.Cifti2Image(both, (axes.ScalarAxis(["w"]), models[0] + models[1])), "w.dscalar.nii")
+    common = ["--device", "cpu", "-q", "--until", "moser"]
+    found = []
+    for name in ("w.npy", "w.shape.gii", "w.mgh", "w.dscalar.nii"):
+        assert run("map", "lh.mesh.ply", "-o", "x.npz", "--weights", name, *common) == 0
+        found.append(np.load("x.npz")["measure"])
+    for measure in found[1:]:
+        np.testing.assert_allclose(measure, found[0], rtol=1e-6)
+    np.save("two.npy", np.ones((count, 2)))
+    assert run("map", "lh.mesh.ply", "-o", "y.npz", "--weights", "two.npy", *common) == 1
 
 
 def test_weights_of_a_surface_with_as_many_vertices_as_triangles_need_an_option(desk, capsys):
