@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import file_beside, read_bytes
 from omtwarp.files.limits import LARGEST_MESH_FILE, amount
+from omtwarp.files.memory import memory_for_file
 from omtwarp.mesh.accessors import Document, pictures_of, with_document, with_plain_accessors
 
 if TYPE_CHECKING:
@@ -99,7 +100,8 @@ def load_scene(data: bytes, file: Path, suffix: str, *, pictures: bool = True) -
         if total > LARGEST_MESH_FILE:
             raise OmtwarpError(f"inflates to {amount(total)}, and {amount(LARGEST_MESH_FILE)} is the most")
     logging.getLogger("trimesh").addHandler(logging.NullHandler())  # its errors contain the same information
-    return trimesh.load_scene(io.BytesIO(data), file_type=suffix, resolver=Buffers(), process=False)
+    with memory_for_file(len(data)):
+        return trimesh.load_scene(io.BytesIO(data), file_type=suffix, resolver=Buffers(), process=False)
 
 
 def reader_beside(file: Path) -> Callable[[str], bytes]:

@@ -18,7 +18,6 @@ from omtwarp.colors import to_linear, to_srgb
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import file_beside, read_bytes
 from omtwarp.files.limits import LARGEST_MESH_FILE, MOST_FACES
-from omtwarp.files.memory import memory_for_file
 from omtwarp.mesh.arrays import whole_numbers
 from omtwarp.mesh.ply import Column, ply_columns, polygons_of
 from omtwarp.mesh.polygons import fans
@@ -192,7 +191,7 @@ def read_painted_mesh(path: str | os.PathLike[str]) -> PaintedMesh:
     data, suffix = mesh_content(file)
     plain = suffix not in ("obj", "ply", *scene_formats())
     try:
-        with warnings.catch_warnings(action="ignore"), memory_for_file(len(data)):  # of what parsers guess
+        with warnings.catch_warnings(action="ignore"):  # of what parsers guess
             if plain:
                 mesh = read_mesh(file)
                 painted = PaintedMesh(mesh.vertices, corners_of(mesh.faces, len(mesh.vertices)), notes=mesh.notes)

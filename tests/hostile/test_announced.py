@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.memory import ROOM, TIMES, memory_for_file
@@ -22,6 +23,7 @@ from omtwarp.mesh.data import read_data
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.shapes import icosphere
 from omtwarp.mesh.write import write_mesh
+from omtwarp.texturing import read_painted_mesh
 
 MANY = 10**12
 PATIENCE = 5.0  # seconds for a file of a few hundred bytes, most of it for loading the reader
@@ -188,6 +190,17 @@ def test_a_small_file_takes_little_room(tmp_path, name):
         assert len(read_mesh(tmp_path / name).faces) == len(ball.faces)
     with pytest.raises(OmtwarpError, match=r"damaged: asks for more than"), memory_for_file(100):
         np.ones(ROOM)
+
+
+def test_pictures_beside_a_mesh_are_no_part_of_its_bound(tmp_path, monkeypatch):
+    """A small mesh may have large pictures: only its parser is bounded by its size."""
+    monkeypatch.setattr("omtwarp.files.memory.ROOM", 0)
+    monkeypatch.setattr("omtwarp.files.memory.TIMES", 1000)
+    rows = ["mtllib a.mtl", "v 0 0 0", "v 1 0 0", "v 0 1 0", "vt 0 0", "usemtl a", "f 1/1 2/1 3/1"]
+    (tmp_path / "a.obj").write_text("\n".join(rows), "ascii")
+    (tmp_path / "a.mtl").write_text("newmtl a\nmap_Kd a.png\n", "ascii")
+    Image.new("RGB", (4000, 3000), (200, 30, 30)).save(tmp_path / "a.png")
+    assert read_painted_mesh(tmp_path / "a.obj").materials[0].picture.shape == (3000, 4000, 3)
 
 
 def test_readers_of_simulations_open_no_other_file(tmp_path):
