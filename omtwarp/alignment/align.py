@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -200,13 +200,11 @@ def align(
     .. [1] W. Kabsch, "A solution for the best rotation to relate two sets of vectors", Acta Cryst. A32 (1976).
     """
     if isinstance(to, str) and to == "axes":
-        if features or to_features or mirror:
+        if any((features, to_features, mirror)):
             raise OmtwarpError("aligning by the shape's own axes takes neither features nor mirror images")
         return align_to_axes(given)
-    _check_options(by, degree)
+    _check_options(by, degree, features or {}, to_features or {})
     moving, fixed = as_points(given, "the map"), as_points(to, "the template")
-    if set(features or {}) != set(to_features or {}):
-        raise OmtwarpError("features have to be given for both sides, with the same names")
     if by == "vertices" and not _same_faces(moving, fixed):
         raise OmtwarpError("the two meshes have different faces: align them by features")
     one_surface = _why_one_surface(moving, fixed) if by == "auto" and not features else ""
@@ -224,22 +222,35 @@ def align(
         alignment = replace(image, rotation=image.rotation @ MIRROR, mirrored=True)
         moving = mirror_image(moving)
     if check:
-        scores = {"the mirror image fits better": image.score}
-        for name, values in (features or {}).items():
-            turned = {**(features or {}), name: -np.asarray(values, dtype=np.float64)}
-            scores[f"feature '{name}' fits better with the other sign"] = aligned(moving, turned).score
-        for words, score in scores.items():
-            if score > alignment.score + CLEARLY:
-                warnings.warn(f"{words}: score {score:.3f}, not {alignment.score:.3f}", OmtwarpWarning, stacklevel=2)
+        scores = {name: aligned(moving, turned).score for name, turned in _with_the_other_sign(features or {})}
+        _warn_of_better({"the mirror image fits better": image.score} | scores, alignment.score)
     return replace(alignment, basis=one_surface) if one_surface else alignment
 
 
-def _check_options(by: str, degree: int) -> None:
-    """Refuse an unknown way to align, and a degree out of range.
+def _with_the_other_sign(features: Mapping[str, ArrayLike]) -> Iterator[tuple[str, dict[str, ArrayLike]]]:
+    """Yield what to say where one feature fits better so, and all features with the sign of that one changed."""
+    for name, values in features.items():
+        yield (
+            f"feature '{name}' fits better with the other sign",
+            {**features, name: -np.asarray(values, dtype=np.float64)},
+        )
+
+
+def _warn_of_better(scores: Mapping[str, float], taken: float) -> None:
+    """Warn of everything that scores clearly more than what was taken."""
+    for words, score in scores.items():
+        if score > taken + CLEARLY:
+            warnings.warn(f"{words}: score {score:.3f}, not {taken:.3f}", OmtwarpWarning, stacklevel=3)
+
+
+def _check_options(by: str, degree: int, features: Mapping[str, object], to_features: Mapping[str, object]) -> None:
+    """Refuse an unknown way to align, a degree out of range, and features of one side alone.
 
     Raises:
-        OmtwarpError: the way is unknown, or the degree is out of range.
+        OmtwarpError: the way is unknown, the degree is out of range, or a feature is missing on a side.
     """
+    if set(features) != set(to_features):
+        raise OmtwarpError("features have to be given for both sides, with the same names")
     choose(AlignBy, by)
     if not 1 <= check_degree(degree) <= 64:
         raise OmtwarpError(f"the degree is {degree}: give a whole number from 1 to 64")

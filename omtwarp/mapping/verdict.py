@@ -197,12 +197,16 @@ def judge(
         unfinished = []  # the optimal map of the mesh as it was is only where the one of its quarters began
     if findings or unfinished:
         remedy = _remedy(goal, options.refine is None and uniform)
-    for record in unfinished:
-        text = f"the stage {record.name} did not converge: {record.details.get('ended') or 'most steps taken'}"
-        if record.details.get("gave_up"):
-            text += f", {record.details['gave_up']}"
-        findings.append(Finding("not-converged", -1, text, ""))
+    findings += [_unfinished(record) for record in unfinished]
     return [Finding(each.kind, each.where, each.message, remedy) for each in findings] + unmatched
+
+
+def _unfinished(record: StageRecord) -> Finding:
+    """Make the warning about a stage that did not converge."""
+    text = f"the stage {record.name} did not converge: {record.details.get('ended') or 'most steps taken'}"
+    if record.details.get("gave_up"):
+        text += f", {record.details['gave_up']}"
+    return Finding("not-converged", -1, text, "")
 
 
 def _remedy(goal: Surface, refinable: bool) -> str:

@@ -117,16 +117,9 @@ def paint(
         >>> painted.materials[0].picture.shape, painted.materials[0].occlusion_picture is None
         ((128, 128, 3), False)
     """
-    if uv not in ("own", "atlas"):
-        raise OmtwarpError(f"unknown texture coordinates '{uv}': use own or atlas")
-    if keep not in (None, "over", "under"):
-        raise OmtwarpError(f"unknown way to keep materials '{keep}': use over or under")
-    if not 0.0 <= opacity <= 1.0:
-        raise OmtwarpError(f"the opacity is {opacity}: give a number from 0 to 1")
     if image is not None and pattern is not None:
         raise OmtwarpError("both an image and a pattern were given: a texture is made from one of them")
-    if mesh is None and (uv == "own" or keep is not None):
-        raise OmtwarpError("own texture coordinates and materials are kept from a mesh: give the one that was mapped")
+    _check_options(uv, keep, opacity, mesh)
     torus = result if isinstance(result, TorusMap) else None
     if isinstance(result, TorusMap):
         vertices, faces, sphere, parts = result.vertices, result.faces, result.vertices, None
@@ -147,6 +140,22 @@ def paint(
         source = "circles"
     look = Look(source, projection, atlas, rotate, size, job.where)
     return job.on_own_coordinates(look) if uv == "own" else job.on_atlas(look)
+
+
+def _check_options(uv: str, keep: str | None, opacity: float, mesh: PaintedMesh | None) -> None:
+    """Refuse unknown options, and those that a mesh is needed for where there is none.
+
+    Raises:
+        OmtwarpError: an option cannot be taken.
+    """
+    if uv not in ("own", "atlas"):
+        raise OmtwarpError(f"unknown texture coordinates '{uv}': use own or atlas")
+    if keep not in (None, "over", "under"):
+        raise OmtwarpError(f"unknown way to keep materials '{keep}': use over or under")
+    if not 0.0 <= opacity <= 1.0:
+        raise OmtwarpError(f"the opacity is {opacity}: give a number from 0 to 1")
+    if mesh is None and (uv == "own" or keep is not None):
+        raise OmtwarpError("own texture coordinates and materials are kept from a mesh: give the one that was mapped")
 
 
 @dataclass(frozen=True)

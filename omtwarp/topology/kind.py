@@ -107,6 +107,15 @@ def described(part: Part) -> str:
     return f"genus {part.genus}, {holes}"
 
 
+def _options_with_rim(several: bool, filled: bool, more: str) -> list[str]:
+    """Describe the options of surfaces with a boundary: of several parts, with other holes, and what they need more."""
+    of_each, others = " of each part" if several else "", ", other holes filled" if filled else ""
+    return [
+        f"--hemisphere: the longest boundary loop{of_each} on the equator{others}{more}",
+        f"--disk, --cap: the same in the unit disk, or on a cap as large as the hole leaves{more}",
+    ]
+
+
 def options_for(parts: list[Part]) -> list[str]:
     """List the options of ``omtwarp map`` that a mesh needs, with one line on what each does."""
     if len(parts) == 1 and parts[0].is_sphere:
@@ -122,10 +131,7 @@ def options_for(parts: list[Part]) -> list[str]:
     needed = ["--components"] * several + ["--cut"] * bool(genus)
     more = f" (with {' and '.join(needed)})" if needed else ""
     if doubled and all(part.loops for part in parts):
-        of_each = " of each part" if several else ""
-        others = ", other holes filled" if loops > len(parts) else ""
-        lines.append(f"--hemisphere: the longest boundary loop{of_each} on the equator{others}{more}")
-        lines.append(f"--disk, --cap: the same in the unit disk, or on a cap as large as the hole leaves{more}")
+        lines += _options_with_rim(several, loops > len(parts), more)
     if loops:
         lines.append(
             f"--fill-area natural or small: {number(loops, 'hole')} filled, the rest of the sphere covered{more}"
