@@ -157,7 +157,7 @@ def test_an_area_distortion_that_no_map_has_is_said(area):
         result = map_to_sphere(surface, refine=f"match:{area}", optimality=False, device="cpu")
     (said,) = result.report["warnings"]
     reached = result.distortion().area["surface"]
-    words = rf"no map with the area distortion {area:.9g} was found: the nearest has ([\d.]+); (remesh|ask for less)"
+    words = rf"no map with the area distortion {area:.9g} was found: this one has ([\d.]+); (remesh|ask for less)"
     found, remedy = re.match(words, said["text"]).groups()
     assert said["kind"] == "not-matched" and float(found) == pytest.approx(reached, abs=1e-7)
     assert (reached > area) == (remedy == "remesh")

@@ -72,7 +72,7 @@ def not_matched(area: float, reached: float) -> tuple[str, str] | None:
     missed = 2e-3
     if -missed <= reached - area <= 0.0:
         return None
-    text = f"no map with the area distortion {area:.9g} was found: the nearest has {reached:.9g}"
+    text = f"no map with the area distortion {area:.9g} was found: this one has {reached:.9g}"
     return text, "remesh with more triangles, or ask for more" if reached > area else "ask for less"
 
 

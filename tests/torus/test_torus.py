@@ -287,7 +287,7 @@ def test_exact_and_refined_maps():
     assert matched.distortion().area["surface"] == pytest.approx(2.05, abs=5e-3)
     with pytest.warns(omtwarp.OmtwarpWarning, match="no map with the area distortion 50 was found") as caught:
         far = omtwarp.map_surface(surface, refine="match:50", optimality=False)
-    assert f"the nearest has {far.distortion().area['surface']:.6g}"[:-1] in str(caught[0].message)
+    assert f"this one has {far.distortion().area['surface']:.6g}"[:-1] in str(caught[0].message)
     with pytest.raises(omtwarp.OmtwarpError, match="no map with the area distortion 50"):
         omtwarp.map_surface(surface, refine="match:50", optimality=False, strict=True)
     with pytest.raises(omtwarp.OmtwarpError, match="exact areas"):
