@@ -348,7 +348,6 @@ def save(
     """
     from omtwarp.maps.result import MapResult
     from omtwarp.mesh.write import write_mesh
-    from omtwarp.texturing import texture
 
     of_file: NDArray | slice = slice(None)
     faces = result.faces
@@ -357,6 +356,8 @@ def save(
     if file.suffix.lower() == ".npz":
         result.save(file)
     elif not isinstance(result, MapResult) and file.suffix.lower() == ".glb":
+        from omtwarp.texturing import texture  # whose kernels no other map needs
+
         texture(result, pattern="checker").export(file)
     elif not isinstance(result, MapResult):
         write_mesh(file, radius * result.ring(), result.faces, like=like)
