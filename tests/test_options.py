@@ -1,17 +1,21 @@
 """Options are parsed once, with the same words on the command line and in Python."""
 
 import inspect
-from typing import get_args
+from dataclasses import dataclass
+from typing import Annotated, get_args
 
 import pytest
+import typer
+from typer.testing import CliRunner
 
 import omtwarp
 from omtwarp import options
 from omtwarp.commands._cli import main
+from omtwarp.commands._options import Only, as_command
 from omtwarp.errors import OmtwarpError
 from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mesh.write import write_mesh
-from omtwarp.options import Cost, MapOptions, Method, Refinement, Scheme, Stage, choose, parse_device
+from omtwarp.options import AreaMatch, Cost, MapOptions, Method, Refinement, Scheme, Stage, choose, parse_device
 
 
 @pytest.mark.parametrize(
@@ -32,6 +36,32 @@ def test_python_and_the_command_line_refuse_with_the_same_words(capsys, option, 
         main(["map", "mesh.ply", "-o", "map.npz", option, value])
     assert ended.value.code == 2
     assert str(caught.value) in " ".join(capsys.readouterr().err.split())
+
+
+def test_the_options_of_a_group_are_options_of_the_command():
+    """A command takes a dataclass of options, whole or those that are named; defaults are those of the class."""
+
+    @dataclass(frozen=True)
+    class Size:
+        width: Annotated[int, typer.Option(min=1)] = 3
+        height: Annotated[int, typer.Option(min=1)] = 2
+
+    seen = []
+
+    def draw(*, size: Size, mapping: Annotated[MapOptions, Only(("refine", "exact"))], title: str = "none"):
+        seen.append((size, mapping, title))
+
+    app = typer.Typer()
+    app.command()(as_command(draw))
+    assert CliRunner().invoke(app, ["--width", "4", "--refine", "match:2.5", "--title", "a"]).exit_code == 0
+    assert CliRunner().invoke(app, ["--exact"]).exit_code == 0
+    assert seen == [(Size(4), MapOptions(refine=AreaMatch(2.5)), "a"), (Size(), MapOptions(exact=True), "none")]
+    assert (
+        CliRunner().invoke(app, ["--width", "0"]).exit_code
+        == CliRunner().invoke(app, ["--until", "omt"]).exit_code
+        == 2
+    )
+    assert isinstance(CliRunner().invoke(app, ["--exact", "--refine", "area"]).exception, OmtwarpError)
 
 
 def test_a_value_left_out_is_not_offered():
