@@ -29,7 +29,6 @@ from omtwarp.spheres import SphereGrid
 Floats = NDArray[np.float64]
 
 DEGREE = 16  # of the harmonics that are correlated by default: they resolve about 180 / 16 = 11 degrees
-CLEARLY = 0.05  # difference of correlations: those of nearly symmetric shapes and their mirror images differ by less
 MIRROR = np.diag([-1.0, 1.0, 1.0])  # reflects in the plane x = 0
 
 
@@ -238,8 +237,10 @@ def _with_the_other_sign(features: Mapping[str, ArrayLike]) -> Iterator[tuple[st
 
 def _warn_of_better(scores: Mapping[str, float], taken: float) -> None:
     """Warn of everything that scores clearly more than what was taken."""
+    # difference of correlations: those of nearly symmetric shapes and their mirror images differ by less
+    clearly = 0.05
     for words, score in scores.items():
-        if score > taken + CLEARLY:
+        if score > taken + clearly:
             warnings.warn(f"{words}: score {score:.3f}, not {taken:.3f}", OmtwarpWarning, stacklevel=3)
 
 

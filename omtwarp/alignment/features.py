@@ -15,13 +15,7 @@ from omtwarp.spheres import triangle_solid_angles
 
 Floats = NDArray[np.float64]
 
-# Standard deviation of the logarithm of area below which areas carry no information, as in area-preserving maps.
-LEAST_AREA_SPREAD = 0.1
-_AT_ONCE = 16384
 
-# Of the whole: the least share of a vertex's area that has a logarithm; a vertex of no area takes it in place of
-# infinity.
-SMALLEST_SHARE = 1e-12
 # Of the largest value: a feature that varies less is rounding around a constant (1e-16 times the root of the vertices).
 LEAST_VARIATION = 1e-9
 
@@ -44,6 +38,11 @@ def own_features(points: SpherePoints) -> dict[str, Floats]:
     Raises:
         OmtwarpError: the sphere is given without its surface.
     """
+    # Standard deviation of the logarithm of area below which areas carry no information, as in area-preserving maps.
+    least_area_spread = 0.1
+    # Of the whole: the least share of a vertex's area that has a logarithm; a vertex of no area takes it in place of
+    # infinity.
+    smallest_share = 1e-12
     if points.vertices is None:
         raise OmtwarpError(
             f"{points.grid.name}: a sphere without its surface has no features of its own: give the surface, or data"
@@ -53,9 +52,9 @@ def own_features(points: SpherePoints) -> dict[str, Floats]:
     features = {"radius": np.linalg.norm(points.vertices - centre, axis=1)}
     weights = sphere_weights(points)
     ratio = np.log(
-        np.maximum(masses / masses.sum(), SMALLEST_SHARE) / np.maximum(weights / weights.sum(), SMALLEST_SHARE)
+        np.maximum(masses / masses.sum(), smallest_share) / np.maximum(weights / weights.sum(), smallest_share)
     )
-    if spread(ratio, weights) > LEAST_AREA_SPREAD:
+    if spread(ratio, weights) > least_area_spread:
         features["areas"] = ratio
     return features
 
@@ -113,6 +112,7 @@ def feature_coefficients(features: Mapping[str, Floats], points: SpherePoints, d
 
     By quadrature with the vertices' areas on the sphere, which turns with the sphere: no position is preferred.
     """
+    at_once = 16384
     weights = sphere_weights(points)
     columns = []
     for name, values in features.items():
@@ -121,8 +121,8 @@ def feature_coefficients(features: Mapping[str, Floats], points: SpherePoints, d
         columns.append(weights * (values - weights @ values / weights.sum()) / spread(values, weights))
     weighted = np.stack(columns, axis=1)
     total = np.zeros(((degree + 1) ** 2, len(columns)))
-    for first in range(0, len(weighted), _AT_ONCE):
-        part = slice(first, first + _AT_ONCE)
+    for first in range(0, len(weighted), at_once):
+        part = slice(first, first + at_once)
         total += real_harmonics(points.grid.points[part], degree).T @ weighted[part]
     return total
 

@@ -22,11 +22,6 @@ Bools = NDArray[np.bool_]
 ROUNDS = 20  # largest number of means that are computed; a mean that settles to TOLERANCE ends it earlier
 # Radians, or shares of the mean's size: invisible in pictures of a group.
 TOLERANCE = 1e-6
-# Shapes are taken for mirror images of one another where features of the mirrored one correlate so well, and by so much
-# better than its own. A scanned hippocampus and a caudate nucleus, with noise of 1 % or without, correlate by 0.0053 to
-# 0.0099 better with the right one of the two; made hippocampi that vary by 5 %, which have a plane of symmetry, by up
-# to 0.0004; shapes that have nothing in common, with either by 0.65 to 0.86.
-ALIKE, MIRRORED_MARGIN = 0.9, 0.003
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +78,11 @@ def procrustes_mean(
 
     .. [1] J. C. Gower, "Generalized Procrustes analysis", Psychometrika 40 (1975).
     """
+    # Shapes are taken for mirror images of one another where features of the mirrored one correlate so well, and by so
+    # much better than its own. A scanned hippocampus and a caudate nucleus, with noise of 1 % or without, correlate by
+    # 0.0053 to 0.0099 better with the right one of the two; made hippocampi that vary by 5 %, which have a plane of
+    # symmetry, by up to 0.0004; shapes that have nothing in common, with either by 0.65 to 0.86.
+    alike, mirrored_margin = 0.9, 0.003
     if len(maps) < 2:
         raise OmtwarpError("a group needs at least two maps")
     common = as_points(grid, "the grid")
@@ -98,7 +98,7 @@ def procrustes_mean(
         image = mirror_image(one)
         other = best_rotation(_coefficients(image, own_features(image), names, degree), coefficients[0]).score
         unchanged = best_rotation(coefficients[k], coefficients[0]).score
-        mirrored[k] = other >= ALIKE and other > unchanged + MIRRORED_MARGIN
+        mirrored[k] = other >= alike and other > unchanged + mirrored_margin
         if progress is not None:
             progress("align", k + 1, len(members), {})
     rotations = np.tile(np.eye(3), (len(members), 1, 1))

@@ -28,11 +28,8 @@ from omtwarp.mesh.arrays import ROUND_OFF, TINY
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-# Newton starts from so many of the grid's local maxima, at least START_APART degrees from one another. With half and
+# Newton starts from so many of the grid's local maxima, at least start_apart degrees from one another. With half and
 # twice of these and of DISTINCT a turned creature is turned back to round-off.
-STARTS = 8
-START_APART = 15.0
-STEPS = 40
 DISTINCT = 5.0  # degrees: maxima further apart than this are two
 
 
@@ -173,26 +170,31 @@ def improved(a: Complex, b: Complex, best: Best, weights: Floats) -> Best:
 
 def _starts(grid: Floats, size: int) -> list[Floats]:
     """Return the highest local maxima of the correlation on the grid, where the climbs start."""
+    # Newton starts from so many of the grid's local maxima, at least start_apart degrees from one another. With half
+    # and twice of these and of DISTINCT a turned creature is turned back to round-off.
+    starts = 8
+    start_apart = 15.0
     around = maximum_filter(grid, size=3, mode=("wrap", "nearest", "wrap"))
     peaks = np.flatnonzero(grid == around)
     order = peaks[np.argsort(-grid.ravel()[peaks], kind="stable")]
     chosen: list[Floats] = []
-    smallest = 1.0 + 2.0 * np.cos(np.radians(START_APART))
+    smallest = 1.0 + 2.0 * np.cos(np.radians(start_apart))
     for place in order:
         angles = 2.0 * np.pi / size * np.array(np.unravel_index(place, grid.shape))
         rotation = Rotation.from_euler("ZYZ", angles).as_matrix()
         if all(np.einsum("ij,ij->", rotation, other) < smallest for other in chosen):
             chosen.append(rotation)
-            if len(chosen) == STARTS:
+            if len(chosen) == starts:
                 break
     return chosen
 
 
 def _climb(a: Complex, b: Complex, rotation: Floats) -> tuple[Floats, float, int]:
     """Run Newton's method on the rotation group, with steps halved until they climb."""
+    steps = 40
     turned = rotated(a, rotation)
     value = float(np.vdot(b, turned).real)
-    for step in range(STEPS):
+    for step in range(steps):
         gradient, hessian = derivatives(turned, b)
         bends, axes = np.linalg.eigh(hessian)
         # Where the function is not concave, climb along the slope instead of to a saddle.
@@ -216,7 +218,7 @@ def _climb(a: Complex, b: Complex, rotation: Floats) -> tuple[Floats, float, int
         else:
             return rotation, value, step
         rotation, turned, value = candidate, ahead, reached
-    return rotation, value, STEPS
+    return rotation, value, steps
 
 
 def derivatives(turned: Complex, b: Complex) -> tuple[Floats, Floats]:

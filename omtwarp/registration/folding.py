@@ -22,9 +22,6 @@ FOLDING_WEIGHTS = {"sulc": 1.0, "curv": 0.55}
 """Of the two features in registration: curvature, with most of its detail where folds differ, counts about half."""
 
 AREA = 1e5  # mm²
-FLOW_TIME = 160.0  # mm²
-LARGEST_CURVATURE = 3.0  # 1 / mm: sharper corners are faults of the mesh
-SMOOTHING_STEPS = 2  # implicit steps of heat: their kernel is between an exponential's and Gauss's
 LEAST_AREA = 1e-9  # of a vertex, over the mean of all: none is divided by less
 LARGEST_COTANGENT = 10.0  # of a sliver's angle, above which it counts for no more: the matrices stay definite
 
@@ -54,9 +51,10 @@ class HeatFlow:
 
 def smoothed(surface: Surface, points: Floats, values: Floats, fwhm: float) -> Floats:
     """Smooth values at the vertices, shape [V] or [V, K], by heat with a kernel of a full width at half maximum."""
+    smoothing_steps = 2  # implicit steps of heat: their kernel is between an exponential's and Gauss's
     # Fwhm: full width at half maximum of a Gaussian over its standard deviation
-    flow = HeatFlow(surface, points, (fwhm / (2.0 * np.sqrt(2.0 * np.log(2.0)))) ** 2 / 2.0 / SMOOTHING_STEPS)
-    for _ in range(SMOOTHING_STEPS):
+    flow = HeatFlow(surface, points, (fwhm / (2.0 * np.sqrt(2.0 * np.log(2.0)))) ** 2 / 2.0 / smoothing_steps)
+    for _ in range(smoothing_steps):
         values = flow.step(values)
     return values
 
@@ -68,6 +66,8 @@ def folding_features(vertices: Floats, faces: NDArray[np.int32]) -> dict[str, Fl
         vertices: of a closed surface, shape [V, 3].
         faces: counter-clockwise from outside, shape [F, 3].
     """
+    flow_time = 160.0  # mm²
+    largest_curvature = 3.0  # 1 / mm: sharper corners are faults of the mesh
     surface = Surface(vertices, faces)
     points = surface.scaled_vertices * np.sqrt(AREA / (4.0 * np.pi))
     areas = vertex_areas(points, surface.faces)
@@ -75,8 +75,8 @@ def folding_features(vertices: Floats, faces: NDArray[np.int32]) -> dict[str, Fl
     weights = np.clip(cotangent_edge_weights(surface, points), -LARGEST_COTANGENT, LARGEST_COTANGENT)
     bend = edge_laplacian(surface.edges, weights, surface.vertex_count) @ points
     curvature = 0.5 * np.einsum("ij,ij->i", bend, normals) / np.maximum(areas, LEAST_AREA * areas.mean())
-    curvature = np.clip(curvature, -LARGEST_CURVATURE, LARGEST_CURVATURE)
-    moved = HeatFlow(surface, points, FLOW_TIME).step(points)
+    curvature = np.clip(curvature, -largest_curvature, largest_curvature)
+    moved = HeatFlow(surface, points, flow_time).step(points)
     depth = np.einsum("ij,ij->i", moved - points, vertex_normals(moved, surface.faces))
     # Curvature fwhm: mm, of the kernel that curvature is smoothed with
     return {

@@ -21,8 +21,6 @@ from omtwarp.refine.vertex_term import VertexDerivatives, VertexTerm
 
 Floats = NDArray[np.float64]
 
-STIFF = 30.0  # of exact landmarks, of the mean distortion: a round leaves about a third of the distance
-MET = 1e-5  # radians that exact landmarks are left apart at most
 ROUNDS = 20  # of pulling exact landmarks on
 SIDES = ("moving", "target")
 
@@ -157,10 +155,11 @@ class LandmarkTerm:
     """
 
     def __init__(self, pairs: Pairs, grid: Surface, scale: float):
+        stiff = 30.0  # of exact landmarks, of the mean distortion: a round leaves about a third of the distance
         found = Locator(grid.vertices, grid.faces, device="cpu").find(pairs.points)
         self._corners, self._shares = grid.faces[found.faces], found.coordinates
         self._places, self._exact, self._pull = pairs.places, pairs.exact, pairs.places
-        self._weights = np.where(pairs.exact, STIFF, scale * np.where(pairs.exact, 0.0, pairs.weights))
+        self._weights = np.where(pairs.exact, stiff, scale * np.where(pairs.exact, 0.0, pairs.weights))
         self._rounds, self._last = 0, np.inf
 
     def pulled_on(self, points: Floats) -> bool:
@@ -168,9 +167,10 @@ class LandmarkTerm:
 
         After ``ROUNDS``, and where a round no longer brings them nearer, none is pulled.
         """
+        met = 1e-5  # radians that exact landmarks are left apart at most
         left = np.where(self._exact[:, None], self._places - self._images(points)[0], 0.0)
         farthest = float(np.linalg.norm(left, axis=1).max())
-        if farthest < MET or self._rounds == ROUNDS or farthest > 0.9 * self._last:
+        if farthest < met or self._rounds == ROUNDS or farthest > 0.9 * self._last:
             return False
         self._rounds, self._last, self._pull = self._rounds + 1, farthest, self._pull + left
         return True

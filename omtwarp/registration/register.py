@@ -31,7 +31,6 @@ from omtwarp.resampling.resample import PointsLike
 
 Floats = NDArray[np.float64]
 
-APART = 0.1  # degrees that exact landmarks may be from their places, a tenth of an edge of 160,000 vertices
 STARTS = 3  # rotations of each degree that a doubtful start is tried from
 
 
@@ -179,6 +178,7 @@ def register(
         >>> found.certificate.bijective, found.largest_strain < 0.1
         (True, True)
     """
+    apart = 0.1  # degrees that exact landmarks may be from their places, a tenth of an edge of 160,000 vertices
     stiffness = real_number(stiffness, "the stiffness", above=0.0)
     max_strain = real_number(max_strain, "max_strain", above=0.0)
     exact = keep_areas == "exact"
@@ -227,7 +227,7 @@ def register(
     if marks is not None and found is not None:
         ends = [marks.distances(found.on_sphere(surface.faces, points)) for points in (before, sphere)]
         distances = {label: {"before": ends[0][label], "after": ends[1][label]} for label in marks.labels}
-        away = [marks.labels[k] for k in np.unique(marks.owners[marks.exact]) if ends[1][marks.labels[k]] > APART]
+        away = [marks.labels[k] for k in np.unique(marks.owners[marks.exact]) if ends[1][marks.labels[k]] > apart]
         if away:
             text = f"exact landmarks stayed away from their places, '{away[0]}' by {ends[1][away[0]]:.2f} degrees"
             warnings.warn(f"{text}: the strain that they need is over {max_strain:g}", OmtwarpWarning, stacklevel=2)

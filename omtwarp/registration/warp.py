@@ -32,7 +32,6 @@ FEATURE_GRID = 32  # frequency of the icosphere that features are read from: its
 COARSE = ((8, 40.0, 16.0), (8, 40.0, 4.0), (8, 40.0, 2.0), (16, 20.0, 1.6))
 FINE = ((16, 12.0, 1.6), (32, 7.0, 1.3), (40, 5.0, 1.0))
 ITERATIONS = 28  # at a level
-TOLERANCE = 1e-4  # of the mean distortion
 # Of areas against angles. With 1 the areas of 5 % of the sphere change by 0.62 in log2 where with 6 they change by
 # 0.60, at the same agreement of two averaged cortices.
 AREA_WEIGHT = 6.0
@@ -149,15 +148,16 @@ class Warping:
         self, grid: Surface, term: VertexTerm, scale: float
     ) -> Callable[[Floats], RefineResult | OptimalMap]:
         """Return what minimises the energy from a warp of a grid, with a penalty or constraints on areas if wanted."""
+        tolerance = 1e-4  # of the mean distortion
         limit = strain_limit(self._bound)
         if self._keep_areas == 0.0:
             refiner = Refiner(grid, resolve_device("cpu"), most_strain=limit, vertex_term=term)
-            return lambda points: refiner.minimise(points, AREA_WEIGHT, iterations=ITERATIONS, tolerance=TOLERANCE)
+            return lambda points: refiner.minimise(points, AREA_WEIGHT, iterations=ITERATIONS, tolerance=tolerance)
         # Σ m (a / m - 1)² / 4π is Σ (a - m)² / m over 4π; the penalty of areas a that sum to 12π is half of that.
         penalty = None if np.isinf(self._keep_areas) else 2.0 * scale * self._keep_areas
         energy = WarpEnergy(grid, AREA_WEIGHT, limit, term)
         return lambda points: minimise(
-            energy, points, gain=TOLERANCE, iterations=ITERATIONS, progress=None, penalty=penalty
+            energy, points, gain=tolerance, iterations=ITERATIONS, progress=None, penalty=penalty
         )
 
     def _field(self, width: float) -> FeatureField:

@@ -10,12 +10,8 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import TINY
 from omtwarp.render.scene import Arrows, Part, SurfaceView, normalisation, numbers_of, welded_normals
 
-_SIDES = 8  # of an arrow's shaft and head: at the size of an arrow, corners are invisible
-
 # Bisections of the width of a grid's cells, in radii, between the first two: 2000 to 1 in powers of two, to 0.003 %.
 CELLS, BISECTIONS = (1e-3, 2.0), 18
-ACROSS = 1e-6  # sine: an arrow that stands on the surface at right angles to within this takes another side
-BASE = 100_003  # a prime above the number of cells along an axis, which are 4000 at most
 
 
 def arrow_part(view: SurfaceView, arrows: Arrows) -> Part | None:
@@ -61,12 +57,13 @@ def _thin_out(points: NDArray[np.float64], count: int) -> NDArray[np.intp]:
 
     There is one for each occupied cell of a grid of suitable width.
     """
+    base = 100_003  # a prime above the number of cells along an axis, which are 4000 at most
     if len(points) <= count:
         return np.arange(len(points))
 
     def occupied(width: float) -> NDArray[np.intp]:
         cells = np.floor((points + 2.0) / width).astype(np.int64)
-        keys = (cells[:, 0] * BASE + cells[:, 1]) * BASE + cells[:, 2]
+        keys = (cells[:, 0] * base + cells[:, 1]) * base + cells[:, 2]
         # Of the points in a cell the one nearest its middle, so that neighbours keep their distance.
         offset = np.abs((points + 2.0) / width - cells - 0.5).max(axis=1)
         order = np.lexsort((offset, keys))
@@ -90,15 +87,17 @@ def _solid_arrows(
     color: NDArray[np.float64],
 ) -> Part:
     """Return a round shaft and a cone for every arrow, by broadcasting one template."""
+    sides = 8  # of an arrow's shaft and head: at the size of an arrow, corners are invisible
+    across = 1e-6  # sine: an arrow that stands on the surface at right angles to within this takes another side
     side = np.cross(normal, way)
-    weak = np.linalg.norm(side, axis=1) < ACROSS
+    weak = np.linalg.norm(side, axis=1) < across
     side[weak] = np.cross(way[weak], np.eye(3)[np.argmin(np.abs(way[weak]), axis=1)])
     side /= np.linalg.norm(side, axis=1)[:, None]
     over = np.cross(way, side)
     # Thickness grows with the square root of the length: short arrows stay visible, long ones slim.
     thick = 0.045 * longest * np.sqrt(size / longest)
     head = np.minimum(0.45 * size, 5.5 * thick)
-    angle = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
+    angle = 2.0 * np.pi * np.arange(sides) / sides
     ring = np.cos(angle)[None, :, None] * side[:, None] + np.sin(angle)[None, :, None] * over[:, None]  # [N, S, 3]
     base, neck, tip = feet, feet + (size - head)[:, None] * way, feet + size[:, None] * way
     slim, broad = thick[:, None, None] * ring, 2.4 * thick[:, None, None] * ring
@@ -117,15 +116,15 @@ def _solid_arrows(
     ]
     positions = np.stack([place for place, _ in rows], axis=1).reshape(-1, 3)
     normals = np.stack([facing for _, facing in rows], axis=1).reshape(-1, 3)
-    k = np.arange(_SIDES)
-    after = (k + 1) % _SIDES
+    k = np.arange(sides)
+    after = (k + 1) % sides
     template = []
     for lower, upper in ((0, 1), (2, 3), (5, 4), (7, 6)):
-        low, high = lower * _SIDES, upper * _SIDES
+        low, high = lower * sides, upper * sides
         template.append(np.column_stack([low + k, low + after, high + after]))
         template.append(np.column_stack([low + k, high + after, high + k]))
     stencil = np.concatenate(template)
-    faces = (stencil[None] + (len(rows) * _SIDES) * np.arange(len(feet))[:, None, None]).reshape(-1, 3)
+    faces = (stencil[None] + (len(rows) * sides) * np.arange(len(feet))[:, None, None]).reshape(-1, 3)
     return Part(
         positions=positions.astype(np.float32),
         normals=normals.astype(np.float32),

@@ -23,11 +23,6 @@ VIEWS: dict[str, tuple[float, float]] = {
 SIX_VIEWS = ("front", "back", "left", "right", "top", "bottom")
 DEFAULT_FRONT = {"x": "+z", "y": "+z", "z": "-y"}
 
-# In radii of the subject: how far in front of it the camera stands at least, and so its nearest plane of drawing.
-CLEARANCE = 1e-3
-FAR_ROOM = 1.2, 0.1  # factor and addition, by which the farthest plane of drawing lies behind the subject
-SMALLEST_VIEW = 1e-9  # radii: half the height of a view of a single point
-
 
 @dataclass(frozen=True)
 class Camera:
@@ -204,6 +199,10 @@ def frame(
         front: the axis of the front view.
         centred: keep the origin in the middle, as a turntable must.
     """
+    # In radii of the subject: how far in front of it the camera stands at least, and so its nearest plane of drawing.
+    clearance = 1e-3
+    far_room = 1.2, 0.1  # factor and addition, by which the farthest plane of drawing lies behind the subject
+    smallest_view = 1e-9  # radii: half the height of a view of a single point
     shots: list[Shot] = []
     placed: list[tuple[Camera, NDArray[np.float64], NDArray[np.float64], float]] = []
     for camera in cameras:
@@ -232,14 +231,14 @@ def frame(
     for camera, axes, shift, _ in placed:
         depth = points @ axes[:, 2]
         perspective = camera.projection == "perspective"
-        half_height = np.tan(np.radians(camera.field_of_view) / 2.0) if perspective else max(shared, SMALLEST_VIEW)
+        half_height = np.tan(np.radians(camera.field_of_view) / 2.0) if perspective else max(shared, smallest_view)
         half_height = half_height / camera.zoom
-        distance = max(shared, float(depth.max()) + CLEARANCE) if perspective else 3.0
+        distance = max(shared, float(depth.max()) + clearance) if perspective else 3.0
         pose = np.eye(4)
         pose[:3, :3] = axes
         pose[:3, 3] = axes @ np.array([shift[0], shift[1], distance])
-        near = max((distance - float(depth.max())) * 0.5, CLEARANCE)
-        far = (distance - float(depth.min())) * FAR_ROOM[0] + FAR_ROOM[1]
+        near = max((distance - float(depth.max())) * 0.5, clearance)
+        far = (distance - float(depth.min())) * far_room[0] + far_room[1]
         shots.append(Shot(pose, perspective, float(half_height * aspect), float(half_height), near, far))
     return shots
 

@@ -16,7 +16,6 @@ Ints = NDArray[np.int32]
 
 LEAST_WEIGHT = 1e-9  # of the mean, of a vertex without area: turns the domain as little as that
 SPACING = 1.08  # distance of two domains over the sum of their radii, as seen
-START = 1e-3  # of its radius: how far each is moved along that way at first
 
 
 def domains_of(result: FinishedMap, count: int) -> NDArray[np.intp]:
@@ -110,13 +109,14 @@ def _apart(centres: Floats, radii: Floats, axes: Floats) -> Floats:
         radii: shape [P].
         axes: the camera's, as columns.
     """
+    start = 1e-3  # of its radius: how far each is moved along that way at first
     count = len(centres)
     # Most pushed, domains: more are left where their parts are
     if count == 1 or count > 500:
         return centres
     # Spiral, radians: the golden angle, between the ways in which domains at one place go apart
     turns = 2.399963 * np.arange(count)
-    flat = centres @ axes[:, :2] + START * radii[:, None] * np.column_stack([np.cos(turns), np.sin(turns)])
+    flat = centres @ axes[:, :2] + start * radii[:, None] * np.column_stack([np.cos(turns), np.sin(turns)])
     wanted = SPACING * (radii[:, None] + radii[None])
     np.fill_diagonal(wanted, 0.0)
     # Pushes, of domains that hide each other, at most: 50 random ones took 41

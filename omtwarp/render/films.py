@@ -33,13 +33,9 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 HD = (1920, 1080)  # pixels of an .mp4 where no size is given
-SMALL = (640, 360)  # of films that browsers load as pictures: .gif and .webp
 # Motion is measured on pictures of this width, with times halved until no step sweeps over more than STEP.
 PROBE_WIDTH = 192
-STEP = 0.012
-MOST_HALVINGS = 9
 # Change of a pixel, of the whole range, that counts as an edge between two fields; smaller changes in proportion.
-EDGE = 0.6
 EASE = 0.12  # share of the motion in which it accelerates, and in which it slows down
 BATCH = 12  # frames that are drawn together: their texture is uploaded once
 
@@ -101,9 +97,10 @@ def film(
         >>> str(omtwarp.film(result, "flow.gif", size=(96, 54), seconds=1.0, fps=4, backend="warp", device="cpu"))
         'flow.gif'
     """
+    small = (640, 360)  # of films that browsers load as pictures: .gif and .webp
     target = output.check_target(path, film=True, transparent=False)
     pictorial = target.suffix.lower() != ".mp4"
-    width, height = _checked_size(size or (SMALL if pictorial else HD))
+    width, height = _checked_size(size or (small if pictorial else HD))
     rate = float((20.0 if pictorial else 30.0) if fps is None else fps)
     slowest, fastest = FRAMES_PER_SECOND
     if not slowest <= rate <= fastest:
@@ -231,6 +228,11 @@ class _Studio:
         self, first: float, last: float, aspect: float, most: int, progress: Progress | None
     ) -> tuple[list[float], Floats]:
         """Return at most about ``most`` moments of a part of the film, and the motion from its beginning to each."""
+        step = 0.012
+        most_halvings = 9
+        # Change of a pixel, of the whole range, that counts as an edge between two fields; smaller changes in
+        # proportion.
+        edge = 0.6
         width, height = PROBE_WIDTH, max(round(PROBE_WIDTH / aspect), 16)
         seen: dict[float, NDArray[np.int16]] = {}
 
@@ -241,15 +243,15 @@ class _Studio:
                     seen[time] = picture.astype(np.int16)
 
         def swept(earlier: float, later: float) -> float:
-            change = np.abs(seen[later] - seen[earlier]).max(axis=2) / (255.0 * EDGE)
+            change = np.abs(seen[later] - seen[earlier]).max(axis=2) / (255.0 * edge)
             return float(np.minimum(change, 1.0).mean())
 
         look([float(time) for time in np.linspace(first, last, 9)])
-        for level in range(MOST_HALVINGS):
+        for level in range(most_halvings):
             if progress is not None:
-                progress("motion", level, MOST_HALVINGS, {})
+                progress("motion", level, most_halvings, {})
             times = sorted(seen)
-            wide = [(a, b) for a, b in itertools.pairwise(times) if swept(a, b) > STEP]
+            wide = [(a, b) for a, b in itertools.pairwise(times) if swept(a, b) > step]
             if not wide or len(times) > most:
                 break
             look([0.5 * (a + b) for a, b in wide])

@@ -31,7 +31,6 @@ if TYPE_CHECKING:  # commands start the drawing process before they import NumPy
 
 # Long enough for a software driver on a busy machine: one that has not answered by then hangs.
 START_SECONDS = 120.0
-PICTURE_SECONDS = 180.0
 IDLE_SECONDS = 60.0  # after which the drawing process gets no more jobs
 
 _COMMAND = "from omtwarp.render.gl_client import serve; serve()"
@@ -110,6 +109,7 @@ class _DrawingProcess:
         Raises:
             DrawingFailed: no OpenGL, or the process crashed, hung or reported an error.
         """
+        picture_seconds = 180.0
         with self._lock:
             try:
                 if self.device is None:
@@ -117,7 +117,7 @@ class _DrawingProcess:
                     if kind != "ready":
                         raise DrawingFailed(str(text), lasting=True)
                     self.device = str(text)
-                kind, answer = self._answer(job, PICTURE_SECONDS * max(1, len(job.shots)))
+                kind, answer = self._answer(job, picture_seconds * max(1, len(job.shots)))
             except BaseException:
                 self.close()  # after a failure or Ctrl-C the pipe may hold half a message
                 raise

@@ -27,7 +27,6 @@ from omtwarp.render.upright import posed
 View: TypeAlias = str | tuple[float, float] | Camera
 Function = TypeVar("Function", bound=Callable[..., object])
 
-MOST_SAMPLES = 4  # along a pixel's side, in addition to the 4 to 8 samples of OpenGL itself
 SMALLEST_VIEW = 16  # pixels along a side, below which neither captions nor a colour bar can be drawn
 
 
@@ -125,6 +124,7 @@ def complete(given: PreviewOptions, function: str) -> PreviewOptions:
         TypeError: there is no such option.
         OmtwarpError: an option has an invalid value.
     """
+    most_samples = 4  # along a pixel's side, in addition to the 4 to 8 samples of OpenGL itself
     if unknown := [name for name in given if name not in PREVIEW_DEFAULTS]:
         raise TypeError(f"{function}() got an unexpected keyword argument '{unknown[0]}'")
     options: PreviewOptions = {**PREVIEW_DEFAULTS, **given}
@@ -132,8 +132,8 @@ def complete(given: PreviewOptions, function: str) -> PreviewOptions:
     options["size"] = _size(options["size"])
     _check_film(options)
     samples = options["samples"]
-    if samples is not None and not 1 <= int(samples) <= MOST_SAMPLES:
-        raise OmtwarpError(f"{samples} samples along a pixel's side asked for: use 1 to {MOST_SAMPLES}")
+    if samples is not None and not 1 <= int(samples) <= most_samples:
+        raise OmtwarpError(f"{samples} samples along a pixel's side asked for: use 1 to {most_samples}")
     if options["light"] is not None:
         as_light(options["light"])
     backdrop(options["background"], 1, 2)

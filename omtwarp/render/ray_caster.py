@@ -17,7 +17,6 @@ from omtwarp.render.camera import Shot
 from omtwarp.render.scene import Part, RenderJob
 
 # The footprint of the first pass, in pixels: only smooth areas keep its result, where a sharper filter cannot alias.
-FIRST_SPACING = 0.75
 _KINDS = {"color": 0, "uv": 1, "sphere": 2}
 
 
@@ -34,6 +33,9 @@ def draw(job: RenderJob, device: str = "auto") -> list[NDArray[np.uint8]]:
     Raises:
         OmtwarpError: unknown device.
     """
+    # The footprint of the first pass, in pixels: only smooth areas keep its result, where a sharper filter cannot
+    # alias.
+    first_spacing = 0.75
     where = resolve_device(device)
     together = job.parts[:1] if job.one_each else job.parts
     shape, mesh = _geometry(together, where)
@@ -52,7 +54,7 @@ def draw(job: RenderJob, device: str = "auto") -> list[NDArray[np.uint8]]:
         wp.launch(
             kernels.draw_centres,
             size,
-            inputs=[view, shape, pictures, look, FIRST_SPACING],
+            inputs=[view, shape, pictures, look, first_spacing],
             outputs=[colors],
             device=where,
         )

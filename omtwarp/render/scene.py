@@ -14,11 +14,6 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import real_numbers
 from omtwarp.render.camera import Light, Shot
 
-CLAY = (0.80, 0.79, 0.77)  # sRGB of surfaces without any colour of their own
-
-OUTSIDE = 1e-6  # of a picture's height: coordinates that exceed it by less are rounded, not repeated
-ONE_VALUE = 1e-3  # by which the range of a constant is widened both ways, relative to it
-
 
 @dataclass(eq=False)
 class ScalarField:
@@ -44,6 +39,7 @@ class ScalarField:
         Raises:
             OmtwarpError: there is no finite value, the range is empty, or a logarithmic range is not positive.
         """
+        one_value = 1e-3  # by which the range of a constant is widened both ways, relative to it
         values = numbers_of(self.values, "the scalar")
         if self.range is None:
             shown = values[np.isfinite(values) & (values > 0)] if self.logarithmic else values[np.isfinite(values)]
@@ -52,9 +48,9 @@ class ScalarField:
                 raise OmtwarpError(f"the scalar has no {kind} value among {values.size}: there is nothing to colour")
             low, high = float(shown.min()), float(shown.max())
             if low == high:  # a constant sits in the middle of the map
-                step = abs(low) * ONE_VALUE or ONE_VALUE
+                step = abs(low) * one_value or one_value
                 low, high = (
-                    (low / (1 + ONE_VALUE), high * (1 + ONE_VALUE)) if self.logarithmic else (low - step, high + step)
+                    (low / (1 + one_value), high * (1 + one_value)) if self.logarithmic else (low - step, high + step)
                 )
         else:
             low, high = float(self.range[0]), float(self.range[1])
@@ -476,6 +472,8 @@ class _Look:
 
 def _look_of(view: SurfaceView) -> _Look:
     """Return the appearance of a surface without materials: its image, its scalar, its colours, or one colour."""
+    clay = (0.80, 0.79, 0.77)  # sRGB of surfaces without any colour of their own
+    outside = 1e-6  # of a picture's height: coordinates that exceed it by less are rounded, not repeated
     if view.image is not None:
         picture = cast(NDArray[np.uint8], view.image)  # as the view itself has made it
         tint = (1.0, 1.0, 1.0)
@@ -486,14 +484,14 @@ def _look_of(view: SurfaceView) -> _Look:
             return _Look("sphere", np.asarray(view.sphere), picture, tint)
         value = np.asarray(view.uv)
         # Tiling upwards is rare; without it the top row must not be filtered with the bottom one.
-        repeat_rows = bool(value[..., 1].min() < -OUTSIDE or value[..., 1].max() > 1.0 + OUTSIDE)
+        repeat_rows = bool(value[..., 1].min() < -outside or value[..., 1].max() > 1.0 + outside)
         return _Look("uv", value, picture, tint, repeat_rows=repeat_rows)
     if view.scalar is not None:
         image, value = _scalar_lookup(view.scalar)
         return _Look("uv", value, image, repeat=False, mipmaps=False)
     if view.colors is not None:
         return _Look("color", np.asarray(view.colors))
-    color = parse_color(CLAY if view.color is None else view.color)
+    color = parse_color(clay if view.color is None else view.color)
     return _Look("color", np.broadcast_to(color, (len(_arrays(view)[0]), 3)))
 
 

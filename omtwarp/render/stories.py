@@ -27,11 +27,6 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-# Texels around the sphere of a pattern: two to a pixel of the picture, of which a ball fills about a half.
-PICTURE_WIDTHS = (512, 4096)
-SMALLEST_SINE = 1e-12  # of points next to their antipodes, between which no great circle is the shortest
-TUBE_TURNS = 24  # beginnings along the tube of a ring torus that are compared
-
 
 @dataclass(frozen=True)
 class Story:
@@ -114,19 +109,20 @@ def along_great_circles(first: Floats, last: Floats, time: float) -> Floats:
         last: where they are at time 1, shape [N, 3].
         time: 0 to 1; both ends are exact.
     """
+    smallest_sine = 1e-12  # of points next to their antipodes, between which no great circle is the shortest
     if time <= 0.0:
         return first
     if time >= 1.0:
         return last
     cosine = np.einsum("ij,ij->i", first, last)
     angle = np.arctan2(np.linalg.norm(np.cross(first, last), axis=1), cosine)[:, None]
-    sine = np.maximum(np.sin(angle), SMALLEST_SINE)
+    sine = np.maximum(np.sin(angle), smallest_sine)
     # Near, radians: between points nearer than this the great circle is a straight line
     near = angle < 1e-6
     ahead = np.where(near, time, np.sin(time * angle) / sine)
     behind = np.where(near, 1.0 - time, np.sin((1.0 - time) * angle) / sine)
     points = behind * first + ahead * last
-    return points / np.maximum(np.linalg.norm(points, axis=1, keepdims=True), SMALLEST_SINE)
+    return points / np.maximum(np.linalg.norm(points, axis=1, keepdims=True), smallest_sine)
 
 
 def story_of(
@@ -153,7 +149,9 @@ def story_of(
     Raises:
         OmtwarpError: no map, or an unusable picture.
     """
-    least, most = PICTURE_WIDTHS
+    # Texels around the sphere of a pattern: two to a pixel of the picture, of which a ball fills about a half.
+    picture_widths = (512, 4096)
+    least, most = picture_widths
     texels = int(np.clip(2 ** math.ceil(math.log2(2 * width)), least, most))
     if is_torus_map(result):
         return _on_torus(result, pattern, image, texels // 2, up, front)
@@ -202,6 +200,7 @@ def _on_torus(
     result: TorusMap, pattern: str, image: Picture | None, texels: int, up: str | None, front: str | None
 ) -> tuple[Story, SurfaceView]:
     """Return the course of a film of a map to a torus, which ends with a ring torus."""
+    tube_turns = 24  # beginnings along the tube of a ring torus that are compared
     from omtwarp.maps.torus_map import ring_torus, tube_radius
     from omtwarp.texturing.textured import texture_torus
 
@@ -213,8 +212,8 @@ def _on_torus(
     tube = int(np.argmin(np.linalg.norm(result.lattice, axis=1)))  # the vector that goes around the tube
     # Fitted: vertices, at most, that they are compared at
     chosen = np.linspace(0, len(surface) - 1, min(4000, len(surface))).astype(int)
-    steps = np.zeros((TUBE_TURNS, 2))
-    steps[:, tube] = np.arange(TUBE_TURNS) / TUBE_TURNS
+    steps = np.zeros((tube_turns, 2))
+    steps[:, tube] = np.arange(tube_turns) / tube_turns
     fits = [
         Rotation.align_vectors(
             surface[chosen] - middle,

@@ -23,12 +23,6 @@ SAMPLES, DENSER = 3000, 13  # points by which symmetry is measured, and how many
 # Mean distance between a surface and its mirror image, as a share of its extent, where it counts as symmetric, and that
 # of the best plane over the next one's. Of ten heads, figures and animals, scanned or modelled, eight have 0 to 0.011.
 SYMMETRIC, BETTER = 0.015, 0.55
-SAMPLED = 1e-3  # least distance, as a share of the extent, that is no error of the samples: a ball's is 6e-5
-FIRM, FIRMER = 0.15, 2.5  # least share of the footprint between the feet along z, and over that along y
-LONG_SIDE = 2.0  # length over height and width from which a body is seen from the side
-HEAD, FEET = 0.8, 0.5  # weights of how far they are ahead, in lengths, beside the logarithm of the ratio of details
-
-LEAST_DETAIL = 1e-9  # added to both sides' bends and areas, in extents, so that a side without a face can be compared
 
 
 def posed(view: SurfaceView, up: str | None = None, front: str | None = None) -> SurfaceView:
@@ -67,6 +61,9 @@ def upright(vertices: Floats, faces: NDArray[np.int32]) -> tuple[str, str | None
         >>> upright(creature.vertices, creature.faces)
         ('z', 'x')
     """
+    long_side = 2.0  # length over height and width from which a body is seen from the side
+    # weights of how far they are ahead, in lengths, beside the logarithm of the ratio of details
+    head, feet = 0.8, 0.5
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     extent = max(float((high - low).max()), np.finfo(float).tiny)
     places = (vertices - low) / extent
@@ -86,7 +83,7 @@ def upright(vertices: Floats, faces: NDArray[np.int32]) -> tuple[str, str | None
     one, other = (axis for axis in range(3) if axis != up)
     across = _more_symmetric(off, one, other)
     ahead = 3 - up if across is None else 3 - up - across  # by default z or y
-    if spread[ahead] > LONG_SIDE * np.delete(spread, ahead).max():
+    if spread[ahead] > long_side * np.delete(spread, ahead).max():
         return "xyz"[up], "xyz"[3 - up - ahead]
     if across is None:
         return "xyz"[up], None
@@ -97,26 +94,28 @@ def upright(vertices: Floats, faces: NDArray[np.int32]) -> tuple[str, str | None
         share = area[part].sum()
         return float(area[part] @ middle[part, ahead] / share - centre[ahead]) / spread[ahead] if share > 0.0 else 0.0
 
-    score += FEET * reach(height < 0.1)
+    score += feet * reach(height < 0.1)
     # Long: length over width of bodies with a head at one end
     if spread[ahead] > 1.5 * spread[across]:
-        score += HEAD * reach(height > 0.7)
+        score += head * reach(height > 0.7)
     return "xyz"[up], ("" if score >= 0.0 else "-") + "xyz"[ahead]
 
 
 def _upward(points: Floats, centre: Floats, off: Floats) -> int:
     """Return the upward axis, y or z: that without symmetry, else the one along which the surface stands."""
+    firm, firmer = 0.15, 2.5  # least share of the footprint between the feet along z, and over that along y
     level = _more_symmetric(off, 1, 2)
     if level is not None:
         return 3 - level
     along_y, along_z = (_standing(points, centre, axis) for axis in (1, 2))
-    return 2 if along_z > max(FIRM, FIRMER * along_y) else 1
+    return 2 if along_z > max(firm, firmer * along_y) else 1
 
 
 def _more_symmetric(off: Floats, one: int, other: int) -> int | None:
     """Return which of two axes the surface is symmetric along, where it is clearly less along the other."""
+    sampled = 1e-3  # least distance, as a share of the extent, that is no error of the samples: a ball's is 6e-5
     better, worse = (one, other) if off[one] < off[other] else (other, one)
-    return better if off[better] < min(SYMMETRIC, BETTER * (off[worse] - SAMPLED)) else None
+    return better if off[better] < min(SYMMETRIC, BETTER * (off[worse] - sampled)) else None
 
 
 def _asymmetry(corner: Floats, area: Floats, centre: Floats) -> Floats:
@@ -155,6 +154,8 @@ def _standing(points: Floats, centre: Floats, up: int) -> float:
 
 def _detail(places: Floats, faces: NDArray[np.int32], normal: Floats, area: Floats, axis: int) -> float:
     """Return how much more the surface bends, per area, where it faces along an axis than against it."""
+    # added to both sides' bends and areas, in extents, so that a side without a face can be compared
+    least_detail = 1e-9
     ends = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     keys = ends[:, 0].astype(np.int64) * len(places) + ends[:, 1]
     order = np.argsort(keys, kind="stable")
@@ -167,5 +168,5 @@ def _detail(places: Floats, faces: NDArray[np.int32], normal: Floats, area: Floa
     for sign in (1.0, -1.0):
         facing = sign * normal[:, axis] > 0.5
         edges = sign * (normal[one, axis] + normal[other, axis]) > 1.0
-        sides.append((bend[edges].sum() + LEAST_DETAIL) / (area[facing].sum() + LEAST_DETAIL))
+        sides.append((bend[edges].sum() + least_detail) / (area[facing].sum() + least_detail))
     return float(sides[0] / sides[1])

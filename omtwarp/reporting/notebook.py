@@ -27,7 +27,6 @@ PATTERN = "circles"
 # A notebook holds all of its outputs: the surface of a view is simplified above this many triangles, and its texture
 # has this many texels along each of six faces.
 MOST_FACES = 20_000
-STILL = (640, 360)
 SIZE = (640, 480)  # of pictures that are asked for without a size
 
 
@@ -40,12 +39,13 @@ def notebook_view(result: MapResult | TorusMap) -> str:
     Args:
         result: a map to the sphere, or any other map of a surface, of which there is the picture alone.
     """
+    still = (640, 360)
     height = 460  # pixels of the view
     caption = html("<p style='margin:.3em 0;font-size:90%'>{}</p>", repr(result))
     if not isinstance(result, MapResult):
         return str(html('<div><img alt="{}" src="{}">{}</div>', repr(result), data_uri(plot(result), "webp"), caption))
     stages = stages_of(result)
-    poster = data_uri(plot(result, transparent=True, size=STILL, camera=Camera(margin=0.03)), "webp")
+    poster = data_uri(plot(result, transparent=True, size=still, camera=Camera(margin=0.03)), "webp")
     return str(
         html(
             '<div><div style="position:relative;height:{height}px;max-width:960px">'

@@ -24,9 +24,7 @@ from omtwarp.texturing.sheets import PADDING, bake_corners, covered
 
 BAKES = ("normal", "ao", "curvature", "area")
 RAYS = 64  # from a texel: shades of ambient occlusion in steps of 1/64, with noise of 1/16 at most
-LEAST_RAYS = 16  # where many texels have to share them; the noise is twice as much
 MOST_RAYS = 4_200_000  # of one picture of ambient occlusion; a core casts about a million in a second
-SPREAD = 95.0  # per cent of the vertices whose curvature or area the colours distinguish; few corners have far more
 
 
 @dataclass(frozen=True)
@@ -71,11 +69,12 @@ def occlusion(target: Target, vertices: Floats, faces: Ints) -> Bytes:
     Returns:
         255 where no ray is blocked, uint8, shape [H, W, 3].
     """
+    least_rays = 16  # where many texels have to share them; the noise is twice as much
     from scipy.ndimage import distance_transform_edt
 
     width, height = target.size
     texels = _uv_area(target.uv) * width * height
-    factor = 2 ** max(0, int(np.ceil(0.5 * np.log2(max(texels * LEAST_RAYS / MOST_RAYS, TINY)))))
+    factor = 2 ** max(0, int(np.ceil(0.5 * np.log2(max(texels * least_rays / MOST_RAYS, TINY)))))
     size = (max(width // factor, 1), max(height // factor, 1))
     values = np.concatenate([target.points, target.normals], axis=2)
     picture = bake_corners(target.uv, values, size, padding=-1, samples=1, device=target.device)
@@ -83,7 +82,7 @@ def occlusion(target: Target, vertices: Floats, faces: Ints) -> Bytes:
     # Not from the padding: beyond their triangles, positions leave the surface.
     inside = covered(target.uv, size, padding=0, device=target.device)
     known = np.flatnonzero(inside.ravel())
-    rays = int(np.clip(MOST_RAYS // max(len(known), 1), LEAST_RAYS, RAYS))
+    rays = int(np.clip(MOST_RAYS // max(len(known), 1), least_rays, RAYS))
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     scale = float((high - low).max())
     normal = rows[known, 3:]
@@ -217,14 +216,16 @@ def scalar(
     Raises:
         OmtwarpError: an unknown name, a file that cannot be read, or one with another number of vertices.
     """
+    # per cent of the vertices whose curvature or area the colours distinguish; few corners have far more
+    spread = 95.0
     if what == "curvature":
         values = mean_curvature(vertices, faces)
-        most = float(np.percentile(np.abs(values), SPREAD))
+        most = float(np.percentile(np.abs(values), spread))
         return Scalar("curvature", values, "coolwarm", -most, most)
     if what == "area":
         values = np.log2(area_ratio(vertices, faces, on_map, parts))
         # Least range, of a binary logarithm: a map that keeps areas to round-off still has a range of colours
-        most = max(float(np.percentile(np.abs(values), SPREAD)), 1e-9)
+        most = max(float(np.percentile(np.abs(values), spread)), 1e-9)
         return Scalar("area (binary logarithm)", values, "coolwarm", -most, most)
     path = Path(what)
     if not path.suffix:

@@ -56,7 +56,6 @@ def cast_open_rays(
 
 
 MOST_STRIPS = 100_000  # that slivers are cut in: a tree of them takes a tenth of a second
-RAYS = 24  # from a vertex: openness in steps of 4 %
 
 
 def face_openness(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
@@ -64,6 +63,7 @@ def face_openness(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> ND
 
     Large meshes are sampled: a face without a sample takes the value of the face before it.
     """
+    rays = 24  # from a vertex: openness in steps of 4 %
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     x = (vertices - low) / (high - low).max()
     p = x[faces]
@@ -71,11 +71,11 @@ def face_openness(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> ND
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     normal /= np.where(length > 0, length, 1.0)
     # Ray budget: about half a second on one CPU core
-    step = max(1, int(np.ceil(len(faces) * RAYS / 400_000)))
+    step = max(1, int(np.ceil(len(faces) * rays / 400_000)))
     chosen = np.arange(0, len(faces), step)
     # Ray start, of the extent, off the surface: single precision resolves 1e-7 of it
     origins = p[chosen].mean(axis=1) + 1e-4 * normal[chosen]
-    shares = open_shares(x, faces, origins, normal[chosen], np.arange(len(chosen)), RAYS, wp.get_device("cpu"))
+    shares = open_shares(x, faces, origins, normal[chosen], np.arange(len(chosen)), rays, wp.get_device("cpu"))
     return np.repeat(shares, step)[: len(faces)]
 
 
