@@ -137,7 +137,7 @@ def standing(
     right, above, ahead = camera_axes(Camera(azimuth=0.0, elevation=0.0), pose.up or "y", pose.front).T
     surface = Surface(result.vertices, result.faces)
     turn, certain = rotation_onto_axes(surface, result.sphere, np.stack([ahead, right, above]))
-    return result.with_arrays({"sphere": result.sphere @ turn.T}) if certain else result
+    return result.turned(turn.T) if certain else result
 
 
 def _mapped(surface: Surface, path: Path, mapping: MapOptions, printing: Printing) -> MapResult:

@@ -20,6 +20,7 @@ from omtwarp.commands._options import (
     named,
     output_option,
 )
+from omtwarp.commands._painted import standing
 from omtwarp.commands._work import (
     each,
     make_map,
@@ -175,6 +176,13 @@ def map_mesh(
         bool, typer.Option("--beside", help="For .ply: the surface, with its sphere as px, py, pz at the vertices.")
     ] = False,
     radius: RadiusOption = 1.0,
+    up: Annotated[
+        str | None,
+        typer.Option(metavar="AXIS", help="The axis of the mesh towards the north pole; its shortest by default."),
+    ] = None,
+    front: Annotated[
+        str | None, typer.Option(metavar="AXIS", help="The axis towards longitude 0; guessed where --up is given.")
+    ] = None,
     printing: Printing,
 ) -> None:
     """Map a surface to the unit sphere, with its area preserved.
@@ -221,6 +229,8 @@ def map_mesh(
             target=goal,
         )
         require_bijective(result)
+        if up is not None or front is not None:
+            result = standing(result, None, up, front)
         if structure is not None:
             result.report["structure"] = structure
         result, file_faces = with_copies(result, sound, any_surface is None)

@@ -2,7 +2,8 @@
 
 A map is unique up to a rotation of the sphere, which must not depend on the order of faces. The principal
 axes of the surface's area make a frame of its own; the sphere is turned so that points lie, in the least squares, in
-the directions that they have from the surface's centre in that frame.
+the directions that they have from the surface's centre in that frame. Which ends of the axes are which, the axes of the
+coordinates say: the picture of a body that stands on its shortest axis in its file is upright.
 """
 
 from __future__ import annotations
@@ -80,6 +81,20 @@ def principal_axes(surface: Surface) -> Axes:
     left = 3 - sum(known)
     frame[left] *= np.sign(np.linalg.det(frame))
     return Axes(frame, note)
+
+
+def towards_coordinates(frame: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Reverse axes, two at a time, so that the last and then the first point along coordinates and not against them.
+
+    Args:
+        frame: unit vectors as rows, right-handed, shape [3, 3].
+
+    Returns:
+        The rows, of the last and the first of which the largest component is positive; right-handed.
+    """
+    first, _, last = frame[np.arange(3), np.argmax(np.abs(frame), axis=1)] > 0.0
+    signs = np.where([first, first == last, last], 1.0, -1.0)
+    return frame * signs[:, None]
 
 
 def rotation_onto_axes(

@@ -22,7 +22,7 @@ from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.flips.guard import hold_back
 from omtwarp.flips.rings import Examined, examine, is_bijective
-from omtwarp.geometry.axes import principal_axes, rotation_onto_axes, turned_towards
+from omtwarp.geometry.axes import principal_axes, rotation_onto_axes, towards_coordinates, turned_towards
 from omtwarp.geometry.space_order import OrderedSurface, in_space_order
 from omtwarp.mapping.verdict import judge, refusal
 from omtwarp.maps.result import MapReport, MapResult, StageRecord, renumbered
@@ -383,7 +383,7 @@ class MapComputation:
         if axes.note:
             self.origin["axes"] = axes.note
         given = sphere if self.source is None else self.source
-        rotation, determined = rotation_onto_axes(self.surface, given, axes.frame)
+        rotation, determined = rotation_onto_axes(self.surface, given, towards_coordinates(axes.frame))
         if not determined:
             self.origin["axes"] = "the map agrees with no direction of the surface: its rotation means nothing"
         turned = normalised(sphere @ rotation.T)

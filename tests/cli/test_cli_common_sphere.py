@@ -207,6 +207,19 @@ def test_map_beside_its_surface_in_ply(desk):
     np.testing.assert_array_equal(read_mesh("same.ply").vertices, read_mesh("other.ply").vertices)
 
 
+def test_a_map_has_the_axes_asked_for_at_its_pole_and_front(desk, capsys):
+    shape = shapes.ellipsoid((0.6, 1.0, 0.8), 320)
+    write_mesh("egg.ply", shape.vertices, shape.faces)
+    for words, (front, up) in ((["--up", "y", "--front", "x"], (0, 1)), (["--up", "x", "--front", "z"], (2, 0))):
+        assert run("map", "egg.ply", "-o", "egg.npz", "--until", "conformal", "-q", *words) == 0
+        found = MapResult.load("egg.npz")
+        for points in (found.sphere, found.conformal):
+            assert (shape.vertices[:, up] * points[:, 2]).min() > -1e-3
+            assert (shape.vertices[:, front] * points[:, 0]).min() > -1e-3
+    assert run("map", "egg.ply", "-o", "egg.npz", "--until", "conformal", "--up", "x", "--front", "-x") == 1
+    assert "omtwarp: error: " in capsys.readouterr().err
+
+
 def test_labels_keep_their_keys(desk):
     np.save("regions.npy", np.random.default_rng(0).choice([0, 5, 9], size=COUNT))
     assert run("resample", "lh.npz", "--to", "ico2", "--data", "regions.npy", "--labels", "-o", "out.npy", "-q") == 0
