@@ -93,7 +93,8 @@ def as_command(run: Callable[..., None]) -> Callable[..., None]:
             fields = [each for each in dataclasses.fields(group) if not only or each.name in only[0]]
             groups[name] = cast(Callable[..., object], group), [each.name for each in fields]
             for each in fields:
-                add(each.name, each.default, hints[each.name])
+                needed = each.default is dataclasses.MISSING
+                add(each.name, inspect.Parameter.empty if needed else each.default, hints[each.name])
         else:
             add(name, parameter.default, parameter.annotation)
     writes = any(parameter.name in OUTPUTS for parameter in parameters)

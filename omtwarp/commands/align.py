@@ -7,21 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from omtwarp.commands._features import (
-    FeatureOption,
-    MovedOption,
-    MovingArgument,
-    SurfaceOption,
-    ToFeatureOption,
-    ToSurfaceOption,
-    read_features,
-)
-from omtwarp.commands._options import Printing, RadiusOption
+from omtwarp.commands._features import Pair
+from omtwarp.commands._options import Printing
 from omtwarp.commands._progress import progress_bar, steps
 from omtwarp.commands._streams import input_file, warnings_as_lines
 from omtwarp.commands._work import report_text
-from omtwarp.errors import OmtwarpError
-from omtwarp.files.output import check_output
 from omtwarp.options import AlignBy
 
 if TYPE_CHECKING:
@@ -30,8 +20,7 @@ if TYPE_CHECKING:
 
 def align_map(
     *,
-    source: MovingArgument,
-    output: MovedOption,
+    pair: Pair,
     to: Annotated[
         str,
         typer.Option(
@@ -40,10 +29,6 @@ def align_map(
             help="The shape's own axes, another map or sphere (- is standard input), or a grid such as fsaverage5.",
         ),
     ] = "axes",
-    surface: SurfaceOption = None,
-    to_surface: ToSurfaceOption = None,
-    feature: FeatureOption = None,
-    to_feature: ToFeatureOption = None,
     by: Annotated[
         AlignBy,
         typer.Option(help="What to compare; vertices needs equal faces; auto takes it for two maps of one surface."),
@@ -52,7 +37,6 @@ def align_map(
         bool, typer.Option("--mirror", help="Also try the mirror image, and take it if it fits better.")
     ] = False,
     degree: Annotated[int, typer.Option(min=1, max=64, help="Highest degree of the spherical harmonics.")] = 16,
-    radius: RadiusOption = 1.0,
     printing: Printing,
 ) -> None:
     """Rotate a map's sphere by its shape's own axes, or to another map.
@@ -64,48 +48,38 @@ def align_map(
     import numpy as np
 
     from omtwarp.alignment import align
-    from omtwarp.mesh.neuro import require_same_structure
-    from omtwarp.mesh.write import SUFFIXES, write_mesh
     from omtwarp.resampling import as_points, file_points
     from omtwarp.spheres import is_named
 
-    check_output(output, (".npz", *SUFFIXES), source, surface)
-    if output.suffix.lower() == ".npz" and source.suffix.lower() != ".npz":
-        raise OmtwarpError(f"cannot write '{output}': a whole map needs a map (.npz) as input")
     other = None if to == "axes" or is_named(to) else Path(to)
-    for ours in (source, surface):
-        for theirs in (other, to_surface):
-            require_same_structure(ours, theirs)
+    pair.check(other)
     with progress_bar(printing.quiet, printing.verbose) as progress:
         notify = steps(progress, "align", 3)
-        moving = file_points(source, surface)
-        fixed = "axes" if to == "axes" else as_points(to) if other is None else file_points(other, to_surface)
+        moving = file_points(pair.source, pair.surface)
+        fixed = "axes" if to == "axes" else as_points(to) if other is None else file_points(other, pair.to_surface)
         notify(1)
-        mine, others = read_features(feature or [], to_feature or [], (source, surface), (other, to_surface))
+        mine, others = pair.features(other)
         with warnings_as_lines():
             alignment = align(
                 moving,
                 fixed,
-                features=mine or None,
-                to_features=others or None,
+                features=mine,
+                to_features=others,
                 by=by,
                 mirror=mirror,
                 degree=degree,
             )
         notify(2)
-        if output.suffix.lower() == ".npz":
-            _save_map(source, output, alignment)
-        else:
-            faces = moving.grid.own_triangles[:, ::-1] if alignment.mirrored else moving.grid.own_triangles
-            write_mesh(output, radius * alignment.sphere, faces, spherical=True, like=source)
+        faces = moving.grid.own_triangles[:, ::-1] if alignment.mirrored else moving.grid.own_triangles
+        pair.write(alignment.turned, alignment.sphere, faces)
         notify(3)
     if printing.as_json:
-        print(report_text({"output": str(output), **alignment.to_dict()}), end="")
+        print(report_text({"output": str(pair.output), **alignment.to_dict()}), end="")
     elif not printing.quiet:
         mirrored = ", mirrored" * alignment.mirrored
         margin = f", {alignment.margin:.3f} above the next best" if np.isfinite(alignment.margin) else ""
         print(
-            f"{output}: turned by {_degrees(alignment):.3f} degrees{mirrored}; by {alignment.method} "
+            f"{pair.output}: turned by {_degrees(alignment):.3f} degrees{mirrored}; by {alignment.method} "
             f"({alignment.basis}), score {alignment.score:.6f}{margin}"
         )
 
@@ -116,10 +90,3 @@ def _degrees(alignment: Alignment) -> float:
 
     turn = alignment.rotation if not alignment.mirrored else alignment.rotation @ np.diag([-1.0, 1.0, 1.0])
     return float(np.degrees(Rotation.from_matrix(turn).magnitude()))
-
-
-def _save_map(source: Path, output: Path, alignment: Alignment) -> None:
-
-    from omtwarp.maps.result import MapResult
-
-    alignment.turned(MapResult.load(source)).save(output)

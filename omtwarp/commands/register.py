@@ -7,16 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from omtwarp.commands._features import (
-    FeatureOption,
-    MovedOption,
-    MovingArgument,
-    SurfaceOption,
-    ToFeatureOption,
-    ToSurfaceOption,
-    read_features,
-)
-from omtwarp.commands._options import Printing, RadiusOption
+from omtwarp.commands._features import Pair
+from omtwarp.commands._options import Printing
 from omtwarp.commands._progress import progress_bar
 from omtwarp.commands._streams import input_file
 from omtwarp.commands._work import report_text
@@ -31,7 +23,7 @@ if TYPE_CHECKING:
 
 def register_map(
     *,
-    source: MovingArgument,
+    pair: Pair,
     to: Annotated[
         str,
         typer.Option(
@@ -40,11 +32,6 @@ def register_map(
             help="A map, fsaverage5-left or -right, or a sphere with --to-surface or --to-feature; or -.",
         ),
     ],
-    output: MovedOption,
-    surface: SurfaceOption = None,
-    to_surface: ToSurfaceOption = None,
-    feature: FeatureOption = None,
-    to_feature: ToFeatureOption = None,
     feature_weight: Annotated[
         list[float] | None,
         typer.Option(
@@ -74,7 +61,6 @@ def register_map(
         float,
         typer.Option(metavar="NUMBER", help="Bound of |log2| of ratios of areas, and of stretches, of every triangle."),
     ] = 1.1,
-    radius: RadiusOption = 1.0,
     printing: Printing,
 ) -> None:
     """Warp a map's sphere until features of its surface lie where another map has them.
@@ -84,32 +70,25 @@ def register_map(
     agrees nearly as well the start is doubtful: several are tried, and the output says so.
     """
     from omtwarp.mesh.data import DATA_SUFFIXES
-    from omtwarp.mesh.neuro import require_same_structure
-    from omtwarp.mesh.write import SUFFIXES, write_mesh
     from omtwarp.registration import register
     from omtwarp.registration.templates import HEMISPHERES, template
     from omtwarp.resampling import file_points
     from omtwarp.spheres import is_named
 
-    check_output(output, (".npz", *SUFFIXES), source, surface)
     if strain is not None:
-        check_output(strain, DATA_SUFFIXES, source, surface)
-    if output.suffix.lower() == ".npz" and source.suffix.lower() != ".npz":
-        raise OmtwarpError(f"cannot write '{output}': a whole map needs a map (.npz) as input")
+        check_output(strain, DATA_SUFFIXES, pair.source, pair.surface)
     other = None if is_named(to) or to in HEMISPHERES else Path(to)
-    for ours in (source, surface):
-        for theirs in (other, to_surface):
-            require_same_structure(ours, theirs)
+    pair.check(other)
     with progress_bar(printing.quiet, printing.verbose) as progress:
-        moving = file_points(source, surface)
-        fixed = template(to) if to in HEMISPHERES else file_points(to, to_surface)
-        mine, others = read_features(feature or [], to_feature or [], (source, surface), (other, to_surface))
-        weights = None if feature_weight is None else _named_weights(list(mine) or ["sulc", "curv"], feature_weight)
+        moving = file_points(pair.source, pair.surface)
+        fixed = template(to) if to in HEMISPHERES else file_points(to, pair.to_surface)
+        mine, others = pair.features(other)
+        weights = None if feature_weight is None else _named_weights(list(mine or ["sulc", "curv"]), feature_weight)
         found = register(
             moving,
             fixed,
-            features=mine or None,
-            to_features=others or None,
+            features=mine,
+            to_features=others,
             feature_weights=weights,
             stiffness=stiffness,
             max_strain=max_strain,
@@ -117,18 +96,13 @@ def register_map(
             keep_areas=_weight_or_exact(keep_areas),
             progress=progress,
         )
-    if output.suffix.lower() == ".npz":
-        from omtwarp.maps.result import MapResult
-
-        found.registered(MapResult.load(source)).save(output)
-    else:
-        write_mesh(output, radius * found.sphere, moving.grid.own_triangles, spherical=True, like=source)
+    pair.write(found.registered, found.sphere, moving.grid.own_triangles)
     if strain is not None:
-        _write_strain(strain, found, moving.grid.own_triangles, source if surface is None else surface)
+        _write_strain(strain, found, moving.grid.own_triangles, pair.surface or pair.source)
     if printing.as_json:
-        print(report_text({"output": str(output), **found.to_dict()}), end="")
+        print(report_text({"output": str(pair.output), **found.to_dict()}), end="")
     elif not printing.quiet:
-        print(f"{output}: {_line(found)}")
+        print(f"{pair.output}: {_line(found)}")
 
 
 def _named_weights(names: list[str], weights: list[float]) -> dict[str, float]:
