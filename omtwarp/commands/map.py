@@ -153,6 +153,27 @@ class Mass:
         return as_target(self.density, self.target_floor)
 
 
+@dataclass(frozen=True)
+class Poles:
+    """Which axes of the mesh point to the north pole and to longitude 0."""
+
+    up: Annotated[
+        str | None,
+        typer.Option(metavar="AXIS", help="The axis of the mesh towards the north pole; its shortest by default."),
+    ] = None
+    front: Annotated[
+        str | None, typer.Option(metavar="AXIS", help="The axis towards longitude 0; guessed where --up is given.")
+    ] = None
+
+    def turned(self, result: MapResult | TorusMap) -> MapResult | TorusMap:
+        """Return a map with the axes that are given where they belong, as it is where none is.
+
+        Raises:
+            OmtwarpError: as of :func:`standing`.
+        """
+        return result if self.up is None and self.front is None else standing(result, None, self.up, self.front)
+
+
 def map_mesh(
     *,
     meshes: MeshArguments,
@@ -176,13 +197,7 @@ def map_mesh(
         bool, typer.Option("--beside", help="For .ply: the surface, with its sphere as px, py, pz at the vertices.")
     ] = False,
     radius: RadiusOption = 1.0,
-    up: Annotated[
-        str | None,
-        typer.Option(metavar="AXIS", help="The axis of the mesh towards the north pole; its shortest by default."),
-    ] = None,
-    front: Annotated[
-        str | None, typer.Option(metavar="AXIS", help="The axis towards longitude 0; guessed where --up is given.")
-    ] = None,
+    poles: Poles,
     printing: Printing,
 ) -> None:
     """Map a surface to the unit sphere, with its area preserved.
@@ -218,7 +233,7 @@ def map_mesh(
     def map_one(mesh: Path, target: Path | None) -> None:
         sound = read_sound_mesh(mesh, repair, any_surface=any_surface is not None)
         structure = structure_of(mesh)
-        weights, belong = (None, mass.weights_at) if mass.weights is None else weights_of(mass, sound, structure)
+        weights, belong = weights_of(mass, sound, structure)
         result = make_map(
             sound.surface,
             mapping,
@@ -229,8 +244,7 @@ def map_mesh(
             target=goal,
         )
         require_bijective(result)
-        if up is not None or front is not None:
-            result = standing(result, None, up, front)
+        result = poles.turned(result)
         if structure is not None:
             result.report["structure"] = structure
         result, file_faces = with_copies(result, sound, any_surface is None)
@@ -304,7 +318,7 @@ def with_copies(
     return result, None
 
 
-def weights_of(mass: Mass, sound: Input, structure: str | None) -> tuple[NDArray[np.float64], WeightsAt]:
+def weights_of(mass: Mass, sound: Input, structure: str | None) -> tuple[NDArray[np.float64] | None, WeightsAt]:
     """Read weights of a file's mesh, and reorder them where it was repaired or copies of its vertices were joined.
 
     Args:
@@ -313,7 +327,7 @@ def weights_of(mass: Mass, sound: Input, structure: str | None) -> tuple[NDArray
         structure: the part of the brain that it is, where its file says it.
 
     Returns:
-        The weights of the mesh's vertices or triangles, and which of them.
+        The weights of the mesh's vertices or triangles, None where no file is named, and which of them.
 
     Raises:
         OmtwarpError: the file holds no numbers, or not as many as the mesh's file has vertices or triangles; or parts
@@ -322,7 +336,8 @@ def weights_of(mass: Mass, sound: Input, structure: str | None) -> tuple[NDArray
     from omtwarp.measures import weights_belong_to
     from omtwarp.mesh.data import read_data
 
-    assert mass.weights is not None
+    if mass.weights is None:
+        return None, mass.weights_at
     columns = read_data(mass.weights, structure).values
     if columns.shape[1] != 1:
         raise OmtwarpError(f"{mass.weights}: {columns.shape[1]} numbers for every vertex or face, not one")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -27,6 +28,9 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output
 from omtwarp.options import BACKGROUND, FILM_RATE, PICTURE_SIZE, Backend, Device, MapOptions
 
+if TYPE_CHECKING:
+    from omtwarp.render import Camera
+
 DEFAULT_SIZE = size_text(PICTURE_SIZE)
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".gif", ".mp4")
 
@@ -40,6 +44,33 @@ class LightName(StrEnum):
 class CameraProjection(StrEnum):
     PERSPECTIVE = "perspective"
     ORTHOGRAPHIC = "orthographic"
+
+
+@dataclass(frozen=True)
+class Lens:
+    """How a camera forms its picture."""
+
+    zoom: Annotated[float, typer.Option(help="Enlargement; at 1 the surface fills the picture.")] = 1.0
+    field_of_view: Annotated[float, typer.Option(help="Vertical opening of the camera in degrees.")] = 24.0
+    projection: Annotated[CameraProjection, typer.Option(help="Projection of the camera.")] = (
+        CameraProjection.PERSPECTIVE
+    )
+
+    def camera(self) -> Camera:
+        """Return a camera with this lens."""
+        from omtwarp.render import Camera
+
+        return Camera(zoom=self.zoom, field_of_view=self.field_of_view, projection=self.projection.value)
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a picture shows beside the surface's own colours."""
+
+    light: Annotated[LightName, typer.Option(help="Lights; flat shows the colours themselves.")] = LightName.STUDIO
+    background: BackgroundOption = BACKGROUND
+    transparent: Annotated[bool, typer.Option("--transparent", help="Leave the background out.")] = False
+    wireframe: Annotated[bool, typer.Option("--wireframe", help="Draw the triangles' edges.")] = False
 
 
 def preview_mesh(
@@ -68,17 +99,10 @@ def preview_mesh(
             help="front, back, left, right, top, bottom, three-quarter, six, or degrees; repeat for more views.",
         ),
     ] = None,
-    zoom: Annotated[float, typer.Option(help="Enlargement; at 1 the surface fills the picture.")] = 1.0,
-    field_of_view: Annotated[float, typer.Option(help="Vertical opening of the camera in degrees.")] = 24.0,
-    projection: Annotated[
-        CameraProjection, typer.Option(help="Projection of the camera.")
-    ] = CameraProjection.PERSPECTIVE,
+    lens: Lens,
     up: UpOption = None,
     front: FrontOption = None,
-    light: Annotated[LightName, typer.Option(help="Lights; flat shows the colours themselves.")] = LightName.STUDIO,
-    background: BackgroundOption = BACKGROUND,
-    transparent: Annotated[bool, typer.Option("--transparent", help="Leave the background out.")] = False,
-    wireframe: Annotated[bool, typer.Option("--wireframe", help="Draw the triangles' edges.")] = False,
+    look: Look,
     image: Annotated[
         Path | None, typer.Option(metavar="PICTURE", help="An equirectangular picture, shown through a map.")
     ] = None,
@@ -89,7 +113,7 @@ def preview_mesh(
     printing: Printing,
 ) -> None:
     """Draw a surface without a display."""
-    from omtwarp.render import Camera, preview
+    from omtwarp.render import preview
 
     given = subjects or []
     if (not given and finished is None) or (len(given) == 1 and finished is not None):
@@ -97,7 +121,6 @@ def preview_mesh(
     targets = targets_of(Source(subjects, finished), output, ".png")
     for target in targets:
         check_output(target, PICTURES, *given, finished, image)
-    camera = Camera(zoom=zoom, field_of_view=field_of_view, projection=projection.value)
 
     def draw_one(subject: Path | None, target: Path) -> tuple[dict[str, object], str]:
         shown = subject or finished
@@ -110,13 +133,13 @@ def preview_mesh(
                 target,
                 size=as_size(size),
                 views=(view[0] if len(view) == 1 else view) if view else None,
-                camera=camera,
+                camera=lens.camera(),
                 up=up,
                 front=front,
-                light=light.value,
-                background=background,
-                transparent=transparent,
-                wireframe=wireframe,
+                light=look.light.value,
+                background=look.background,
+                transparent=look.transparent,
+                wireframe=look.wireframe,
                 image=image,
                 frames=frames,
                 fps=fps,
