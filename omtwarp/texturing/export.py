@@ -9,7 +9,7 @@ import json
 import os
 import re
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -55,6 +55,7 @@ class Part:
         vertex: of the mesh, of every row, shape [N].
         uv: coordinates of the rows, v up, shape [N, 2]; None where some corner has none.
         tangents: of the rows, with the sign of the bitangent, shape [N, 4].
+        belongs: number of each triangle's object, shape [F]; None for one object.
     """
 
     material: Material
@@ -62,6 +63,7 @@ class Part:
     vertex: NDArray[np.integer]
     uv: Floats | None = None
     tangents: Floats | None = None
+    belongs: Ints | None = None
 
 
 def split_corners(faces: Ints, values: Floats, count: int) -> tuple[Ints, Ints, Floats]:
@@ -112,6 +114,7 @@ def export(
     wraps: tuple[bool, bool] = (True, True),
     keep: Iterable[Path | None] = (),
     texture_format: str = TextureFormat.PNG,
+    objects: Sequence[tuple[str, str]] = (),
 ) -> list[Path]:
     """Write a mesh with materials in the format of the path's suffix.
 
@@ -125,6 +128,7 @@ def export(
         wraps: whether pictures repeat to the right, and upwards.
         keep: files that must not be replaced, such as inputs.
         texture_format: ``png`` or, in a .glb, ``webp``.
+        objects: names of object and group that parts' triangles belong to, for ``.obj``.
 
     Returns:
         The files written, the named one last.
@@ -143,7 +147,7 @@ def export(
         if suffix == ".glb":
             files = [(file, glb_bytes(vertices, normals, parts, colors, wraps, encoding))]
         else:
-            files = obj_files(vertices, normals, parts, file, kept)
+            files = obj_files(vertices, normals, parts, file, kept, objects)
         for name, content in files:
             name.write_bytes(content)
     return [as_path(path).with_name(name.name) for name, _ in files[:-1]] + [as_path(path)]
@@ -302,12 +306,17 @@ def _gltf_material(material: Material, file: GltfFile, with_uv: bool) -> dict[st
 
 
 def obj_files(
-    vertices: Floats, normals: Floats, parts: Sequence[Part], place: Path, keep: Iterable[Path | None] = ()
+    vertices: Floats,
+    normals: Floats,
+    parts: Sequence[Part],
+    place: Path,
+    keep: Iterable[Path | None] = (),
+    objects: Sequence[tuple[str, str]] = (),
 ) -> list[tuple[Path, bytes]]:
     """Return the files of an OBJ: pictures and material library first, the OBJ last.
 
-    Vertices are written once and in their order, faces material by material; only texture coordinates are doubled along
-    seams, as the format allows. A picture that is the only one has the OBJ's own name.
+    Vertices are written once and in their order, faces object by object and material by material; only texture
+    coordinates are doubled along seams, as the format allows. A picture that is the only one has the OBJ's own name.
     """
     kept = tuple(keep)
     drawn = [
@@ -331,19 +340,30 @@ def obj_files(
         library += [f"{word} {written[id(picture)][0].name}" for number, word, picture, _ in drawn if number == k]
         library.append("")
     beside = companion(place, ".mtl", kept)
-    text = ["# omtwarp\n", f"mtllib {beside.name}\no surface\n", _lines("v", vertices, "%.17g")]
-    text.append(_lines("vn", normals, "%.5f"))
-    start = 1
-    for part, name in zip(parts, names, strict=True):
-        v = part.vertex[part.faces] + 1
-        if part.uv is not None:
-            text.append(_lines("vt", part.uv, "%.9g"))
-        text.append(f"usemtl {name}\ns 1\n")
-        columns = [v, v] if part.uv is None else [v, part.faces + start, v]
-        form = " ".join(["%d//%d" if part.uv is None else "%d/%d/%d"] * 3)
-        start += 0 if part.uv is None else len(part.uv)
-        text.append(_lines("f", np.stack(columns, axis=2).reshape(len(v), -1), form))
+    text = ["# omtwarp\n", f"mtllib {beside.name}\n", _lines("v", vertices, "%.17g"), _lines("vn", normals, "%.5f")]
+    text += [_lines("vt", part.uv, "%.9g") for part in parts if part.uv is not None]
+    text += _obj_faces(parts, names, objects or [("surface", "")])
     return [*written.values(), (beside, "\n".join(library).encode()), (place, "".join(text).encode())]
+
+
+def _obj_faces(parts: Sequence[Part], names: Sequence[str], objects: Sequence[tuple[str, str]]) -> Iterator[str]:
+    """Yield the lines of an OBJ's faces: object by object, and of each material by material."""
+    starts = np.cumsum([1, *(0 if part.uv is None else len(part.uv) for part in parts)])
+    before = ("", "")
+    for number, pair in enumerate(objects):
+        for word, name, last in zip("og", pair, before, strict=True):
+            if name != last:
+                yield f"{word} {name}".rstrip() + "\n"
+        before = pair
+        for part, name, start in zip(parts, names, starts[:-1], strict=True):
+            faces = part.faces if part.belongs is None else part.faces[part.belongs == number]
+            if len(faces) == 0 or (part.belongs is None and number):
+                continue
+            v = part.vertex[faces] + 1
+            yield f"usemtl {name}\ns 1\n"
+            columns = [v, v] if part.uv is None else [v, faces + start, v]
+            form = " ".join(["%d//%d" if part.uv is None else "%d/%d/%d"] * 3)
+            yield _lines("f", np.stack(columns, axis=2).reshape(len(v), -1), form)
 
 
 def _library_entry(name: str, material: Material) -> list[str]:

@@ -47,6 +47,8 @@ class PaintedMesh:
         notes: decisions made while reading, in words.
         wraps_rows: whether pictures repeat upwards; they always repeat to the right.
         source_files: files that an export must not replace.
+        objects: names of object and group of an OBJ file, empty ones for none.
+        face_object: number of these of every triangle, int32, shape [F]; None where there are none.
 
     Raises:
         OmtwarpError: the arrays do not belong together.
@@ -69,6 +71,8 @@ class PaintedMesh:
     notes: tuple[str, ...] = ()
     wraps_rows: bool = True
     source_files: tuple[Path, ...] = field(default=(), repr=False)
+    objects: tuple[tuple[str, str], ...] = ()
+    face_object: Ints | None = None
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -93,6 +97,8 @@ class PaintedMesh:
         if count and not (0 <= materials.min() and materials.max() < len(self.materials)):
             raise OmtwarpError(f"a triangle refers to material {int(materials.max())} of {len(self.materials)}")
         put(self, "face_material", materials.astype(np.int32))
+        if self.face_object is not None and np.shape(self.face_object) != (count,):
+            raise OmtwarpError(f"objects of {len(self.face_object)} triangles given for {count}")
 
     def __repr__(self) -> str:
         coordinates = "without texture coordinates" if self.uv is None else "with texture coordinates"
@@ -148,6 +154,10 @@ class PaintedMesh:
             raise OmtwarpError(ELSEWHERE)
         materials = np.zeros(len(triangles), dtype=np.int32)
         materials[kept] = self.material_of[origin[kept]]
+        objects = None
+        if self.face_object is not None:
+            objects = np.zeros(len(triangles), dtype=np.int32)
+            objects[kept] = self.face_object[origin[kept]]
         uv = None
         if self.uv is not None:
             uv = np.full((len(triangles), 3, 2), np.nan)
@@ -160,7 +170,8 @@ class PaintedMesh:
         if self.vertex_colors is not None:
             colors = np.full((len(points), 4), 255, dtype=np.uint8)
             colors[triangles[kept]] = self.vertex_colors[self.faces[origin[kept, None], corner]]
-        return replace(self, vertices=points, faces=triangles, uv=uv, face_material=materials, vertex_colors=colors)
+        moved = replace(self, vertices=points, faces=triangles, uv=uv, face_material=materials, face_object=objects)
+        return replace(moved, vertex_colors=colors)
 
     def export(
         self,
@@ -197,21 +208,24 @@ class PaintedMesh:
             wraps=(True, self.wraps_rows),
             keep=(*keep, *self.source_files),
             texture_format=texture_format,
+            objects=self.objects,
         )
 
     def _part(self, number: int, normals: Floats) -> Part:
         """Return the triangles of one material; corners that agree in all attributes share a row."""
         material, of_it = self.materials[number], self.material_of == number
+        belongs = None if self.face_object is None else self.face_object[of_it]
         used, local = np.unique(self.faces[of_it], return_inverse=True)
         corners = local.reshape(-1, 3).astype(np.int32)
         if self.uv is None or not np.isfinite(self.uv[of_it]).all():
-            return Part(material, corners, used)
+            return Part(material, corners, used, belongs=belongs)
         values = self.uv[of_it]
         if material.normal_picture is not None and material.own_tangents:
             tangents = corner_tangents(self.vertices, self.faces[of_it], values, normals)
             values = np.concatenate([values, tangents], axis=2)
         rows, vertex, values = split_corners(corners, values, len(used))
-        return Part(material, rows, used[vertex], values[:, :2], values[:, 2:] if values.shape[1] > 2 else None)
+        turned = values[:, 2:] if values.shape[1] > 2 else None
+        return Part(material, rows, used[vertex], values[:, :2], turned, belongs)
 
     @property
     def _same_place(self) -> float:

@@ -31,7 +31,9 @@ if TYPE_CHECKING:
     import trimesh
 
 
-_STATEMENT = re.compile(rb"^[ \t]*(vt|v|f|usemtl|mtllib)[ \t]+([^\n#]*)|^[ \t]*(usemtl)[ \t]*$", flags=re.MULTILINE)
+_STATEMENT = re.compile(
+    rb"^[ \t]*(vt|v|f|usemtl|mtllib|o|g)[ \t]+([^\n#]*)|^[ \t]*(usemtl|o|g)[ \t]*$", flags=re.MULTILINE
+)
 
 # How many values the options of a picture in a material library take.
 _OPTIONS = {
@@ -53,6 +55,8 @@ class _Statements:
         used: number of each face's material.
         names: number of every material used, by its name.
         libraries: words behind ``mtllib``.
+        belongs: number of each face's object and group.
+        objects: number of every pair of words behind ``o`` and ``g`` that faces belong to.
     """
 
     points: list[list[bytes]] = field(default_factory=list)
@@ -63,15 +67,17 @@ class _Statements:
     used: list[int] = field(default_factory=list)
     names: dict[str, int] = field(default_factory=dict)
     libraries: list[str] = field(default_factory=list)
+    belongs: list[int] = field(default_factory=list)
+    objects: dict[tuple[str, str], int] = field(default_factory=dict)
 
 
 def _statements(text: bytes) -> _Statements:
     """Sort the statements of an OBJ file."""
     statements = _Statements()
     joined = text.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").replace(b"\r", b"\n")
-    current = ""
+    current, of = "", ("", "")
     for match in _STATEMENT.finditer(joined):
-        kind, rest = match.group(1) or b"usemtl", match.group(2) or b""
+        kind, rest = match.group(1) or match.group(3), match.group(2) or b""
         if kind == b"v":
             statements.points.append(rest.split())
         elif kind == b"vt":
@@ -82,10 +88,15 @@ def _statements(text: bytes) -> _Statements:
             statements.sizes.append(len(words))
             statements.before.append((len(statements.points), len(statements.coordinates)))
             statements.used.append(statements.names.setdefault(current, len(statements.names)))
-        elif kind == b"usemtl":
-            current = rest.decode("utf-8", "replace").strip()
+            statements.belongs.append(statements.objects.setdefault(of, len(statements.objects)))
         else:
-            statements.libraries.append(rest.decode("utf-8", "replace").strip())
+            name = rest.decode("utf-8", "replace").strip()
+            if kind == b"usemtl":
+                current = name
+            elif kind == b"mtllib":
+                statements.libraries.append(name)
+            else:
+                of = (name, of[1]) if kind == b"o" else (of[0], name)
     return statements
 
 
@@ -276,7 +287,18 @@ def _from_obj(data: bytes, file: Path) -> PaintedMesh:
         colors = _opaque(np.rint(np.clip(scaled, 0, 255)).astype(np.uint8))
     used = np.array(statements.used, dtype=np.int32)[face]
     faces = corners_of(corners, len(points))
-    return PaintedMesh(points, faces, uv, materials, used, colors, tuple(notes), source_files=tuple(named))
+    return PaintedMesh(
+        points,
+        faces,
+        uv,
+        materials,
+        used,
+        colors,
+        tuple(notes),
+        source_files=tuple(named),
+        objects=tuple(statements.objects),
+        face_object=np.array(statements.belongs, dtype=np.int32)[face],
+    )
 
 
 def _from_ply(data: bytes, file: Path) -> PaintedMesh:

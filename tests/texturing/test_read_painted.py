@@ -216,3 +216,30 @@ def test_what_is_written_is_read_again(tmp_path, suffix):
         assert (one.picture is None) == (other.picture is None)
         if other.picture is not None:
             np.testing.assert_array_equal(one.picture, other.picture)
+
+
+def test_objects_and_groups_of_an_obj_come_back(tmp_path):
+    """Names behind o and g go with their faces, in the order of the file, also where materials cross them."""
+    ball = omtwarp.shapes.icosphere(2)
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in ball.vertices.tolist()]
+    wanted = {}
+    for number, face in enumerate(ball.faces):
+        if number % 20 == 0:
+            pair = [("Körper 1", ""), ("Körper 1", "left arm"), ("head", "left arm"), ("head", "")][number // 20]
+            lines += [f"o {pair[0]}", f"g {pair[1]}".rstrip()]
+        if number % 7 == 0:
+            lines.append(f"usemtl m{number % 3}")
+        lines.append("f " + " ".join(map(str, face + 1)))
+        wanted[tuple(np.roll(face, -np.argmin(face)).tolist())] = (pair, f"m{number // 7 * 7 % 3}")
+    (tmp_path / "in.obj").write_text("\n".join(lines) + "\n", "utf-8")
+    mesh = read_painted_mesh(tmp_path / "in.obj")
+    turned = mesh.on(mesh.vertices, mesh.faces[::-1])
+    for made in (mesh, turned):
+        made.export(tmp_path / "out.obj")
+        again = read_painted_mesh(tmp_path / "out.obj")
+        known = {}
+        for face, material, of in zip(again.faces, again.material_of, again.face_object, strict=True):
+            key = tuple(np.roll(face, -np.argmin(face)).tolist())
+            known[key] = (again.objects[of], again.materials[material].name)
+        assert known == wanted
+    assert again.objects == mesh.objects
