@@ -207,7 +207,7 @@ def align(
     if by == "vertices" and not _same_faces(moving, fixed):
         raise OmtwarpError("the two meshes have different faces: align them by features")
     one_surface = _why_one_surface(moving, fixed) if by == "auto" and not features else ""
-    by_vertices = by == "vertices" or bool(one_surface)
+    by_vertices = bool(one_surface) | (by == "vertices")
 
     def aligned(points: SpherePoints, ours: Mapping[str, ArrayLike] | None = features) -> Alignment:
         if by_vertices:

@@ -208,6 +208,30 @@ class TermSum:
         return VertexDerivatives(sum(one.value for one in found), np.asarray(gradient), np.asarray(hessian))
 
 
+def _table(path: str | os.PathLike[str]) -> list[dict[str, str]]:
+    """Read the rows of a table of landmarks.
+
+    Raises:
+        OmtwarpError: the file cannot be read, or misses a column.
+    """
+    try:
+        # Largest table: bytes; 100,000 rows of 160
+        text = read_bytes(path, 2**24, "table").decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise OmtwarpError(f"'{path}' is no text: give a table of landmarks (.csv, .tsv)") from None
+    rows = csv.DictReader(io.StringIO(text), delimiter="\t" if Path(path).suffix.lower() == ".tsv" else ",")
+    try:
+        table, names = list(rows), rows.fieldnames or []
+    except csv.Error as error:
+        raise OmtwarpError(f"'{path}': {error}") from None
+    for needed in ("label", "side"):
+        if needed not in names:
+            raise OmtwarpError(
+                f"'{path}' has no column '{needed}': its first line is '{text.partition(chr(10))[0][:80]}'"
+            )
+    return table
+
+
 def read_landmarks(path: str | os.PathLike[str]) -> list[Landmark]:
     """Read landmarks of both sides from a table.
 
@@ -226,24 +250,9 @@ def read_landmarks(path: str | os.PathLike[str]) -> list[Landmark]:
     Raises:
         OmtwarpError: a file that cannot be read, a column that is missing, or a row that is no such thing.
     """
-    try:
-        # Largest table: bytes; 100,000 rows of 160
-        text = read_bytes(path, 2**24, "table").decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise OmtwarpError(f"'{path}' is no text: give a table of landmarks (.csv, .tsv)") from None
-    rows = csv.DictReader(io.StringIO(text), delimiter="\t" if Path(path).suffix.lower() == ".tsv" else ",")
-    try:
-        table, names = list(rows), rows.fieldnames or []
-    except csv.Error as error:
-        raise OmtwarpError(f"'{path}': {error}") from None
-    for needed in ("label", "side"):
-        if needed not in names:
-            raise OmtwarpError(
-                f"'{path}' has no column '{needed}': its first line is '{text.partition(chr(10))[0][:80]}'"
-            )
-    found: dict[str, dict[str, list[list[float]]]] = {}
+    places: dict[str, dict[str, list[list[float]]]] = {}
     weights: dict[str, float] = {}
-    for line, row in enumerate(table, start=2):
+    for line, row in enumerate(_table(path), start=2):
         label, side = (row["label"] or "").strip(), (row["side"] or "").strip()
         if side not in SIDES:
             raise OmtwarpError(f"'{path}', line {line}: the side is '{side}': use {' or '.join(SIDES)}")
@@ -257,8 +266,8 @@ def read_landmarks(path: str | os.PathLike[str]) -> list[Landmark]:
             raise OmtwarpError(
                 f"'{path}', line {line}: give a vertex, or x, y and z, and a weight or 'exact'"
             ) from None
-        found.setdefault(label, {name: [] for name in SIDES})[side].append(place)
-    return [_landmark(path, label, sides, weights) for label, sides in found.items()]
+        places.setdefault(label, {name: [] for name in SIDES})[side].append(place)
+    return [_landmark(path, label, sides, weights) for label, sides in places.items()]
 
 
 def _landmark(

@@ -22,7 +22,7 @@ from omtwarp.metrics.certificate import Certificate, certify_triangles
 from omtwarp.options import Progress, Record
 from omtwarp.registration.areas import area_changes, with_areas
 from omtwarp.registration.folding import FOLDING_WEIGHTS, folding_features
-from omtwarp.registration.landmarks import LandmarksLike, pairs_of
+from omtwarp.registration.landmarks import LandmarksLike, Pairs, pairs_of
 from omtwarp.registration.strain import kept_within, octaves
 from omtwarp.registration.templates import HEMISPHERES, template
 from omtwarp.registration.warp import AREA_WEIGHT, COARSE, FINE, Warping, feature_grid
@@ -178,13 +178,11 @@ def register(
         >>> found.certificate.bijective, found.largest_strain < 0.1
         (True, True)
     """
-    apart = 0.1  # degrees that exact landmarks may be from their places, a tenth of an edge of 160,000 vertices
     stiffness = real_number(stiffness, "the stiffness", above=0.0)
     max_strain = real_number(max_strain, "max_strain", above=0.0)
-    exact = keep_areas == "exact"
-    weight_of_areas = np.inf if exact else real_number(keep_areas, "keep_areas, unless 'exact',", least=0.0)
+    weight_of_areas = _weight_of_areas(keep_areas)
     here = as_points(moving, "the map")
-    there = template(target) if isinstance(target, str) and target in HEMISPHERES else as_points(target, "the target")
+    there = _target_points(target)
     ours, theirs = _features_of(here, there, features, to_features)
     usual = {} if features else FOLDING_WEIGHTS
     weights = _weights_of(ours, {**usual, **(feature_weights or {})})
@@ -211,26 +209,22 @@ def register(
         own = resample(turned, (grid.vertices, grid.faces), device="cpu")
         given = _carried(own, ours)
         known = (~own.empty).astype(np.float64)
-        marks = None if pairs is None else pairs.turned(best.rotation)
+        marks = pairs and pairs.turned(best.rotation)
         tried.append((warping.run(given, known, COARSE, landmarks=marks), best, turned, given, known, marks))
     coarse, best, turned, given, known, marks = min(tried, key=lambda entry: entry[0].energy)
     notify("register", 2, steps, {})
     warp = warping.run(given, known, FINE, coarse, marks)
     before = turned.grid.points
     surface = Surface(before, turned.grid.triangles)
-    distances: dict[str, dict[str, float]] = {}
     found = None if marks is None else Locator(before, surface.faces, device="cpu").find(marks.points)
     held = None if marks is None or found is None else surface.faces[found.faces[marks.exact]]
     sphere = kept_within(surface, warp.carry(before), max_strain, held)
-    if exact:
+    if np.isinf(weight_of_areas):
         sphere = with_areas(surface, sphere, AREA_WEIGHT)
+    distances: dict[str, dict[str, float]] = {}
     if marks is not None and found is not None:
-        ends = [marks.distances(found.on_sphere(surface.faces, points)) for points in (before, sphere)]
-        distances = {label: {"before": ends[0][label], "after": ends[1][label]} for label in marks.labels}
-        away = [marks.labels[k] for k in np.unique(marks.owners[marks.exact]) if ends[1][marks.labels[k]] > apart]
-        if away:
-            text = f"exact landmarks stayed away from their places, '{away[0]}' by {ends[1][away[0]]:.2f} degrees"
-            warnings.warn(f"{text}: the strain that they need is over {max_strain:g}", OmtwarpWarning, stacklevel=2)
+        distances = _distances(marks, *(found.on_sphere(surface.faces, points) for points in (before, sphere)))
+        _warn_of_distant(marks, distances, max_strain)
     notify("register", 3, steps, {})
     agreement = [_agreement(points, there, ours, theirs) for points in (turned, _moved(turned, sphere))]
     correlations = {name: {"before": agreement[0][name], "after": agreement[1][name]} for name in ours}
@@ -240,14 +234,46 @@ def register(
     start = Alignment(best.rotation, before[:count], "features", best.score, best.runner_up, False, basis=basis)
     starts: list[Record] = [{"score": one.score, "energy": found.energy} for found, one, *_ in tried]
     certificate = certify_triangles(here.grid.triangles, sphere, device="cpu")
-    over = int((np.maximum(np.abs(by_area), by_stretch) > max_strain).sum())
-    if over:
-        text = f"{over} triangles are strained beyond {max_strain:g}: the mesh has slivers there, or too few triangles"
-        warnings.warn(text, OmtwarpWarning, stacklevel=2)
+    _warn_of_strain(np.maximum(np.abs(by_area), by_stretch), max_strain)
     return Registration(
         sphere[:count], start, doubtful, starts, correlations, by_area, by_stretch, max_strain, certificate,
         area_changes(before, sphere, surface.faces), distances, warp.levels, sphere,
     )  # fmt: skip
+
+
+def _weight_of_areas(keep_areas: object) -> float:
+    """Return the weight of the areas around vertices, infinite where they are to be kept exactly."""
+    return np.inf if keep_areas == "exact" else real_number(keep_areas, "keep_areas, unless 'exact',", least=0.0)
+
+
+def _target_points(target: PointsLike) -> SpherePoints:
+    """Return the points of a target, which may be the name of a template."""
+    return template(target) if isinstance(target, str) and target in HEMISPHERES else as_points(target, "the target")
+
+
+def _distances(marks: Pairs, before: Floats, after: Floats) -> dict[str, dict[str, float]]:
+    """Return how far landmarks are apart before the warp and after it, in degrees, from where they are then."""
+    ends = [marks.distances(points) for points in (before, after)]
+    return {label: {"before": ends[0][label], "after": ends[1][label]} for label in marks.labels}
+
+
+def _warn_of_distant(marks: Pairs, distances: dict[str, dict[str, float]], max_strain: float) -> None:
+    """Warn of exact landmarks that are not at their places."""
+    apart = 0.1  # degrees that exact landmarks may be from their places, a tenth of an edge of 160,000 vertices
+    exact = [marks.labels[k] for k in np.unique(marks.owners[marks.exact])]
+    away = [label for label in exact if distances[label]["after"] > apart]
+    if away:
+        farthest = distances[away[0]]["after"]
+        text = f"exact landmarks stayed away from their places, '{away[0]}' by {farthest:.2f} degrees"
+        warnings.warn(f"{text}: the strain that they need is over {max_strain:g}", OmtwarpWarning, stacklevel=3)
+
+
+def _warn_of_strain(strain: Floats, max_strain: float) -> None:
+    """Warn of triangles that are strained more than they may be."""
+    over = int((strain > max_strain).sum())
+    if over:
+        text = f"{over} triangles are strained beyond {max_strain:g}: the mesh has slivers there, or too few triangles"
+        warnings.warn(text, OmtwarpWarning, stacklevel=3)
 
 
 def _features_of(
