@@ -28,7 +28,7 @@ from omtwarp.mapping.verdict import judge, refusal
 from omtwarp.maps.result import MapReport, MapResult, StageRecord, renumbered
 from omtwarp.measures import TargetDensity, mass_distortion, weighted_surface
 from omtwarp.mesh.arrays import TINY, normalised
-from omtwarp.mesh.checks import MeshLike, as_surface
+from omtwarp.mesh.checks import MeshLike, as_surface, as_unit_vectors
 from omtwarp.mesh.quarter import quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.metrics.certificate import Certificate, certify_triangles
@@ -70,6 +70,8 @@ from omtwarp.version import package_version
 OPTIMALITY = "optimality"
 # What the map of the quartered mesh is called there.
 EXACT = "exact"
+# The road of a minimisation that begins at a map of the user's.
+GIVEN = "given"
 # Of a stage's triangles: maps with a larger share flipped, and more than so many in number, are not repaired. Of twelve
 # scans and made shapes at most 3 % are flipped by Moser's flow and all are repaired, except an octopus with 7.5 % and a
 # box with triangles of 0.001 degrees with 26 %, where repair fails after all the work that it may take.
@@ -99,6 +101,7 @@ def map_to_sphere(
     weights: ArrayLike | None = None,
     weights_at: WeightsAtLike = WeightsAt.AUTO,
     target: TargetLike | None = None,
+    start: ArrayLike | MapResult | None = None,
     device: str | None = MapOptions.device,
     solver: SolverLike = MapOptions.solver,
     strict: bool = MapOptions.strict,
@@ -125,6 +128,9 @@ def map_to_sphere(
         target: the density that the image is to have on the sphere in place of the uniform one: a function of unit
             vectors [N, 3], an equirectangular picture, or ``(sphere, faces, values)``; see
             :func:`omtwarp.texturing.density.as_target`.
+        start: points x of your own, unit vectors [V, 3], that transport moves in place of the conformal map's;
+            triangles may be flipped there, and nothing is turned onto the mesh's axes. Or a map of this mesh, from
+            whose points the minimisation begins; transport is then measured from that map's own points x.
         device: ``auto``, ``cpu``, ``cuda`` or ``cuda:N``.
         solver: how sparse systems are solved: by ``scipy``, by the built-in ``cholesky``, which ``auto`` takes, or on
             a GPU by ``cudss``. The maps are the same to round-off.
@@ -168,9 +174,12 @@ def map_to_sphere(
     if density is not None and options.exact:
         raise OmtwarpError("exact areas are for the uniform sphere: leave the target density out")
     surface = weighted_surface(as_surface(mesh), weights, weights_at)
+    if start is not None and options.method in (Method.TUTTE, Method.MEAN_VALUE):
+        raise OmtwarpError("a barycentric map begins nowhere: leave start out, or take the method omt, moser or haker")
     ordered = in_space_order(surface)
+    begun = None if start is None else _begun(start, surface, ordered)
     with solving_with(options.solver, str(where)):
-        result = MapComputation(ordered.surface, options, str(where), progress, density).result()
+        result = MapComputation(ordered.surface, options, str(where), progress, density, begun=begun).result()
     for finding in result.report["warnings"]:
         warnings.warn(finding["text"], OmtwarpWarning, stacklevel=3)
     return _in_order_of(surface, ordered, result)
@@ -217,6 +226,7 @@ class MapComputation:
         progress: called at the begin and end of every stage, and during long ones.
         target: the density on the sphere that is to be reached; None for the uniform one.
         mirror: what the surface is the double of, if it is one: the map is kept symmetric where it can be.
+        begun: points x to begin with, and a map of them without flips, where one is known; the conformal map otherwise.
     """
 
     def __init__(
@@ -227,7 +237,10 @@ class MapComputation:
         progress: Progress | None,
         target: TargetDensity | None = None,
         mirror: Double | None = None,
+        begun: tuple[NDArray[np.float64], NDArray[np.float64] | None] | None = None,
     ):
+        self.given = None if begun is None else begun[0]
+        self.given_map = None if begun is None else begun[1]
         self.target = target
         self.mirror = mirror
         self.surface = surface
@@ -360,16 +373,19 @@ class MapComputation:
         """Compute the conformal map, or the start that replaces it."""
         self.notify(Stage.CONFORMAL, 0, 1, {})
         published = self.options.method is not Method.OMT or self.options.scheme is not Scheme.DEFAULT
-        start = bijective_start(self.surface, published=published, device=self.device, progress=self.progress)
+        start = bijective_start(
+            self.surface, published=published, given=self.given, device=self.device, progress=self.progress
+        )
         self.origin = {"route": start.route, "reason": start.reason}
         sphere, repaired = start.sphere, start.repaired_flips
         self.repair_given_up = start.repair_given_up
         # The cost depends only on where points lie under the conformal map; triangles may be flipped there.
         if start.points is not None:
             self.source = start.points
-            if not start.route.startswith("conformal"):
+            if start.route == "hierarchical":
                 sphere = turned_towards(sphere, self.source, self.surface.vertex_areas)
-        sphere = self.orient(sphere)
+        if self.given is None:
+            sphere = self.orient(sphere)
         if self.mirror is not None:
             sphere = self.lay_symmetric(self.mirror, sphere)
             if start.route == "hierarchical" and not is_symmetric(self.mirror, sphere):
@@ -535,8 +551,10 @@ class MapComputation:
         self.finish(Stage.OMT, sphere, len(self.history) - 1, **details)
 
     def nearby_map(self) -> tuple[NDArray[np.float64], str]:
-        """Return the map that the minimisation begins with, ``nested`` or ``embedded``; which of them it is."""
+        """Return the map that the minimisation begins with, and which it is: ``given``, ``nested`` or ``embedded``."""
         assert self.source is not None
+        if self.given_map is not None:
+            return self.given_map, GIVEN
         embedding = self.sphere if self.origin["route"] == "hierarchical" else None
         if embedding is None:
             try:
@@ -824,6 +842,24 @@ class MapComputation:
                 f"no map that is one to one was found: {certificate}; repair or remesh the surface and try again"
             )
         return certificate
+
+
+def _begun(
+    start: ArrayLike | MapResult, surface: Surface, ordered: OrderedSurface
+) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    """Return a user's points x, and a map to begin with where one was given, in the order that the surface is solved.
+
+    Raises:
+        OmtwarpError: there is not one point on the sphere per vertex, or the map has flipped triangles.
+    """
+    if not isinstance(start, MapResult):
+        return as_unit_vectors(start, surface.vertex_count, "start")[ordered.vertex_origin], None
+    if start.faces.shape != surface.faces.shape or not np.array_equal(start.faces, surface.faces):
+        raise OmtwarpError("start is a map of another mesh: its faces are not those of this one")
+    if not start.bijective:
+        raise OmtwarpError(f"start is not one to one: {start.certificate}")
+    points = start.conformal if start.source is None else start.source
+    return points[ordered.vertex_origin], start.sphere[ordered.vertex_origin]
 
 
 def _in_order_of(surface: Surface, ordered: OrderedSurface, result: MapResult) -> MapResult:

@@ -238,7 +238,7 @@ def minimised(
         start: the points x, shape [V, 3].
         solve: :func:`omtwarp.optimal_map` of the surface, or its counterpart among symmetric maps.
         kept: called with the map of every round.
-        road: ``nested`` or ``embedded``, from where the penalty on areas grows in rounds.
+        road: ``embedded``, from where the penalty on areas grows in rounds, or another.
         device: where the kernels run.
     """
     multipliers: Numbers | None = None

@@ -26,7 +26,8 @@ class Start:
 
     Attributes:
         sphere: unit vectors, float64, shape [V, 3].
-        route: ``conformal``, ``conformal, repaired`` or ``hierarchical``.
+        route: ``conformal``, ``conformal, repaired`` or ``hierarchical``; ``given`` in place of ``conformal`` for
+            points that the user gave.
         reason: why the conformal map was not taken, or empty.
         points: those of the conformal map before repair, shape [V, 3]; None if it could not be computed.
         repaired_flips: flips of the conformal map that were repaired.
@@ -45,6 +46,7 @@ def bijective_start(
     surface: Surface,
     *,
     published: bool = False,
+    given: NDArray[np.float64] | None = None,
     device: str | None = "auto",
     progress: Progress | None = None,
 ) -> Start:
@@ -56,15 +58,18 @@ def bijective_start(
     Args:
         surface: a valid closed mesh.
         published: take section 4.1's map as the paper has it, in place of the discrete harmonic map.
+        given: points of the user's in place of either, unit vectors, shape [V, 3]; triangles may be flipped there.
         device: where kernels run.
         progress: called with a stage name, done, total and details.
 
     Raises:
         OmtwarpError: no start was found; even the coarse-to-fine embedding failed.
     """
-    budget = RepairBudget(surface)
+    budget, name = RepairBudget(surface), "conformal" if given is None else "given"
     try:
-        if published:
+        if given is not None:
+            points = given
+        elif published:
             points = conformal_map(surface, device=device, progress=progress).sphere
         else:
             points = harmonic_points(surface, device=device, progress=progress).sphere
@@ -72,16 +77,16 @@ def bijective_start(
         return Start(_embedded(surface, device, progress), "hierarchical", str(error), None, 0)
     small = shrunken_triangles(surface, points)
     if small:
-        reason = f"the conformal map shrinks {small} triangles below an area of {SMALLEST_AREA:g} on the unit sphere"
+        reason = f"the {name} map shrinks {small} triangles below an area of {SMALLEST_AREA:g} on the unit sphere"
     else:
         examined = examine(points, surface.on(device).faces, device=device)
         if examined.bijective:
-            return Start(points, "conformal", "", points, 0)
+            return Start(points, name, "", points, 0)
         repaired = untangle(surface, points, budget=budget, device=device)
         if repaired.bijective:
-            return Start(repaired.sphere, "conformal, repaired", "", points, examined.flips)
+            return Start(repaired.sphere, f"{name}, repaired", "", points, examined.flips)
         reason = (
-            f"the conformal map flips {examined.flips} of {surface.face_count} triangles, and {repaired.flips_after} "
+            f"the {name} map flips {examined.flips} of {surface.face_count} triangles, and {repaired.flips_after} "
             "could not be repaired"
         )
     return Start(_embedded(surface, device, progress), "hierarchical", reason, points, 0, budget.exhausted)
