@@ -150,8 +150,6 @@ class MirroredSphere(Sphere):
         device: a Warp device.
     """
 
-    has_local_steps = False
-
     def __init__(self, double: Double, surface: Surface, device: wp.Device):
         super().__init__(surface, device)
         self._double = double

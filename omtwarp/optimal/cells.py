@@ -42,13 +42,11 @@ class Cells(Protocol):
     Attributes:
         wanted: their areas, shape [N].
         tolerances: root mean square and largest relative error up to which areas count as kept.
-        has_local_steps: whether single vertices may take steps of their own (:mod:`omtwarp.optimal.local`).
         first_curvature_share: share of the curvature of areas in the first matrix of a minimisation.
     """
 
     wanted: Numbers
     tolerances: tuple[float, float]
-    has_local_steps: bool
     first_curvature_share: float
 
     def areas(self, triangles: wp.array) -> Numbers:
@@ -79,7 +77,6 @@ class RingCells:
     """
 
     tolerances = (MAX_RING_RMS, MAX_RING_ERROR)
-    has_local_steps = True
     first_curvature_share = MIN_CURVATURE_SHARE
 
     def __init__(self, surface: Surface, device: wp.Device):
@@ -137,7 +134,6 @@ class TriangleCells:
     """
 
     tolerances = (MAX_CELL_RMS, MAX_CELL_ERROR)
-    has_local_steps = False
     first_curvature_share = 1.0  # areas of triangles start farther off than those around vertices
 
     def __init__(self, quartered: QuarteredSurface):

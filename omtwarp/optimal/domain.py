@@ -25,12 +25,10 @@ class Domain(Protocol):
     Attributes:
         surface: what is mapped.
         device: a Warp device.
-        has_local_steps: whether single vertices may take steps of their own (:mod:`omtwarp.optimal.local`).
     """
 
     surface: Surface
     device: wp.Device
-    has_local_steps: bool
 
     def sent(self, values: Numbers) -> wp.array:
         """Return points or vectors of the vertices, shape [V, D], as an array on the device."""

@@ -82,7 +82,8 @@ class TransportEnergy:
         surface: what is mapped, V vertices, F faces and E edges.
         device: a Warp device.
         exact_tolerance: largest relative error after :func:`omtwarp.optimal.restoration.restore_areas`.
-        has_local_steps: whether :class:`omtwarp.optimal.local.LocalSteps` may move single vertices of the maps.
+        has_local_steps: whether :class:`omtwarp.optimal.local.LocalSteps` may move single vertices of the maps; they
+            know the energy of :func:`omtwarp.optimal.sphere.energy_on_sphere` alone.
         first_curvature_share: share of the curvature of areas in the first matrix of a minimisation.
     """
 
@@ -103,7 +104,7 @@ class TransportEnergy:
         self.domain, self.cells, self.vertex_cost, self.shape = domain, cells, cost, shape
         self.shape_weight, self.cost_weight, self.area_weight = shape_weight, cost_weight, area_weight
         self.surface, self.device = domain.surface, domain.device
-        self.has_local_steps = domain.has_local_steps and cells.has_local_steps
+        self.has_local_steps = False
         self.first_curvature_share = cells.first_curvature_share
         self._workspace = workspace
         self._newton = NewtonMatrix.of_surface(domain.surface, workspace)

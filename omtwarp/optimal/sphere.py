@@ -30,8 +30,6 @@ class Sphere:
         device: a Warp device.
     """
 
-    has_local_steps = True
-
     def __init__(self, surface: Surface, device: wp.Device):
         self.surface, self.device = surface, device
         self._faces = surface.on(device).faces
@@ -194,7 +192,10 @@ def energy_on_sphere(
     kept = RingCells(surface, device) if cells is None else cells
     cost, shape = GeodesicCost(surface, start, device, softness), SphereShape(surface, device)
     weights = shape_weight, cost_weight, area_weight
-    return TransportEnergy(Sphere(surface, device), kept, cost, shape, *weights, workspace=shape.distortion.workspace)
+    workspace = shape.distortion.workspace
+    energy = TransportEnergy(Sphere(surface, device), kept, cost, shape, *weights, workspace=workspace)
+    energy.has_local_steps = isinstance(kept, RingCells)
+    return energy
 
 
 __all__ = ["GeodesicCost", "Sphere", "SphereShape", "energy_on_sphere"]

@@ -56,7 +56,6 @@ class WarpEnergy(TransportEnergy):
         cost = GeodesicCost(sphere, vectors(sphere.vertices, device), device)
         domain, workspace = Sphere(sphere, device), self.distortion.workspace
         super().__init__(domain, cells, cost, shape, 1.0, 0.0, area_weight, workspace=workspace)
-        self.has_local_steps = False  # they know the distortion alone
 
     def cost(self, terms: MapTerms) -> float:
         """Return 4π, a mean of 1: gains are compared with the distortion, not with a cost."""

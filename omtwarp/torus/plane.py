@@ -48,8 +48,6 @@ class _OnTorus:
 class Plane(_OnTorus):
     """The universal cover of a torus as the :class:`omtwarp.optimal.domain.Domain` of one surface's maps."""
 
-    has_local_steps = False
-
     def sent(self, values: Floats) -> wp.array:
         """Return points or vectors, shape [V, 2], as vec2d."""
         return _kept(values, wp.vec2d)
