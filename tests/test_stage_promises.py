@@ -11,7 +11,7 @@ import omtwarp
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.metrics.certificate import certify_triangles
-from omtwarp.optimal.energy import MAX_RING_ERROR, MAX_RING_RMS
+from omtwarp.optimal.cells import MAX_RING_ERROR, MAX_RING_RMS
 from omtwarp.transport.cost import AreaMonitor
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
