@@ -127,7 +127,7 @@ def torus_page(tmp_path_factory) -> Path:
 
 
 def test_a_torus_has_a_view_with_a_pattern_that_repeats(browser, torus_page):
-    """The ring lies flat and shows spots of all hues, as a ring torus too, and as large inside as outside through the final map."""
+    """The ring lies flat and shows spots of all hues, as a ring torus too, as large inside as outside by the map."""
     browser.complaints.clear()
     assert browser.open(f"{torus_page.as_uri()}#colouring=plain") == "live"
     plain, spotted = (choose(browser, colouring=name) for name in ("plain", "picture"))
