@@ -22,6 +22,7 @@ from omtwarp.optimal.exact import CELL_GAIN, ITERATIONS, minimise_cells
 from omtwarp.optimal.solver import GAIN, PENALTY, SHAPE_WEIGHT, OptimalMap, minimise, softness
 from omtwarp.optimal.sphere import GeodesicCost, Sphere, SphereShape
 from omtwarp.options import Cost, Progress
+from omtwarp.refine.energy import DistortionEnergy
 from omtwarp.solvers.cholesky import dissect
 from omtwarp.solvers.mesh_factor import SaddlePointFactor, saddle_factor, saddle_factor_of_cells
 from omtwarp.solvers.triangle_newton.motion_kernels import from_tangent, to_tangent
@@ -218,7 +219,8 @@ def mirrored_energy(
         mirror = MirrorFactor(double, surface, device)
     else:
         mirror = MirrorCellFactor(double, surface, device, cells.vertices)
-    cost, shape = GeodesicCost(surface, start, device, softness), SphereShape(surface, device)
+    cost = GeodesicCost(surface, start, device, softness)
+    shape = SphereShape(DistortionEnergy(surface, device))
     domain = MirroredSphere(double, surface, device)
     return MirroredEnergy(mirror, domain, kept, cost, shape, shape_weight, area_weight)
 

@@ -143,15 +143,11 @@ class SphereShape:
     """The distortion of the triangles of a surface's maps to the sphere.
 
     Args:
-        surface: V vertices, F faces.
-        device: a Warp device.
-
-    Attributes:
         distortion: evaluates it.
     """
 
-    def __init__(self, surface: Surface, device: wp.Device):
-        self.distortion = DistortionEnergy(surface, device)
+    def __init__(self, distortion: DistortionEnergy):
+        self.distortion = distortion
 
     def terms(self, points: wp.array) -> Terms:
         """Return the distortion of a map."""
@@ -190,7 +186,7 @@ def energy_on_sphere(
         softness: as of :class:`GeodesicCost`.
     """
     kept = RingCells(surface, device) if cells is None else cells
-    cost, shape = GeodesicCost(surface, start, device, softness), SphereShape(surface, device)
+    cost, shape = GeodesicCost(surface, start, device, softness), SphereShape(DistortionEnergy(surface, device))
     weights = shape_weight, cost_weight, area_weight
     workspace = shape.distortion.workspace
     energy = TransportEnergy(Sphere(surface, device), kept, cost, shape, *weights, workspace=workspace)

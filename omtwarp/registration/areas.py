@@ -51,8 +51,8 @@ class WarpEnergy(TransportEnergy):
     ):
         device = resolve_device("cpu")
         self.distortion = DistortionEnergy(sphere, device, most_strain=most_strain, vertex_term=vertex_term)
-        cells, shape = RingCells(sphere, device), SphereShape(sphere, device)
-        cells.wanted, shape.distortion = areas_around(sphere.vertices, sphere.faces), self.distortion
+        cells, shape = RingCells(sphere, device), SphereShape(self.distortion)
+        cells.wanted = areas_around(sphere.vertices, sphere.faces)
         cost = GeodesicCost(sphere, vectors(sphere.vertices, device), device)
         domain, workspace = Sphere(sphere, device), self.distortion.workspace
         super().__init__(domain, cells, cost, shape, 1.0, 0.0, area_weight, workspace=workspace)

@@ -26,8 +26,8 @@ from omtwarp.untangling.steps import FlipFreeSteps
 Floats = NDArray[np.float64]
 
 
-class _OnTorus:
-    """The triangles of one surface in the universal cover, on the host.
+class Plane:
+    """The universal cover of a torus as the :class:`omtwarp.optimal.domain.Domain` of one surface's maps, on the host.
 
     Args:
         surface: of genus 1, V vertices and F faces; its areas add up to 4π, as the torus's does.
@@ -43,10 +43,6 @@ class _OnTorus:
         """Launch a kernel over all triangles of a map."""
         given = [points, self.shift, self.mesh.faces, *inputs]
         wp.launch(kernel, dim=self.surface.face_count, inputs=given, outputs=outputs, device=self.device)
-
-
-class Plane(_OnTorus):
-    """The universal cover of a torus as the :class:`omtwarp.optimal.domain.Domain` of one surface's maps."""
 
     def sent(self, values: Floats) -> wp.array:
         """Return points or vectors, shape [V, 2], as vec2d."""
@@ -117,16 +113,16 @@ class PlaneSteps(FlipFreeSteps):
         return trouble if int(count.numpy()[0]) else None
 
 
-class PlaneCost(_OnTorus):
+class PlaneCost:
     """The squared distance that every vertex moves.
 
     Args:
-        surface, torus: as of :class:`Plane`.
+        plane: where the vertices move.
         start: x in the plane, shape [V, 2].
     """
 
-    def __init__(self, surface: Surface, torus: FlatTorus, start: Floats):
-        super().__init__(surface, torus)
+    def __init__(self, plane: Plane, start: Floats):
+        self._plane = plane
         self._start = _kept(start, wp.vec2d)
 
     def values(self, points: wp.array) -> Floats:
@@ -136,16 +132,17 @@ class PlaneCost(_OnTorus):
     def gradient(self, points: wp.array, masses: Floats, potential: Floats) -> Floats:
         """Return the gradient of Σ masses_v cost_v + Σ potential_f area_f by the vertices, shape [V, 2]."""
         gradient = wp.empty(len(points), dtype=wp.vec2d, device="cpu")
-        weights = [_kept(masses, wp.float64), _kept(potential, wp.float64)]
-        inputs = [self._start, points, self.shift, self.mesh.faces, *weights, *self.mesh.vertex_corners]
+        plane, weights = self._plane, [_kept(masses, wp.float64), _kept(potential, wp.float64)]
+        inputs = [self._start, points, plane.shift, plane.mesh.faces, *weights, *plane.mesh.vertex_corners]
         wp.launch(kernels.plane_transport_gradient, dim=len(points), inputs=inputs, outputs=[gradient], device="cpu")
         return gradient.numpy()
 
     def hessian(self, points: wp.array, masses: Floats, least: float) -> Floats:
         """Return the second derivative at the optimum, with raised eigenvalues, shape [V, 2, 2]."""
         metric = wp.empty((len(points), 4), dtype=wp.float64, device="cpu")
-        mesh = [self.shift, self.mesh.faces, _kept(masses, wp.float64), *self.mesh.vertex_corners]
-        inputs = [self._start, points, *mesh, wp.float64(least)]
+        mesh = self._plane.mesh
+        weights = [_kept(masses, wp.float64), *mesh.vertex_corners, wp.float64(least)]
+        inputs = [self._start, points, self._plane.shift, mesh.faces, *weights]
         wp.launch(kernels.plane_cost_metric, dim=len(points), inputs=inputs, outputs=[metric], device="cpu")
         return metric.numpy().reshape(-1, 2, 2)
 
@@ -168,34 +165,42 @@ class PlaneTerms:
         return self.angle + weight * self.area
 
 
-class PlaneShape(_OnTorus):
-    """The distortion of the triangles, angle plus a weight times area, averaged over the surface."""
+class PlaneShape:
+    """The distortion of the triangles, angle plus a weight times area, averaged over the surface.
 
-    def __init__(self, surface: Surface, torus: FlatTorus):
-        super().__init__(surface, torus)
+    Args:
+        plane: where the vertices move.
+    """
+
+    def __init__(self, plane: Plane):
+        self._plane, surface = plane, plane.surface
         self._frames = _kept(triangle_frames(surface), wp.vec3d)
         self._weights = _kept(surface.face_areas / SPHERE_AREA, wp.float64)
 
     def terms(self, points: wp.array) -> PlaneTerms:
         """Return the distortion of a map."""
-        areas, angle, area = (wp.empty(self.surface.face_count, dtype=wp.float64, device="cpu") for _ in range(3))
-        self.launch(kernels.plane_triangles, points, [self._frames], [areas, angle, area])
+        areas, angle, area = (
+            wp.empty(self._plane.surface.face_count, dtype=wp.float64, device="cpu") for _ in range(3)
+        )
+        self._plane.launch(kernels.plane_triangles, points, [self._frames], [areas, angle, area])
         shares = self._weights.numpy()
         return PlaneTerms(float(shares @ angle.numpy()), float(shares @ area.numpy()), areas)
 
     def gradient(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
         """Return the gradient by the vertices, vec2d, shape [V]."""
-        out = wp.empty((self.surface.face_count, 3), dtype=wp.vec2d, device="cpu")
-        self.launch(kernels.plane_gradients, points, [self._frames, self._weights, wp.float64(weight)], [out])
+        out = wp.empty((self._plane.surface.face_count, 3), dtype=wp.vec2d, device="cpu")
+        self._plane.launch(kernels.plane_gradients, points, [self._frames, self._weights, wp.float64(weight)], [out])
         sums = wp.empty(len(points), dtype=wp.vec2d, device="cpu")
-        inputs = [*self.mesh.vertex_corners, out.flatten()]
+        inputs = [*self._plane.mesh.vertex_corners, out.flatten()]
         wp.launch(kernels.sum_at_vertices, dim=len(points), inputs=inputs, outputs=[sums], device="cpu")
         return sums
 
     def hessian(self, points: wp.array, terms: ShapeTerms, weight: float, curvature_share: float) -> wp.array:
         """Return every triangle's Hessian without the areas' own curvature, shape [F, 21]."""
-        hessians = wp.empty((self.surface.face_count, 21), dtype=wp.float64, device="cpu")
-        self.launch(kernels.plane_hessians, points, [self._frames, self._weights, wp.float64(weight)], [hessians])
+        hessians = wp.empty((self._plane.surface.face_count, 21), dtype=wp.float64, device="cpu")
+        self._plane.launch(
+            kernels.plane_hessians, points, [self._frames, self._weights, wp.float64(weight)], [hessians]
+        )
         return hessians
 
 
@@ -220,7 +225,7 @@ def energy_on_torus(
     """
     plane = Plane(surface, torus)
     kept = RingCells(surface, plane.device) if cells is None else cells
-    cost, shape = PlaneCost(surface, torus, start), PlaneShape(surface, torus)
+    cost, shape = PlaneCost(plane, start), PlaneShape(plane)
     return TransportEnergy(plane, kept, cost, shape, shape_weight, cost_weight, area_weight)
 
 

@@ -58,10 +58,10 @@ def transport_on_torus(
     y = x if start is None else start.coordinates @ start.lattice
     masses = surface.vertex_areas / SPHERE_AREA
     y = y - masses @ (y - x)
-    at = energy_on_torus(surface, torus, x, 1.0)
-    terms = at.terms(at.domain.sent(y))
-    term = shape_term_by_law(at.cost(terms) / SPHERE_AREA, terms.shape.angle + 2.0)
-    energy = energy_on_torus(surface, torus, x, term.weight, area_weight=term.area)
+    energy = energy_on_torus(surface, torus, x, 1.0)
+    terms = energy.terms(energy.domain.sent(y))
+    term = shape_term_by_law(energy.cost(terms) / SPHERE_AREA, terms.shape.angle + 2.0)
+    energy.shape_weight, energy.area_weight = term.weight, term.area
     found = minimise(energy, y, gain=GAIN, iterations=STEPS, progress=_shown(progress))
     points, _ = restore_areas(energy, found.points)
     after = energy.terms(energy.domain.sent(points))
