@@ -96,7 +96,7 @@ def defaults(tmp_path_factory):
     paint(result, None, uv="atlas", bake=["ao"]).export(folder / "occlusion.glb")
     write_mesh(folder / "sphere.glb", ball.vertices, ball.faces)
     ring = trimesh.creation.torus(1.0, 0.4, major_sections=24, minor_sections=12)
-    on_torus = map_surface((ring.vertices, ring.faces), torus=True, device="cpu")
+    on_torus = map_surface((ring.vertices, ring.faces), domain="torus", device="cpu")
     texture(on_torus).export(folder / "torus.glb")
     return {path.stem: path for path in sorted(folder.glob("*.glb"))}
 
