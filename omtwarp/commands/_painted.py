@@ -47,6 +47,28 @@ def read_sound_painted(path: Path, repair: bool) -> tuple[PaintedMesh, Surface]:
     return mesh, surface
 
 
+def with_objects(path: Path | None, result: MapResult | TorusMap) -> PaintedMesh:
+    """Return the surface of a map as a plain mesh, with the names of objects in the file that it is from.
+
+    Faces that the file has not get its first name.
+
+    Args:
+        path: the file; one that is no OBJ has no names.
+        result: the map that was made of it.
+    """
+    import numpy as np
+
+    from omtwarp.texturing import PaintedMesh
+    from omtwarp.texturing.read import read_objects
+
+    mesh = PaintedMesh(result.vertices, result.faces)
+    names, numbers = ((), None) if path is None else read_objects(path)
+    if numbers is None:
+        return mesh
+    origin = np.arange(len(result.faces)) if result.origins is None else result.origins.face_origin
+    return dataclasses.replace(mesh, objects=names, face_object=np.where(origin < 0, 0, numbers[origin]))
+
+
 def painted_map(
     path: Path, source: Source, mapping: MapOptions, printing: Printing
 ) -> tuple[PaintedMesh, MapResult | TorusMap]:

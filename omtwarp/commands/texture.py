@@ -18,7 +18,7 @@ from omtwarp.commands._options import (
     UpOption,
     output_option,
 )
-from omtwarp.commands._painted import painted_map, standing
+from omtwarp.commands._painted import painted_map, standing, with_objects
 from omtwarp.commands._progress import step_times
 from omtwarp.commands._streams import warnings_as_lines
 from omtwarp.commands._work import map_from, require_bijective, show_each, start_device, targets_of, with_files
@@ -199,10 +199,13 @@ def texture_mesh(
         made: PaintedMesh | TexturedSurface
         with step_times(printing.verbose) as done:
             if by_materials:
+                painted = painted or with_objects(mesh, result)
                 made, pictures, words = _painted(result, painted, image, painting, width, mapping.device, look)
             else:
                 size, blurred = _size_of(result, picture, look.atlas)
                 made = textured = texture(result, image, seam_longitude=seam, size=size, device=mapping.device, **looks)
+                named = with_objects(mesh, result)
+                textured.objects, textured.face_object = named.objects, named.face_object
                 rows, columns = textured.image.shape[:2]
                 pictures = [{"what": "colour", "width": columns, "height": rows}]
                 words = f"textured, {columns} x {rows} texels{blurred}"

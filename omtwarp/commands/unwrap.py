@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from omtwarp.commands._options import FrontOption, Only, Printing, Source, UpOption, output_option
-from omtwarp.commands._painted import standing
+from omtwarp.commands._painted import standing, with_objects
 from omtwarp.commands._work import map_from, require_bijective, show_each, start_device, targets_of, with_files
 from omtwarp.files.output import check_output
 from omtwarp.options import MapOptions
@@ -45,6 +46,8 @@ def unwrap_mesh(
         require_bijective(result, source.finished)
         result = standing(result, source.finished or mesh, up, front)
         made, charts = laid_out(result, aspect=aspect, margin=margin)
+        named = with_objects(mesh, result)
+        made = replace(made, objects=named.objects, face_object=named.face_object)
         files = made.export(target, keep=(mesh, source.finished))
         facts = {"output": str(target), "files": [str(file) for file in files], "vertices": len(made.vertices)}
         facts |= {"faces": len(made.faces), "charts": charts}

@@ -323,8 +323,6 @@ class _Job:
         self, material: Material, color: NDArray[np.float32] | None, target: bakes.Target, tangents: Floats | None
     ) -> Material:
         """Complete a material by its new colour and the bakes that were asked for."""
-        # Colour of a mesh that has no material, on which ambient occlusion shows: a light grey.
-        neutral = (0.8, 0.8, 0.8, 1.0)
         wanted = self.wanted
         if color is not None:
             finished = replace(material, picture=_opaque_if_it_is(as_bytes(color)), color=WHITE)
@@ -334,8 +332,6 @@ class _Job:
             where = self.on_map, self.parts, self.origins, self.structure
             number = bakes.scalar(wanted.color, self.vertices, self.faces, *where)
             finished = replace(material, picture=number.picture(target, self.faces), color=WHITE)
-        elif self.own is None:
-            finished = replace(material, color=neutral)
         else:
             finished = material
         if "ao" in wanted.names:
@@ -382,16 +378,19 @@ class _Job:
 
     def _mesh_of(self, sheet: Sheet) -> PaintedMesh:
         """Return the mesh of a sheet, with the materials that are kept."""
-        materials = (Material("texture"),) if self.own is None or self.keep is None else self.own.materials
-        numbers = None if len(materials) == 1 or self.own is None else self.own.material_of[sheet.source_face]
+        own, source = self.own, sheet.source_face
+        # A light grey, on which ambient occlusion shows
+        materials = (Material("texture", (0.8, 0.8, 0.8, 1.0)),) if own is None or self.keep is None else own.materials
         return PaintedMesh(
             sheet.vertices,
             sheet.faces,
             sheet.uv,
             materials,
-            numbers,
+            None if len(materials) == 1 or own is None else own.material_of[source],
             wraps_rows=sheet.repeats,
-            source_files=() if self.own is None else self.own.source_files,
+            source_files=() if own is None else own.source_files,
+            objects=() if own is None else own.objects,
+            face_object=None if own is None or own.face_object is None else own.face_object[source],
         )
 
     def _atlas_base(self, own: PaintedMesh, target: bakes.Target) -> NDArray[np.float32]:

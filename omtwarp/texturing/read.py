@@ -256,6 +256,22 @@ def _obj_corners(statements: _Statements) -> tuple[NDArray[np.int64], Floats | N
     return vertex[rows], uv, face, notes
 
 
+def read_objects(path: str | os.PathLike[str]) -> tuple[tuple[tuple[str, str], ...], Ints | None]:
+    """Read the names of object and group of an OBJ file, and the number of these of every triangle, shape [F].
+
+    Other formats have no names, and no numbers: None.
+
+    Raises:
+        OmtwarpError: the file cannot be read.
+    """
+    data, suffix = mesh_content(Path(path))
+    if suffix != "obj":
+        return (), None
+    statements = _statements(utf8(data))
+    belongs = np.repeat(np.array(statements.belongs, dtype=np.int32), np.maximum(np.array(statements.sizes) - 2, 0))
+    return tuple(statements.objects), belongs
+
+
 def _from_obj(data: bytes, file: Path) -> PaintedMesh:
     """Read an OBJ file and its material libraries."""
     statements = _statements(utf8(data))

@@ -77,6 +77,8 @@ class TexturedSurface:
         atlas: how the sphere is laid out on the image.
         rotation: the texture's rotation on the sphere, shape [3, 3].
         original_sphere: the map of the input's vertices, shape [V, 3].
+        objects: names of object and group for ``.obj``, empty ones for none.
+        face_object: number of these of every face of the input, shape [F]; None where there are none.
     """
 
     vertices: Floats
@@ -97,6 +99,8 @@ class TexturedSurface:
     atlas: Atlas | None = None
     rotation: Floats | None = None
     original_sphere: Floats | None = None
+    objects: tuple[tuple[str, str], ...] = ()
+    face_object: Ints | None = None
 
     def __repr__(self) -> str:
         height, width = self.image.shape[:2]
@@ -180,14 +184,16 @@ class TexturedSurface:
             write_mesh(path, self.original_vertices, self.original_faces, beside=dict(channels))
             return [as_path(path)]
         _, first = np.unique(self.welded, return_index=True)
+        belongs = None if self.face_object is None else self.face_object[self.source_face]
         return export(
             path,
             self.vertices[first],
             self.normals[first],
-            [Part(Material("texture", picture=self.image), self.faces, self.welded, self.uv)],
+            [Part(Material("texture", picture=self.image), self.faces, self.welded, self.uv, belongs=belongs)],
             wraps=(self.wraps, self.wraps_rows),
             keep=(*keep, self.source_image),
             texture_format=texture_format,
+            objects=self.objects,
         )
 
 

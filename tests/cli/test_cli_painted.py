@@ -67,6 +67,32 @@ def test_obj_gets_a_library_and_its_pictures_and_leaves_the_input_alone(desk, ca
     assert status == 1 and "it is the input" in err
 
 
+def middles(mesh):
+    return mesh.vertices[mesh.faces].mean(axis=1)
+
+
+@pytest.mark.parametrize("words", ["texture", "texture --bake ao", "texture --keep-materials over", "unwrap"])
+def test_a_new_layout_keeps_the_names_of_objects(tmp_path, monkeypatch, capsys, words):
+    """Every triangle is in the object and group whose part of the surface it lies on, cut or not."""
+    monkeypatch.chdir(tmp_path)
+    ball = omtwarp.shapes.icosphere(4)
+    low, high = (ball.faces[(middles(ball)[:, 2] > 0) == above] + 1 for above in (0, 1))
+    lines = ["v {} {} {}".format(*point) for point in ball.vertices.tolist()]
+    for names, faces in ((["o south"], low[1:]), (["o north", "g cap"], high), (["o south", "g"], low[:1])):
+        lines += [*names, *("f {} {} {}".format(*face) for face in faces)]
+    Path("in.obj").write_text("\n".join(lines) + "\n")
+    sized = ["--size", "64"] if words.startswith("texture") else []
+    command, *more = words.split()
+    status, _, err = run(capsys, command, "in.obj", "-o", "out.obj", *more, *sized)
+    assert status == 0, err
+    made = read_painted_mesh("out.obj")
+    assert made.objects == (("south", ""), ("north", "cap"))
+    share = np.einsum("fij,pj->pfi", np.linalg.inv(ball.vertices[ball.faces].transpose(0, 2, 1)), middles(made))
+    source = share.min(axis=2).argmax(axis=1)  # the triangle through which the ray to a middle goes
+    np.testing.assert_array_equal(made.face_object, middles(ball)[source, 2] > 0)
+    assert len(made.faces) > len(ball.faces) or command == "unwrap"
+
+
 def test_unwrap_then_transfer(desk, capsys):
     status, out, _ = run(capsys, *"unwrap --map two.npz -o new.obj".split())
     assert status == 0 and "6 charts" in out
