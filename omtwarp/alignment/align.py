@@ -67,10 +67,11 @@ class Alignment:
         return self.score - self.runner_up if self.runner_up > -1.0 else float("inf")
 
     def to_dict(self) -> dict[str, object]:
-        """Return all fields but the sphere as plain values, ready for JSON."""
+        """Return all fields but the sphere, and the margin (None if infinite) as plain values, ready for JSON."""
         plain = {name: value for name, value in vars(self).items() if name not in ("sphere", "rotation", "frame")}
         frame = None if self.frame is None else self.frame.tolist()
-        return plain | {"rotation": self.rotation.tolist(), "frame": frame}
+        margin = self.margin if np.isfinite(self.margin) else None
+        return plain | {"margin": margin, "rotation": self.rotation.tolist(), "frame": frame}
 
     def __repr__(self) -> str:
         mirrored = ", mirrored" if self.mirrored else ""

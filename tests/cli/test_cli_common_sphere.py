@@ -58,6 +58,7 @@ def test_align_to_another_map_and_back_again(desk, capsys):
     record = json.loads(capsys.readouterr().out)
     expected = random_rotation(2) @ random_rotation(1).T
     np.testing.assert_allclose(record["rotation"], expected, atol=1e-6)
+    assert record["margin"] == record["score"] - record["runner_up"] > 0.1
     found = MapResult.load("out.npz")
     np.testing.assert_allclose(found.sphere, SPHERE.vertices @ random_rotation(2).T, atol=1e-6)
     assert found.report["alignment"]["method"] == "features"
