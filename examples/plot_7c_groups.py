@@ -24,7 +24,7 @@ study = study_group(maps, ["control", "patient"] * 6, grid="ico3", degree=8)
 # Components are numbered by how much of the variance they explain. At every point Student's t compares the groups along
 # the mean surface's normal; p is corrected for the number of points.
 
-found = study.difference
+found = study.effects["group"]
 print("variance explained:", np.round(study.components.explained, 2))
 print(f"largest t {found.statistic.max():.1f}, smallest p {found.p_values.min():.3f}")
 print("distance of the first two:", shape_distance(maps[0], maps[1], degree=8))
@@ -34,9 +34,9 @@ print("distance of the first two:", shape_distance(maps[0], maps[1], degree=8))
 # it along the first component.
 
 mean, faces = study.alignment.mean, study.alignment.faces
-reach = np.abs(found.outward).max()
+reach = np.abs(found.size).max()
 views = [
-    SurfaceView(mean, faces, scalar=ScalarField(found.outward, "coolwarm", (-reach, reach), "outside")),
+    SurfaceView(mean, faces, scalar=ScalarField(found.size, "coolwarm", (-reach, reach), "outside")),
     SurfaceView(mean, faces, scalar=ScalarField(found.statistic, "viridis", (0.0, found.statistic.max()), "t")),
     *(SurfaceView(study.along(0, away).vertices, faces, color="#c9b79c") for away in (-2.0, 2.0)),
 ]

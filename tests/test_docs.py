@@ -89,6 +89,10 @@ def desk(tmp_path, monkeypatch) -> Path:
     for name in ("a", "b"):
         write_mesh(tmp_path / "shapes" / f"{name}.ply", surface.vertices, surface.faces)
     (tmp_path / "cohort.csv").write_text("path,group\nshapes/a.ply,control\nshapes/b.ply,patient\n")
+    members = [f"{k},{'ab'[k % 2]}.npz,{'abc'[k % 3]},{50 + k * k},{'north' if k < 4 else 'south'}" for k in range(9)]
+    (tmp_path / "subjects.csv").write_text(
+        "\n".join(["id,path,group,age,site", *members, ""]).replace("b.npz", "bunny.npz")
+    )
     (tmp_path / "face.txt").write_text("\n".join(str(1 + k % 3) for k in range(surface.vertex_count)))
     white = shapes.blob(seed=3, sphere=shapes.icosphere(8))
     write_mesh(tmp_path / "lh.white", white.vertices, white.faces)

@@ -38,6 +38,12 @@ def group(
         int, typer.Option(metavar="N", min=1, help="Number of permutations that test differences.")
     ] = 999,
     seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the random permutations.")] = 0,
+    covariate: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="COLUMN", help="A column of the table that may explain differences, such as age or site: repeat."
+        ),
+    ] = None,
     transport: Annotated[
         bool, typer.Option("--transport", help="Also compute transport distances of all pairs.")
     ] = False,
@@ -47,18 +53,20 @@ def group(
     """Compare a group of maps: mean shape, principal components, distances, and where two groups differ.
 
     The folder gets table.csv, distances.csv, transport.csv where asked for, the mean and the components as .ply, .vtk
-    and GIFTI, and report.html. Two groups, named in the table's column 'group', are compared point by point
-    with Student's t and permutations.
+    and GIFTI, and report.html. Groups, named in the table's column 'group', and covariates are tested point by point
+    with a linear model and permutations; each given all others.
     """
-    from omtwarp.shape_analysis.group import mirrored_words, study_group, two_groups
+    from omtwarp.shape_analysis.group import GROUP, mirrored_words, study_group, table_of
     from omtwarp.shape_analysis.group_report import SIGNIFICANT, write_group_report
+    from omtwarp.shape_analysis.linear_model import check_table
 
     check_folder(output)
-    names, paths, labels = _members(sources)
+    names, paths, labels, covariates = _members(sources, covariate or [])
     if len(paths) < 2:
         raise OmtwarpError(f"{len(paths)} map in all: a group needs at least two")
-    if labels is not None:
-        two_groups(labels, len(paths))
+    table = table_of(labels, covariates)
+    if table:
+        check_table(table, len(paths), GROUP)
     start_device(device)
     with folder_of_results(output, "table.csv", "distances.csv", "report.html"):  # refused before the work
         pass
@@ -67,6 +75,7 @@ def group(
         study = study_group(
             [load_whole_map(path) for path in paths],
             labels,
+            covariates=covariates,
             grid=grid,
             components=components,
             scale=scale,
@@ -78,11 +87,11 @@ def group(
             progress=progress,
         )
         with folder_of_results(output):
-            files = write_group_report(study, output, names, labels, _of_one_structure(paths))
+            files = write_group_report(study, output, names, labels, covariates, _of_one_structure(paths))
     mirrored = mirrored_words(study.alignment, names)
     if mirrored:
         say(f"warning: {mirrored}")
-    smallest = None if study.difference is None else float(study.difference.p_values.min())
+    smallest = {name: float(effect.p_values.min()) for name, effect in study.effects.items()}
     if printing.as_json:
         record = {
             "output": str(output),
@@ -91,14 +100,18 @@ def group(
             "explained": study.components.explained,
             "mirrored": [name for name, image in zip(names, study.alignment.mirrored, strict=True) if image],
             "smallest_p": smallest,
-            "significant_points": None
-            if study.difference is None
-            else int((study.difference.p_values <= SIGNIFICANT).sum()),
+            "significant_points": {
+                name: int((effect.p_values <= SIGNIFICANT).sum()) for name, effect in study.effects.items()
+            },
+            "discovered_points": {
+                name: int((effect.fdr <= SIGNIFICANT).sum()) for name, effect in study.effects.items()
+            },
         }
         print(report_text(record), end="")
     elif not printing.quiet:
         shares = ", ".join(f"{100 * share:.0f} %" for share in study.components.explained)
-        told = "" if smallest is None else f"; smallest corrected p of a difference {smallest:.3g}"
+        told = "; smallest corrected p of " + ", ".join(f"{name} {p:.3g}" for name, p in smallest.items())
+        told = told if smallest else ""
         print(f"{output / 'report.html'}: {len(paths)} shapes, components with {shares} of the variance{told}")
 
 
@@ -109,31 +122,37 @@ def _of_one_structure(paths: Sequence[Path]) -> Path | None:
     return paths[0] if len({structure_of(path) for path in paths}) == 1 else None
 
 
-def _members(sources: list[str]) -> tuple[list[str], list[Path], list[str] | None]:
-    """Return the name, file and group of every member; groups come from a table's column ``group``.
+def _members(
+    sources: list[str], wanted: Sequence[str]
+) -> tuple[list[str], list[Path], list[str] | None, dict[str, list[object]]]:
+    """Return the name, file and group of every member, and its covariates; both are columns of a table.
 
     Members of a cohort are those that it mapped, by the maps in its folder.
+
+    Raises:
+        OmtwarpError: a covariate that is no column, or some members have a group and others none.
     """
     from omtwarp.cohort.manifest import read_manifest
     from omtwarp.cohort.table import table_of_cohort
 
-    rows = table_of_cohort(Path(sources[0])) if len(sources) == 1 and sources[0] != str(STREAM) else None
-    if rows is not None:
-        return _mapped_members(sources[0], *rows)
-    if len(sources) == 1 and (sources[0] == str(STREAM) or Path(sources[0]).suffix.lower() in (".csv", ".tsv")):
-        items = read_manifest(input_table(sources[0]))
-        labels = [item.fields["group"] for item in items] if "group" in items[0].fields else None
-        return [item.id for item in items], [item.path for item in items], labels
-    paths = [Path(str(input_file(text))) for text in sources]
-    stems = [path.stem for path in paths]
-    return (stems if len(set(stems)) == len(stems) else [str(path) for path in paths]), paths, None
-
-
-def _mapped_members(
-    source: str, folder: Path, done: Sequence[Mapping[str, object]]
-) -> tuple[list[str], list[Path], list[str] | None]:
-    """Return name, file and group of every member that a cohort mapped, from the rows of its table."""
-    groups = [str(row["group"]) for row in done if row.get("group") is not None]
-    if groups and len(groups) < len(done):
-        raise OmtwarpError(f"{len(done) - len(groups)} of {len(done)} maps in '{source}' have no group")
-    return [str(row["id"]) for row in done], [folder / "maps" / f"{row['id']}.npz" for row in done], groups or None
+    rows: list[Mapping[str, object]]
+    one = sources[0] if len(sources) == 1 else ""
+    cohort = table_of_cohort(Path(one)) if one and one != str(STREAM) else None
+    if cohort is not None:
+        folder, rows = cohort[0], [*cohort[1]]
+        names = [str(row["id"]) for row in rows]
+        paths = [folder / "maps" / f"{name}.npz" for name in names]
+    elif one == str(STREAM) or Path(one).suffix.lower() in (".csv", ".tsv"):
+        items = read_manifest(input_table(one))
+        names, paths, rows = [item.id for item in items], [item.path for item in items], [item.fields for item in items]
+    else:
+        paths = [Path(str(input_file(text))) for text in sources]
+        stems = [path.stem for path in paths]
+        names, rows = stems if len(set(stems)) == len(stems) else [str(path) for path in paths], [{}] * len(paths)
+    missing = next((name for name in wanted if not any(name in row for row in rows)), None)
+    if missing is not None:
+        raise OmtwarpError(f"there is no column '{missing}': covariates are columns of the table of maps")
+    groups = [str(row["group"]) for row in rows if row.get("group") is not None]
+    if groups and len(groups) < len(rows):
+        raise OmtwarpError(f"{len(rows) - len(groups)} of {len(rows)} maps in '{one}' have no group")
+    return names, paths, groups or None, {name: [row.get(name) for row in rows] for name in wanted}

@@ -4,12 +4,15 @@ from omtwarp.shape_analysis.distance import ShapeDistance, shape_distance
 from omtwarp.shape_analysis.expansion import Expansion, expand, read_coef, write_coef
 from omtwarp.shape_analysis.group import GroupStudy, study_group
 from omtwarp.shape_analysis.group_report import write_group_report
+from omtwarp.shape_analysis.linear_model import Effect, linear_effects
 
 __all__ = [
+    "Effect",
     "Expansion",
     "GroupStudy",
     "ShapeDistance",
     "expand",
+    "linear_effects",
     "read_coef",
     "shape_distance",
     "study_group",

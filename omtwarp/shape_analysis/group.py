@@ -1,9 +1,9 @@
-"""A group of shapes: their mean, principal components, distances, and where two parts of the group differ."""
+"""A group of shapes: their mean, principal components, distances, and where its parts differ."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,10 +16,11 @@ from omtwarp.mesh.surface import Surface, vertex_normals
 from omtwarp.options import Progress
 from omtwarp.resampling import as_points
 from omtwarp.shape_analysis.distance import DEGREE, distance_matrix, transport_matrix
+from omtwarp.shape_analysis.linear_model import PERMUTATIONS, Effect, check_table, linear_effects
 
 Floats = NDArray[np.float64]
 
-PERMUTATIONS = 999  # the smallest p value is then 0.001
+GROUP = ("group",)  # the column of labels, whose numbers are names too
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,26 +41,6 @@ class PrincipalComponents:
 
 
 @dataclass(frozen=True, eq=False)
-class GroupDifference:
-    """Where two groups differ, point by point of the mean.
-
-    Attributes:
-        names: of the two groups.
-        displacement: mean of the second less mean of the first, in the surfaces' unit, float64, shape [V, 3].
-        outward: its part along the mean surface's normal, shape [V].
-        statistic: Student's two-sample t of displacements along the normal, shape [V].
-        p_values: share of the permutations whose largest t in size over all points is at least as large as that here:
-            corrected for the number of points; shape [V].
-    """
-
-    names: tuple[str, str]
-    displacement: Floats
-    outward: Floats
-    statistic: Floats
-    p_values: Floats
-
-
-@dataclass(frozen=True, eq=False)
 class GroupStudy:
     """Findings about a group of shapes.
 
@@ -69,7 +50,8 @@ class GroupStudy:
         distances: root mean square distances of all pairs, shape [N, N]; see
             :func:`omtwarp.shape_analysis.shape_distance`.
         from_mean: of each shape at the grid's points, shape [N].
-        difference: of two groups, where labels were given; else None.
+        effects: of the groups, where labels were given, and of every covariate, on displacements along the mean
+            surface's normal, in the surfaces' unit, outwards positive.
         transport: transport distances of all pairs in radians, shape [N, N], where they were asked for; else None.
     """
 
@@ -77,7 +59,7 @@ class GroupStudy:
     components: PrincipalComponents
     distances: Floats
     from_mean: Floats
-    difference: GroupDifference | None
+    effects: dict[str, Effect]
     transport: Floats | None = None
 
     @property
@@ -102,6 +84,7 @@ def study_group(
     maps: Sequence[MapResult],
     labels: Sequence[str] | None = None,
     *,
+    covariates: Mapping[str, Sequence[object]] | None = None,
     grid: str = "ico4",
     components: int = 5,
     scale: bool = False,
@@ -116,12 +99,15 @@ def study_group(
 
     Args:
         maps: at least two maps with their surfaces.
-        labels: which of two groups each shape belongs to; no difference is sought without them.
+        labels: which of two or more groups each shape belongs to.
+        covariates: what else may explain differences, by name, a value for each shape: numbers as they are, words as
+            factors. Each, and the groups, are tested given all others (:func:`linear_effects`); displacements within
+            the surface are left out: where a part grows, an area-preserving map moves points along it everywhere.
         grid: a triangulated sphere by name, whose points are compared.
         components: the largest number of principal components.
         scale: scale shapes to the same size.
         degree: the highest degree of the harmonics in distances.
-        permutations: number of random exchanges of labels for the test.
+        permutations: number of random orders for the tests.
         seed: of these.
         transport: also measure the transport distances of all pairs (:func:`omtwarp.shape_analysis.shape_distance`);
             a pair of shapes with 700 vertices takes half a second.
@@ -133,7 +119,8 @@ def study_group(
         The findings.
 
     Raises:
-        OmtwarpError: fewer than two maps, labels that do not fit, or too few vertices for the degree.
+        OmtwarpError: fewer than two maps, labels or covariates that :func:`linear_effects` refuses, or too few vertices
+            for the degree.
 
     Warns:
         OmtwarpWarning: some shapes fit the first better as mirror images, as left sides fit right ones. They are
@@ -150,7 +137,9 @@ def study_group(
     """
     if components < 1 or permutations < 1:
         raise OmtwarpError(f"{components} components, {permutations} permutations: give at least 1 of each")
-    names = None if labels is None else two_groups(labels, len(maps))
+    table = table_of(labels, covariates)
+    if table:
+        check_table(table, len(maps), GROUP)
     # Highest degree of the features that spheres are aligned by: coarse form determines positions, detail varies. Tubes
     # that vary by 5 % end within 2 to 4 degrees of one another with degree 4.
     mean = procrustes_mean(maps, grid=grid, scale=scale, degree=4, device=device, progress=progress)
@@ -159,10 +148,9 @@ def study_group(
     weights = as_points(grid, "the grid").grid.areas
     moved = mean.surfaces - mean.mean
     shares = weights / weights.sum()
-    difference = None
-    if labels is not None and names is not None:
-        chosen = np.array([label == names[1] for label in labels])
-        difference = group_difference(mean.surfaces, chosen, names, mean.faces, permutations, seed)
+    normals = vertex_normals(mean.surfaces.mean(axis=0), mean.faces)
+    heights = np.einsum("nvd,vd->nv", mean.surfaces, normals)
+    effects = linear_effects(heights, table, factors=GROUP, permutations=permutations, seed=seed) if table else {}
     whole = [one.closed() for one in maps]
     spheres = [one.sphere @ turn.T for one, turn in zip(whole, mean.rotations, strict=True)]
     return GroupStudy(
@@ -170,9 +158,24 @@ def study_group(
         principal_components(moved, shares, components),
         distance_matrix(spheres, whole, degree, scale),
         np.sqrt(np.einsum("v,nvd->n", shares, moved**2)),
-        difference,
+        effects,
         transport_matrix(maps, device=device, progress=progress) if transport else None,
     )
+
+
+def table_of(
+    labels: Sequence[str] | None, covariates: Mapping[str, Sequence[object]] | None
+) -> dict[str, Sequence[object]]:
+    """Return the columns of a group's linear model: its labels, if any, and the covariates.
+
+    Raises:
+        OmtwarpError: a covariate has the name of the labels.
+    """
+    table: dict[str, Sequence[object]] = {} if labels is None else {GROUP[0]: labels}
+    twice = next((name for name in covariates or {} if name in table), None)
+    if twice is not None:
+        raise OmtwarpError(f"'{twice}' is the column of groups already: give other covariates")
+    return {**table, **(covariates or {})}
 
 
 def mirrored_words(alignment: GroupAlignment, names: Sequence[str]) -> str:
@@ -191,23 +194,6 @@ def mirrored_words(alignment: GroupAlignment, names: Sequence[str]) -> str:
         f"{which} {fits} {names[0]} better as {images}, and the difference counts as one of shape: mirror "
         "one side before, with 'omtwarp align MAP --to FIRST --mirror', to compare left and right"
     )
-
-
-def two_groups(labels: Sequence[str], count: int) -> tuple[str, str]:
-    """Return the names of two groups, in the order of the alphabet.
-
-    Raises:
-        OmtwarpError: labels are missing, there are not two groups, or they are too small to be compared.
-    """
-    fewest = 5  # shapes; with four there are six labellings, and no p value below a sixth
-    if len(labels) != count:
-        raise OmtwarpError(f"{len(labels)} labels for {count} maps")
-    names = sorted(set(labels))
-    if len(names) != 2 or "" in names:
-        raise OmtwarpError(f"the groups are {', '.join(repr(n) for n in names[:5])}: differences need two, named")
-    if count < fewest or min(list(labels).count(name) for name in names) < 2:
-        raise OmtwarpError(f"too few shapes for a difference: at least {fewest}, and 2 in each group")
-    return names[0], names[1]
 
 
 def principal_components(moved: Floats, shares: Floats, most: int) -> PrincipalComponents:
@@ -232,81 +218,3 @@ def principal_components(moved: Floats, shares: Floats, most: int) -> PrincipalC
         left[:, :kept] * signs * np.sqrt(count - 1),
         values[:kept] ** 2 / total,
     )
-
-
-def group_difference(
-    surfaces: Floats,
-    chosen: NDArray[np.bool_],
-    names: tuple[str, str],
-    faces: NDArray[np.int32],
-    permutations: int = PERMUTATIONS,
-    seed: int = 0,
-) -> GroupDifference:
-    """Test at every point whether one group lies outside the other, by t and permutations of the labels.
-
-    Displacements along the mean surface's normal are compared. Those within it are left out: where a part grows,
-    an area-preserving map moves points along the surface everywhere.
-
-    Args:
-        surfaces: corresponding points, shape [N, V, 3].
-        chosen: which shapes are of the second group, shape [N].
-        names: of the groups.
-        faces: of all surfaces, shape [F, 3].
-        permutations: how many.
-        seed: of the permutations.
-    """
-    normals = vertex_normals(surfaces.mean(axis=0), faces)
-    heights = np.einsum("nvd,vd->nv", surfaces, normals)
-    squared, p_values = hotelling(heights[:, :, None], chosen, permutations, seed)
-    displacement = surfaces[chosen].mean(axis=0) - surfaces[~chosen].mean(axis=0)
-    outward = (displacement * normals).sum(axis=1)
-    return GroupDifference(names, displacement, outward, np.sign(outward) * np.sqrt(squared), p_values)
-
-
-def hotelling(
-    values: Floats, chosen: NDArray[np.bool_], permutations: int = PERMUTATIONS, seed: int = 0
-) -> tuple[Floats, Floats]:
-    """Compute Hotelling's two-sample T² at every point, and p values corrected for the number of points.
-
-    The largest T² over all points is compared with that of permuted labels, so that the chance of any false finding is
-    bounded [1]_. The scatter about the common mean does not depend on labels: in coordinates in which it is 1 the share
-    q that the groups' means take of it is a length, and T² = (N - 2) q / (1 - q).
-
-    Args:
-        values: D numbers at every point, shape [N, V, D]; with D = 1, T² is the square of Student's t.
-        chosen: which of the N are of the second group, shape [N].
-        permutations: how many.
-        seed: of the permutations.
-
-    Returns:
-        T² and p, shape [V] each.
-
-    .. [1] T. E. Nichols, A. P. Holmes, "Nonparametric permutation tests for functional neuroimaging", Human Brain
-       Mapping 15 (2002).
-    """
-    count, points, width = values.shape
-    centred = values - values.mean(axis=0)
-    scatter = np.einsum("nvi,nvj->vij", centred, centred)
-    sizes, axes = np.linalg.eigh(scatter)
-    # Scatter of a point below this part of the largest is round-off: there is no direction in which groups could
-    # differ.
-    real = sizes > 1e-10 * max(float(sizes.max()), np.finfo(float).tiny)
-    scales = np.where(real, 1.0 / np.sqrt(np.where(real, sizes, 1.0)), 0.0)
-    white = (np.einsum("nvi,vij->nvj", centred, axes) * scales[None]).reshape(count, -1)
-
-    rng = np.random.default_rng(seed)
-    second = int(chosen.sum())
-    first = count - second
-    observed, extremes = np.zeros(points), np.empty(permutations + 1)
-    for k in range(permutations + 1):
-        order = chosen if k == 0 else rng.permutation(chosen)
-        apart = np.where(order, 1.0 / second, -1.0 / first) @ white
-        share = first * second / count * (apart.reshape(points, width) ** 2).sum(axis=1)
-        squared = (count - 2) * share / np.maximum(1.0 - share, np.finfo(float).eps)
-        extremes[k] = squared.max()
-        if k == 0:
-            observed = squared
-    # Equal up to round-off counts as at least as large.
-    # Equal, relative: statistics of two permutations that differ by less are the same one, summed in another order
-    p_values = (extremes[:, None] >= observed * (1.0 - 1e-9)).mean(axis=0)
-    return observed, np.asarray(p_values)

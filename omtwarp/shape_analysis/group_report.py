@@ -19,7 +19,8 @@ from omtwarp.mesh.write import write_mesh
 from omtwarp.render import preview
 from omtwarp.render.scene import ScalarField
 from omtwarp.reporting.markup import Markup, element, figure, pictures, table, write_plain_page
-from omtwarp.shape_analysis.group import GroupStudy, mirrored_words
+from omtwarp.shape_analysis.group import GROUP, GroupStudy, mirrored_words, table_of
+from omtwarp.shape_analysis.linear_model import Effect
 
 SHOWN = 2.0  # standard deviations to either side of the mean
 SIGNIFICANT = 0.05  # level of the corrected p values, the customary one
@@ -31,6 +32,7 @@ def write_group_report(
     folder: Path,
     names: Sequence[str],
     labels: Sequence[str] | None = None,
+    covariates: Mapping[str, Sequence[object]] | None = None,
     like: Path | None = None,
 ) -> list[Path]:
     """Write a study into a folder.
@@ -40,13 +42,15 @@ def write_group_report(
         folder: made if there is none; files of the same names are replaced.
         names: of the shapes, one each.
         labels: their groups.
+        covariates: by name, as :func:`omtwarp.shape_analysis.study_group` had them, for the table.
         like: a file that names the part of the brain that all of them are, for GIFTI.
 
     Returns:
         The files: ``table.csv`` (distance from the mean, and scores), ``distances.csv`` and, where transport was
         measured, ``transport.csv`` (all pairs); ``mean``, ``component_K_minus`` and ``component_K_plus`` (the mean less
         and plus two standard deviations) as ``.ply``, ``.vtk`` and, where nibabel is installed, ``.surf.gii``; the
-        difference of two groups is at the mean's vertices, of GIFTI in ``mean.shape.gii``; ``report.html``.
+        effects are at the mean's vertices, of GIFTI in ``mean.shape.gii``: of each its ``_size``, ``_t`` or ``_F``,
+        ``_p`` and ``_fdr`` after its name; ``report.html``.
 
     Raises:
         OmtwarpError: another number of names, or a folder that cannot be written to.
@@ -57,22 +61,20 @@ def write_group_report(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OmtwarpError(f"cannot write to '{folder}': {error.strerror}") from None
-    columns = ["id", *(["group"] if labels else []), "from_mean", "scale"]
+    given = table_of(labels, covariates)
+    columns = ["id", *given, "from_mean", "scale"]
     columns += [f"score_{k + 1}" for k in range(len(study.components.deviations))]
     rows: list[list[str | float]] = []
     for k, name in enumerate(names):
         numbers = [study.from_mean[k], study.alignment.scales[k], *study.components.scores[k]]
-        rows.append([name, *([labels[k]] if labels else []), *map(float, numbers)])
+        rows.append([name, *(str(values[k]) for values in given.values()), *map(float, numbers)])
     files = [_write_csv(folder / "table.csv", columns, rows)]
     apart: list[list[str | float]]
     for file, distances in (("distances.csv", study.distances), ("transport.csv", study.transport)):
         if distances is not None:
             apart = [[name, *map(float, line)] for name, line in zip(names, distances, strict=True)]
             files.append(_write_csv(folder / file, ["id", *names], apart))
-    beside = {}
-    if study.difference is not None:
-        difference = study.difference
-        beside = {"difference": difference.outward, "t": difference.statistic, "p": difference.p_values}
+    beside = {f"{name}_{word}": values for name, one in study.effects.items() for word, values in _maps(one).items()}
     files += _write_shape(folder, "mean", study.mean, like, beside)
     for k in range(len(study.components.deviations)):
         for word, sign in (("minus", -1.0), ("plus", 1.0)):
@@ -82,6 +84,12 @@ def write_group_report(
         body.insert(1, element("p", f"Warning: {mirrored_words(study.alignment, names)}."))
     files.append(write_plain_page(folder / "report.html", "Group of shapes", body))
     return files
+
+
+def _maps(effect: Effect) -> dict[str, NDArray[np.float64]]:
+    """Return the maps of an effect, by the ends of their names."""
+    size = {} if effect.size is None else {"size": effect.size}
+    return {**size, "t" if effect.signed else "F": effect.statistic, "p": effect.p_values, "fdr": effect.fdr}
 
 
 def _write_shape(
@@ -117,8 +125,8 @@ def _body(study: GroupStudy, columns: Sequence[str], rows: Sequence[Sequence[str
         element("h2", "Mean"),
         pictures([_picture(study.mean, "mean", view=view) for view in ("front", "back")]),
     ]
-    if study.difference is not None:
-        body += _difference(study)
+    for effect in study.effects.values():
+        body += _effect(study, effect)
     body += [element("h2", "Principal components")]
     lines = [
         (k + 1, f"{deviation:.4g}", f"{100 * share:.1f} %")
@@ -142,23 +150,29 @@ def _body(study: GroupStudy, columns: Sequence[str], rows: Sequence[Sequence[str
     return body
 
 
-def _difference(study: GroupStudy) -> list[Markup]:
-    difference = study.difference
-    assert difference is not None
+def _effect(study: GroupStudy, effect: Effect) -> list[Markup]:
     area = study.mean.vertex_areas
-    share = float(area[difference.p_values <= SIGNIFICANT].sum() / area.sum())
-    first, second = difference.names
-    words = f"Smallest corrected p {difference.p_values.min():.3g}; p is at most {SIGNIFICANT} on {100 * share:.1f} %."
-    figures = [
-        _picture(study.mean, f"{second} less {first}, outwards", difference.outward, view=view)
-        for view in ("front", "back")
-    ]
-    for view in ("front", "back"):
-        field = ScalarField(
-            -np.log10(difference.p_values), "magma", (0.0, max(2.0, -np.log10(difference.p_values.min())))
+    found = [float(area[values <= SIGNIFICANT].sum() / area.sum()) for values in (effect.p_values, effect.fdr)]
+    words = (
+        f"Smallest corrected p {effect.p_values.min():.3g}; p is at most {SIGNIFICANT} on {100 * found[0]:.1f} %, "
+        f"the rate of false discoveries on {100 * found[1]:.1f} %."
+    )
+    drawn: list[tuple[str, NDArray[np.float64] | ScalarField]] = []
+    if effect.size is not None:
+        levels = effect.levels
+        drawn.append((f"{levels[1]} less {levels[0]}, outwards" if levels else "outwards for 1 more", effect.size))
+    for name, values in (("corrected p", effect.p_values), ("rate of false discoveries", effect.fdr)):
+        shown = -np.log10(values)
+        drawn.append((f"-log10 of the {name}", ScalarField(shown, "magma", (0.0, max(2.0, float(shown.max()))))))
+    figures = [_picture(study.mean, name, values, view=view) for name, values in drawn for view in ("front", "back")]
+    if effect.levels:
+        last = effect.levels[-1]
+        title = f"Where {', '.join(effect.levels[:-1])} and {last} differ" + (
+            "" if effect.name == GROUP[0] else f" ({effect.name})"
         )
-        figures.append(_picture(study.mean, "-log10 of the corrected p", field, view=view))
-    return [element("h2", f"Where {first} and {second} differ"), element("p", words), pictures(figures)]
+    else:
+        title = f"What goes with {effect.name}"
+    return [element("h2", title), element("p", words), pictures(figures)]
 
 
 def _picture(

@@ -90,6 +90,8 @@ INSTEAD = {
     "resample --data": "resample ball.npz --to ico1 -o resample.npy --device cpu",
     "resample --labels": "resample ball.npz --to ico1 --data labels.npy -o resample.npy --device cpu",
     "resample --surface": "resample sphere.ply --to ico1 -o resample.ply --device cpu",
+    "group --covariate":
+        "group members.csv -o group --grid ico1 --degree 3 --permutations 9 --device cpu --components 1",
     "check --output": "check ball.ply --repair",
 }  # fmt: skip
 # Values of options whose help names a kind of value in place of one.
@@ -103,7 +105,8 @@ VALUES = {
     "--seconds": ["0.3"], "--surface": ["ball.ply"], "--to-surface": ["ball.ply"], "--feature": ["numbers.npy"],
     "--to-feature": ["numbers.npy"], "--degree": ["2"], "--data": ["numbers.npy"], "--sphere": ["grid.ply"],
     "--matrix": ["matrix.npz"], "--reconstruction": ["smooth.ply"], "--grid": ["ico0"],
-    "--components": ["1"], "--permutations": ["3"], "--seed": ["7"], "--workers": ["2"], "--shard": ["1/2"],
+    "--components": ["1"], "--permutations": ["3"], "--seed": ["7"], "--covariate": ["age"],
+    "--workers": ["2"], "--shard": ["1/2"],
     "--time-limit": ["100"], "--memory-limit": ["2"], "--aspect": ["2"], "--margin": ["0.01"], "--subdivide": ["1"],
     "--feature-weight": ["2"], "--landmarks": ["places.csv"], "--keep-areas": ["3", "exact"],
     "--strain": ["strain.npy"],
@@ -241,6 +244,8 @@ def inputs(tmp_path_factory):
         folder / "picture.png"
     )
     (folder / "table.csv").write_text("path\nball.ply\n", "utf-8")
+    members = [f"m{k},{'other' if k % 2 else 'ball'}.npz,{50 + k}\n" for k in range(6)]
+    (folder / "members.csv").write_text("id,path,age\n" + "".join(members), "utf-8")
     return folder
 
 

@@ -19,10 +19,12 @@ from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.shapes import hippocampus, icosphere
 from omtwarp.mesh.surface import vertex_normals
 from omtwarp.shape_analysis.distance import coefficient_distance, density_distance, shape_distance
-from omtwarp.shape_analysis.group import group_difference, hotelling, principal_components, study_group
+from omtwarp.shape_analysis.group import principal_components, study_group
+from omtwarp.shape_analysis.linear_model import linear_effects
 from omtwarp.spheres import named_grid
 
 SPHERE = icosphere(8)
+NAMES = "group_size", "group_t", "group_p", "group_fdr"
 
 
 def mapped(surface: omtwarp.Surface, until: str = "moser") -> omtwarp.MapResult:
@@ -60,7 +62,7 @@ def test_the_bump_is_found_at_its_place():
     maps = [mapped(one) for one in shapes]
     mapping = time.process_time() - begun
     study = study_group(maps, ["control", "patient"] * (count // 2), grid="ico3", degree=8, device="cpu")
-    found = study.difference
+    found = study.effects["group"]
     print(f"{count} shapes: {mapping:.1f} CPU s of maps, {time.process_time() - begun - mapping:.1f} of statistics")
     plain, swollen = (hippocampus(0, b, face_count=700, **known).vertices for b in (0.0, bump))
     truth = np.argmax(np.linalg.norm(swollen - plain, axis=1))
@@ -76,25 +78,12 @@ def test_the_bump_is_found_at_its_place():
     assert found.p_values[nearest] <= 0.01
     assert found.statistic.max() > 3 * -found.statistic.min()  # a bump, and no dent elsewhere
     assert found.p_values.min() <= 0.01
-    assert found.names == ("control", "patient")
-    assert found.outward[peak] > 0.05
+    assert found.levels == ("control", "patient")
+    assert found.size[peak] > 0.05
     # Nobody is told apart by labels that have nothing to do with the shapes.
-    even = group_difference(study.alignment.surfaces, np.arange(count) % 4 < 2, ("a", "b"), study.alignment.faces)
-    assert even.p_values.min() > 0.05
-
-
-def test_hotellings_statistic_is_the_textbooks():
-    rng = np.random.default_rng(1)
-    surfaces, chosen = rng.normal(size=(12, 42, 3)), np.arange(12) < 5
-    found, p_values = hotelling(surfaces, chosen, 50)
-    for k in (0, 17):
-        one, other = surfaces[~chosen, k], surfaces[chosen, k]
-        pooled = (6 * np.cov(one.T) + 4 * np.cov(other.T)) / 10
-        apart = one.mean(axis=0) - other.mean(axis=0)
-        wanted = 7 * 5 / 12 * apart @ np.linalg.solve(pooled, apart)
-        assert found[k] == pytest.approx(wanted, rel=1e-9)
-    assert np.array_equal(p_values, hotelling(surfaces, chosen, 50)[1])
-    assert found.max() > found[0]
+    labels = ["ab"[k % 4 < 2] for k in range(count)]
+    heights = np.einsum("nvd,vd->nv", study.alignment.surfaces, vertex_normals(middle, study.alignment.faces))
+    assert linear_effects(heights, {"group": labels})["group"].p_values.min() > 0.05
 
 
 def test_components_of_shapes_that_vary_in_two_directions():
@@ -187,8 +176,8 @@ def read_elsewhere(folder):
     content = (folder / "mean.vtk").read_bytes()
     points = np.frombuffer(content, ">f8", places.size, content.index(b" double\n") + len(b" double\n"))
     np.testing.assert_array_equal(points.reshape(-1, 3), places)
-    at = content.index(f"POINT_DATA {len(places)}\nFIELD FieldData 3\n".encode())
-    for name in ("difference", "t", "p"):
+    at = content.index(f"POINT_DATA {len(places)}\nFIELD FieldData 4\n".encode())
+    for name in NAMES:
         head = f"{name} 1 {len(places)} double\n".encode()
         at = content.index(head, at) + len(head)
         np.testing.assert_array_equal(np.frombuffer(content, ">f8", len(places), at), wanted[name])
@@ -199,8 +188,8 @@ def read_elsewhere(folder):
     nibabel = pytest.importorskip("nibabel")
     surface, data = (nibabel.load(folder / f"mean.{kind}.gii") for kind in ("surf", "shape"))
     np.testing.assert_allclose(surface.agg_data("pointset"), places, atol=1e-6 * np.abs(places).max())
-    assert [array.meta["Name"] for array in data.darrays] == ["difference", "t", "p"]
-    np.testing.assert_allclose(data.darrays[2].data, wanted["p"], rtol=1e-6)
+    assert [array.meta["Name"] for array in data.darrays] == list(NAMES)
+    np.testing.assert_allclose(data.darrays[2].data, wanted["group_p"], rtol=1e-6)
 
 
 def test_commands_write_what_they_say(tmp_path, monkeypatch, capsys, pair):
@@ -224,7 +213,7 @@ def test_commands_write_what_they_say(tmp_path, monkeypatch, capsys, pair):
     assert [row["group"] for row in table] == list("ababab")
     assert float(table[0]["score_1"]) == pytest.approx(-float(table[1]["score_1"]))
     page = (tmp_path / "study" / "report.html").read_text()
-    assert page.count("<img") == 2 + 4 + 2
+    assert page.count("<img") == 2 + 6 + 2
     assert "Where a and b differ" in page
     first = (tmp_path / "study" / "mean.ply").read_bytes()
     assert run("group", *(f"m{k}.npz" for k in range(6)), "-o", "again", *options, "-q") == 0
@@ -250,6 +239,7 @@ def test_group_reads_what_a_cohort_wrote(tmp_path, monkeypatch, capsys, pair, pa
     for k in range(6):
         pair[k % 2].save(f"done/maps/s{k}.npz")
         rows.append({"id": f"s{k}", "path": f"elsewhere/s{k}.ply", "status": "ok", "group": "ab"[k % 2]})
+        rows[-1] |= {"age": str(50 + k * k), "site": "north" if k < 3 else "south"}
     failed = {"id": "s4", "path": "elsewhere/s4.ply", "status": "error", "group": "a"}
     table = write_table([*rows, failed], tmp_path / "done")
     assert table.suffix == (".parquet" if parquet else ".csv")
@@ -259,6 +249,14 @@ def test_group_reads_what_a_cohort_wrote(tmp_path, monkeypatch, capsys, pair, pa
         assert json.loads(capsys.readouterr().out)["shapes"] == 6
     listed = list(csv.DictReader((tmp_path / "study" / "table.csv").open()))
     assert [(row["id"], row["group"]) for row in listed] == [(row["id"], row["group"]) for row in rows]
+    assert run("group", "done", "-o", "more", *options, "--covariate", "age", "--covariate", "site") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert set(told["smallest_p"]) == {"group", "age", "site"}
+    listed = list(csv.DictReader((tmp_path / "more" / "table.csv").open()))
+    assert [(row["age"], row["site"]) for row in listed] == [(row["age"], row["site"]) for row in rows]
+    assert "What goes with age" in (tmp_path / "more" / "report.html").read_text()
+    assert run("group", "done", "-o", "none", *options, "--covariate", "wing") == 1
+    assert "no column 'wing'" in capsys.readouterr().err
     table.write_bytes(b"PAR1\ntorn")
     assert run("group", str(table), "-o", "study", *options) != 0
     assert "cannot be read as a cohort's table" in capsys.readouterr().err
@@ -268,7 +266,7 @@ def test_group_reads_what_a_cohort_wrote(tmp_path, monkeypatch, capsys, pair, pa
     ("words", "message"),
     [
         (["group", "a.npz", "-o", "out"], "at least two"),
-        (["group", "one.csv", "-o", "out"], "differences need two"),
+        (["group", "one.csv", "-o", "out"], "explains no difference"),
         (["group", "few.csv", "-o", "out"], "too few shapes"),
         (["group", "a.npz", "none.npz", "-o", "out"], "none.npz"),
         (["group", "a.npz", "b.npz", "-o", "out", "--degree", "60"], "do not determine"),
