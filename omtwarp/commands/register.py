@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,10 +11,10 @@ import typer
 from omtwarp.commands._features import Pair
 from omtwarp.commands._options import Printing
 from omtwarp.commands._progress import progress_bar
-from omtwarp.commands._streams import input_file
+from omtwarp.commands._streams import input_file, is_standard_output, warnings_as_lines
 from omtwarp.commands._work import report_text
 from omtwarp.errors import OmtwarpError
-from omtwarp.files.output import check_output
+from omtwarp.files.output import check_folder, check_output
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,14 +25,23 @@ if TYPE_CHECKING:
 def register_map(
     *,
     pair: Pair,
+    more: Annotated[
+        list[Path] | None, typer.Argument(metavar="MORE", callback=input_file, help="Further maps, for --group.")
+    ] = None,
     to: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="TARGET",
             callback=input_file,
-            help="A map, fsaverage5-left or -right, or a sphere with --to-surface or --to-feature; or -.",
+            help="A map, a template, fsaverage5-left or -right, or a sphere with --to-surface or --to-feature; or -.",
         ),
-    ],
+    ] = None,
+    group: Annotated[
+        bool, typer.Option("--group", help="Make a template from all maps and register them to it; -o is a folder.")
+    ] = False,
+    rounds: Annotated[
+        int, typer.Option(metavar="N", min=1, help="How many times the template of --group is made anew.")
+    ] = 3,
     feature_weight: Annotated[
         list[float] | None,
         typer.Option(
@@ -71,17 +81,26 @@ def register_map(
     """
     from omtwarp.mesh.data import DATA_SUFFIXES
     from omtwarp.registration import register
-    from omtwarp.registration.templates import HEMISPHERES, template
+    from omtwarp.registration.group_template import is_template
+    from omtwarp.registration.templates import HEMISPHERES
     from omtwarp.resampling import file_points
     from omtwarp.spheres import is_named
 
+    if group:
+        alone = {"--to": to, "--landmarks": landmarks, "--strain": strain, "--feature-weight": feature_weight}
+        _require_many("--group", pair, alone)
+        _register_group([pair.source, *(more or [])], pair.output, rounds, stiffness, max_strain, keep_areas, printing)
+        return
+    if to is None or more:
+        raise OmtwarpError("give one map and --to TARGET, or several maps and --group")
     if strain is not None:
         check_output(strain, DATA_SUFFIXES, pair.source, pair.surface)
     other = None if is_named(to) or to in HEMISPHERES else Path(to)
     pair.check(other)
     with progress_bar(printing.quiet, printing.verbose) as progress:
         moving = file_points(pair.source, pair.surface)
-        fixed = template(to) if to in HEMISPHERES else file_points(to, pair.to_surface)
+        named = to in HEMISPHERES or is_template(to)
+        fixed = to if named else file_points(to, pair.to_surface)
         mine, others = pair.features(other)
         weights = None if feature_weight is None else _named_weights(list(mine or ["sulc", "curv"]), feature_weight)
         found = register(
@@ -103,6 +122,65 @@ def register_map(
         print(report_text({"output": str(pair.output), **found.to_dict()}), end="")
     elif not printing.quiet:
         print(f"{pair.output}: {_line(found)}")
+
+
+def _require_many(mode: str, pair: Pair, others: Mapping[str, object]) -> None:
+    """Refuse options of one map where there are several, and an output that is no folder.
+
+    Raises:
+        OmtwarpError: there is such an option, or the folder cannot be made.
+    """
+    of_pair: dict[str, object] = {"--surface": pair.surface, "--to-surface": pair.to_surface, "--feature": pair.feature}
+    of_pair |= {"--to-feature": pair.to_feature, "--radius": pair.radius != Pair.radius}
+    given = next((name for name, value in {**of_pair, **others}.items() if value), None)
+    if given is not None:
+        raise OmtwarpError(f"{given} is of one map: leave it out with {mode}")
+    if is_standard_output(pair.output):
+        raise OmtwarpError(f"{mode} writes a folder, not standard output: name one with -o")
+    check_folder(pair.output)
+
+
+def _register_group(
+    maps: Sequence[Path],
+    output: Path,
+    rounds: int,
+    stiffness: float,
+    max_strain: float,
+    keep_areas: str,
+    printing: Printing,
+) -> None:
+    """Register a group to its own template, and say how well its maps agree."""
+    from omtwarp.registration import register_group
+
+    with progress_bar(printing.quiet, printing.verbose) as progress, warnings_as_lines():
+        found = register_group(
+            maps,
+            output,
+            rounds=rounds,
+            stiffness=stiffness,
+            max_strain=max_strain,
+            keep_areas=_weight_or_exact(keep_areas),
+            progress=progress,
+        )
+    if printing.as_json:
+        print(report_text({"output": str(output), "maps": found.table}), end="")
+    elif not printing.quiet:
+        print(f"{output / 'template.npz'}: {many_line(list(found.table.values()))}")
+
+
+def many_line(facts: Sequence[Mapping[str, float]]) -> str:
+    """Return how well many maps are registered, of their facts."""
+    last = "registration_"
+    others = ("score", "margin", "doubtful", "flips", "degree", "area_p95", "stretch_p95", "strain")
+    names = [name for name in facts[0] if name.removeprefix(last) not in others]
+    agreement = ", ".join(
+        f"{name.removeprefix(last)} {sum(one[name] for one in facts) / len(facts):.3f}" for name in names
+    )
+    flips, doubtful = (sum(int(one[last + name]) for one in facts) for name in ("flips", "doubtful"))
+    largest = max(one[last + "strain"] for one in facts)
+    return (
+        f"{len(facts)} maps; {agreement} on average; largest strain {largest:.2f}; {flips} flips; {doubtful} doubtful"
+    )
 
 
 def _named_weights(names: list[str], weights: list[float]) -> dict[str, float]:

@@ -3,7 +3,18 @@
 from __future__ import annotations
 
 from omtwarp.registration.folding import folding_features
+from omtwarp.registration.group import GroupRegistration, register_group
+from omtwarp.registration.group_template import Template
 from omtwarp.registration.landmarks import Landmark, read_landmarks
 from omtwarp.registration.register import Registration, register
 
-__all__ = ["Landmark", "Registration", "folding_features", "read_landmarks", "register"]
+__all__ = [
+    "GroupRegistration",
+    "Landmark",
+    "Registration",
+    "Template",
+    "folding_features",
+    "read_landmarks",
+    "register",
+    "register_group",
+]

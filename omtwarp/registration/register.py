@@ -22,6 +22,7 @@ from omtwarp.metrics.certificate import Certificate, certify_triangles
 from omtwarp.options import Progress, Record
 from omtwarp.registration.areas import area_changes, with_areas
 from omtwarp.registration.folding import FOLDING_WEIGHTS, folding_features
+from omtwarp.registration.group_template import Template, is_template
 from omtwarp.registration.landmarks import LandmarksLike, Pairs, pairs_of
 from omtwarp.registration.strain import kept_within, octaves
 from omtwarp.registration.templates import HEMISPHERES, template
@@ -115,11 +116,29 @@ class Registration:
             "levels": self.levels,
         }
 
+    def facts(self) -> dict[str, float]:
+        """Return the numbers by which registrations are told apart, for a table.
+
+        They are the score and margin of the start, whether it is doubtful (1), flips and degree, both strains at 95 %
+        of the triangles and the largest, and every feature's correlation at the end.
+        """
+        return {
+            "registration_score": self.start.score,
+            "registration_margin": self.start.score - self.start.runner_up,
+            "registration_doubtful": float(self.doubtful),
+            "registration_flips": float(self.certificate.flips),
+            "registration_degree": float(self.certificate.degree),
+            "registration_area_p95": float(np.percentile(np.abs(self.area_strain), 95)),
+            "registration_stretch_p95": float(np.percentile(self.stretch_strain, 95)),
+            "registration_strain": self.largest_strain,
+            **{f"registration_{name}": values["after"] for name, values in self.correlations.items()},
+        }
+
 
 @blas_threads(1)
 def register(
     moving: PointsLike,
-    target: PointsLike,
+    target: PointsLike | Template,
     *,
     features: Mapping[str, ArrayLike] | None = None,
     to_features: Mapping[str, ArrayLike] | None = None,
@@ -143,7 +162,8 @@ def register(
         moving: a map, with its surface where no features are given (:func:`omtwarp.resampling.as_points` lists the
             forms), V vertices and F faces.
         target: another map or sphere in any of the same forms, or a template: ``fsaverage5-left`` or
-            ``fsaverage5-right``, which nilearn brings.
+            ``fsaverage5-right``, which nilearn brings, or one of a group
+            (:func:`omtwarp.registration.register_group`) or its file, which has features of its own.
         features: numbers per vertex of the map, by name, shape [V] each; with ``to_features`` of the same names they
             take the place of sulcal depth and curvature of the two surfaces.
         to_features: the same for the target.
@@ -182,8 +202,11 @@ def register(
     max_strain = real_number(max_strain, "max_strain", above=0.0)
     weight_of_areas = _weight_of_areas(keep_areas)
     here = as_points(moving, "the map")
+    if is_template(target):
+        target = Template.load(target)  # type: ignore[arg-type]
     there = _target_points(target)
-    ours, theirs = _features_of(here, there, features, to_features)
+    own = target.by_name() if isinstance(target, Template) else None
+    ours, theirs = _features_of(here, there, features, to_features, own)
     usual = {} if features else FOLDING_WEIGHTS
     weights = _weights_of(ours, {**usual, **(feature_weights or {})})
     counts = here.grid.own_points, there.grid.own_points
@@ -205,10 +228,10 @@ def register(
     warping = Warping(_carried(to_grid, theirs), weights, stiffness, max_strain, coarser, weight_of_areas)
     tried = []
     for best in rotations if doubtful else rotations[:1]:
-        turned = _moved(here, here.grid.points @ best.rotation.T)
-        own = resample(turned, (grid.vertices, grid.faces), device="cpu")
-        given = _carried(own, ours)
-        known = (~own.empty).astype(np.float64)
+        turned = here.moved(here.grid.points @ best.rotation.T)
+        on_grid = resample(turned, (grid.vertices, grid.faces), device="cpu")
+        given = _carried(on_grid, ours)
+        known = (~on_grid.empty).astype(np.float64)
         marks = pairs and pairs.turned(best.rotation)
         tried.append((warping.run(given, known, COARSE, landmarks=marks), best, turned, given, known, marks))
     coarse, best, turned, given, known, marks = min(tried, key=lambda entry: entry[0].energy)
@@ -226,7 +249,7 @@ def register(
         distances = _distances(marks, *(found.on_sphere(surface.faces, points) for points in (before, sphere)))
         _warn_of_distant(marks, distances, max_strain)
     notify("register", 3, steps, {})
-    agreement = [_agreement(points, there, ours, theirs) for points in (turned, _moved(turned, sphere))]
+    agreement = [_agreement(points, there, ours, theirs) for points in (turned, turned.moved(sphere))]
     correlations = {name: {"before": agreement[0][name], "after": agreement[1][name]} for name in ours}
     count = here.grid.own_points
     by_area, by_stretch = octaves(before, sphere, here.grid.own_triangles)
@@ -246,8 +269,10 @@ def _weight_of_areas(keep_areas: object) -> float:
     return np.inf if keep_areas == "exact" else real_number(keep_areas, "keep_areas, unless 'exact',", least=0.0)
 
 
-def _target_points(target: PointsLike) -> SpherePoints:
-    """Return the points of a target, which may be the name of a template."""
+def _target_points(target: PointsLike | Template) -> SpherePoints:
+    """Return the points of a target, which may be a template or the name of one."""
+    if isinstance(target, Template):
+        return target.sphere()
     return template(target) if isinstance(target, str) and target in HEMISPHERES else as_points(target, "the target")
 
 
@@ -281,12 +306,17 @@ def _features_of(
     fixed: SpherePoints,
     features: Mapping[str, ArrayLike] | None,
     to_features: Mapping[str, ArrayLike] | None,
+    known: Mapping[str, Floats] | None,
 ) -> tuple[dict[str, Floats], dict[str, Floats]]:
     """Return the features of both sides, in the same order: those given, or the folding of the surfaces.
+
+    A template's own, ``known`` by name, take the place of the target's where these are not given.
 
     Raises:
         OmtwarpError: names or lengths that do not fit, or a sphere without its surface.
     """
+    if features and not to_features:
+        to_features = known
     if set(features or {}) != set(to_features or {}):
         raise OmtwarpError("features have to be given for both sides, with the same names")
     if features and to_features:
@@ -294,13 +324,17 @@ def _features_of(
         theirs = checked_features(to_features, fixed, "the target")
         return ours, {name: theirs[name] for name in ours}
     found = []
-    for points in (moving, fixed):
+    for points in (moving, *([] if known else [fixed])):
         if points.vertices is None:
             raise OmtwarpError(
                 f"{points.grid.name}: a sphere without its surface has no folds: give the surface, or features"
             )
         found.append(folding_features(points.vertices, points.grid.triangles))
-    return found[0], found[1]
+    if known is None:
+        return found[0], found[1]
+    if set(known) != set(found[0]):
+        raise OmtwarpError(f"the template has the features {', '.join(known)}: give the map's of these names")
+    return found[0], {name: known[name] for name in found[0]}
 
 
 def _weights_of(features: Mapping[str, Floats], given: Mapping[str, float]) -> Floats:
@@ -316,11 +350,6 @@ def _weights_of(features: Mapping[str, Floats], given: Mapping[str, float]) -> F
     if not any(weights):
         raise OmtwarpError("all weights of features are 0: nothing determines the registration")
     return np.array(weights)
-
-
-def _moved(points: SpherePoints, sphere: Floats) -> SpherePoints:
-    """Return the same surface with another sphere."""
-    return replace(points, grid=replace(points.grid, points=sphere))
 
 
 def _carried(resampling: Resampling, features: Mapping[str, Floats]) -> Floats:

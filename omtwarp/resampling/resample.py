@@ -161,6 +161,10 @@ class SpherePoints:
         """Return the same points, those that fill holes counted as the surface's."""
         return replace(self, grid=replace(self.grid, own=None))
 
+    def moved(self, sphere: Floats) -> SpherePoints:
+        """Return the same surface with other points on the sphere, unit vectors, shape [N, 3]."""
+        return replace(self, grid=replace(self.grid, points=sphere))
+
     def at_own_points(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
         """Return data at the surface's own points: as given, or carried there from the vertices of the input."""
         own = self.origins is None or (values.ndim > 0 and len(values) == self.grid.own_points)

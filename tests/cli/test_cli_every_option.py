@@ -86,6 +86,8 @@ INSTEAD = {
         "register ball.npz --to other.npz --feature numbers.npy --to-feature numbers.npy -o register.npz"
     ),
     "register --radius": "register ball.npz --to other.npz -o register.ply",
+    "register --group": "register ball.npz other.npz -o registered --rounds 1",
+    "register --rounds": "register ball.npz other.npz -o registered --group",
     "resample --to": "resample ball.npz --data numbers.npy -o resample.npy --device cpu",
     "resample --data": "resample ball.npz --to ico1 -o resample.npy --device cpu",
     "resample --labels": "resample ball.npz --to ico1 --data labels.npy -o resample.npy --device cpu",
@@ -109,7 +111,7 @@ VALUES = {
     "--workers": ["2"], "--shard": ["1/2"],
     "--time-limit": ["100"], "--memory-limit": ["2"], "--aspect": ["2"], "--margin": ["0.01"], "--subdivide": ["1"],
     "--feature-weight": ["2"], "--landmarks": ["places.csv"], "--keep-areas": ["3", "exact"],
-    "--strain": ["strain.npy"],
+    "--strain": ["strain.npy"], "--rounds": ["1"],
     "--stiffness": ["2"], "--max-strain": ["1.5"], "--sizes": [], "--shape": [],
     "--repeats": ["1"], "--faces": [],
     "map --output": ["o.ply", "o.obj", "o.off", "o.stl", "o.glb", "o.vtk"],

@@ -1,0 +1,265 @@
+"""Registration of a group: a template made from it, and every map registered to that."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import hashlib
+import json
+import os
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from omtwarp.alignment.features import feature_coefficients
+from omtwarp.errors import OmtwarpError, OmtwarpWarning
+from omtwarp.files.inputs import read_arrays, write_arrays
+from omtwarp.files.output import RECORD, as_path, digest_of, folder_of_results, staged
+from omtwarp.geometry.harmonics import power_per_degree
+from omtwarp.location import Locator
+from omtwarp.maps.result import MapResult
+from omtwarp.mesh.arrays import normalised, whole_number
+from omtwarp.options import Progress
+from omtwarp.registration.folding import folding_features
+from omtwarp.registration.group_template import Template
+from omtwarp.registration.register import Registration, register
+from omtwarp.registration.strain import kept_within
+from omtwarp.registration.warp import feature_grid
+from omtwarp.resampling import SpherePoints, as_points, resample
+from omtwarp.version import package_version
+
+Floats = NDArray[np.float64]
+
+ROUNDS = 3  # that a template is made anew
+STEPS = ".steps"  # folder of what is kept until all is done
+
+
+@dataclass(frozen=True, eq=False)
+class GroupRegistration:
+    """A group's template, and how its maps were registered.
+
+    Attributes:
+        template: made from all of them.
+        table: for every map by its name what its registration's :meth:`Registration.facts`.
+    """
+
+    template: Template
+    table: dict[str, dict[str, float]]
+
+
+def register_group(
+    maps: Sequence[str | os.PathLike[str]],
+    folder: str | os.PathLike[str],
+    *,
+    rounds: int = ROUNDS,
+    stiffness: float = 0.4,
+    max_strain: float = 1.1,
+    keep_areas: float | str = 0.0,
+    progress: Progress | None = None,
+) -> GroupRegistration:
+    """Make a template from maps of a group, and register them to it.
+
+    The first template is the map whose folds are the most usual, by their power at every wave length, in its position.
+    In every round all maps are registered to the template; the next one has their mean folds, moved so that the mean
+    of the ways from it to the maps, point by point, leads nowhere. Maps are read one at a time. What is done is kept:
+    an interrupted run goes on where it was. The order of the maps does not count.
+
+    Args:
+        maps: files of maps with their surfaces, of different names.
+        folder: gets ``template.npz``, which :func:`omtwarp.register` takes as a target, every map registered to it
+            under its own name, and ``table.csv``.
+        rounds: how many times the template is made anew.
+        stiffness, max_strain, keep_areas: as of :func:`omtwarp.register`.
+        progress: called as ``progress("group", step, steps, {})`` after every map in every round.
+
+    Returns:
+        The template, and how well every map was registered.
+
+    Raises:
+        OmtwarpError: fewer than two maps, two of one name, a file that is no map, or a folder that cannot be written.
+    """
+    files = by_name(maps)
+    rounds = whole_number(rounds, "rounds", least=1)
+    options: dict[str, object] = {"stiffness": stiffness, "max_strain": max_strain, "keep_areas": keep_areas}
+    template = _most_usual(files)
+    digests = {name: digest_of(path) for name, path in files.items()}
+    steps, done = (rounds + 1) * len(files), 0
+    target = as_path(folder)
+    results = ("template.npz", "table.csv", *(f"{name}.npz" for name in files))
+    with folder_of_results(target, *results), folder_of_results(target / STEPS):
+        kept = Kept(target / STEPS)
+        for number in range(rounds):
+            total: dict[str, Floats] = {}
+            for name, path in files.items():
+                key = key_of(number, digests[name], options, template)
+                found = kept.result(f"{number}_{name}", key, partial(_step, path, template, options))
+                for what, values in found.items():
+                    total[what] = total.get(what, 0.0) + values
+                done += 1
+                if progress is not None:
+                    progress("group", done, steps, {})
+            template = _mean_template(total, template.names, max_strain)
+        template.save(target / "template.npz")
+        table = {}
+        for name, path in files.items():
+            key = key_of(rounds, digests[name], options, template)
+            facts = kept.result(
+                f"{rounds}_{name}", key, partial(_finish, path, template, options, target / f"{name}.npz"),
+                target / f"{name}.npz",
+            )  # fmt: skip
+            table[name] = {what: float(value) for what, value in facts.items()}
+            done += 1
+            if progress is not None:
+                progress("group", done, steps, {})
+        write_facts(target / "table.csv", table)
+        kept.remove()
+    return GroupRegistration(template, table)
+
+
+def by_name(maps: Sequence[str | os.PathLike[str]]) -> dict[str, Path]:
+    """Return files by their names without suffix, in the order of these.
+
+    Raises:
+        OmtwarpError: fewer than two, two of one name, or one that is called as a result is.
+    """
+    files = {Path(path).stem: Path(path) for path in maps}
+    if len(maps) < 2:
+        raise OmtwarpError(f"{len(maps)} map in all: give at least two")
+    if len(files) < len(maps):
+        raise OmtwarpError(f"{len(maps)} maps have {len(files)} names: results are called as they are, so rename some")
+    if "template" in files:
+        raise OmtwarpError(f"'{files['template']}' has the name of a result: rename it")
+    return dict(sorted(files.items()))
+
+
+class Kept:
+    """Results of steps, a file each, until all are done.
+
+    Args:
+        folder: made if there is none.
+
+    Raises:
+        OmtwarpError: the folder cannot be made.
+    """
+
+    def __init__(self, folder: Path):
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OmtwarpError(f"cannot write to '{folder}': {error.strerror or error}") from None
+        self._folder = folder
+        self._files: list[Path] = []
+
+    def result(
+        self, name: str, key: str, make: Callable[[], Mapping[str, ArrayLike]], made: Path | None = None
+    ) -> dict[str, NDArray]:
+        """Return what a step makes, or made before with the same key, and the file it wrote, if any, unchanged."""
+        file = self._folder / f"{name}.npz"
+        self._files.append(file)
+        with contextlib.suppress(OSError, OmtwarpError), open(file, "rb") as stream:
+            names = [str(one) for one in read_arrays(stream, ["names"])["names"]]
+            known = read_arrays(stream, ["key", "made", *names])
+            if str(known.pop("key")) == key and str(known.pop("made")) == (digest_of(made) if made else ""):
+                return known
+        found = {what: np.asarray(values) for what, values in make().items()}
+        words = {"key": np.array(key), "names": np.array([*found]), "made": np.array(digest_of(made) if made else "")}
+        write_arrays(file, {**found, **words})
+        return found
+
+    def remove(self) -> None:
+        """Remove the files of all steps, and their folder where nothing else is in it."""
+        for file in (*self._files, self._folder / RECORD):
+            file.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            self._folder.rmdir()
+
+
+def key_of(*parts: object) -> str:
+    """Return a digest of what a step depends on: the version, plain values, and templates."""
+    digest = hashlib.sha256(package_version().encode())
+    for part in parts:
+        content = part.content() if isinstance(part, Template) else json.dumps(part, sort_keys=True).encode()
+        digest.update(content)
+    return digest.hexdigest()
+
+
+def write_facts(path: Path, table: Mapping[str, Mapping[str, float]]) -> None:
+    """Write facts about maps as ``.csv``, a line for each, with its name as ``id``."""
+    columns = list(dict.fromkeys(column for row in table.values() for column in row))
+    with staged(path) as file, open(file, "w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(["id", *columns])
+        writer.writerows([[name, *(row.get(column, "") for column in columns)] for name, row in table.items()])
+
+
+def _most_usual(files: Mapping[str, Path]) -> Template:
+    """Return the folds of the map whose power at every degree is nearest to the mean of all, in its own position."""
+    degree = 16
+    powers = []
+    for path in files.values():
+        here, features = _folds(MapResult.load(path), str(path))
+        coefficients = feature_coefficients(features, here, degree)
+        powers.append(np.concatenate([power_per_degree(column)[1:] for column in coefficients.T]))
+    apart = np.linalg.norm(np.array(powers) - np.mean(powers, axis=0), axis=1)
+    chosen = list(files.values())[int(np.argmin(apart))]
+    here, features = _folds(MapResult.load(chosen), str(chosen))
+    values, _ = _on_grid(here, features)
+    grid = feature_grid()
+    return Template(grid.vertices, grid.faces, values, tuple(features))
+
+
+def _folds(result: MapResult, name: str) -> tuple[SpherePoints, dict[str, Floats]]:
+    """Return the points of a map, with what fills its holes, and the folds of its surface."""
+    here = as_points(result, name)
+    if here.vertices is None:
+        raise OmtwarpError(f"'{name}' has no surface, and so no folds")
+    return here, folding_features(here.vertices, here.grid.triangles)
+
+
+def _on_grid(points: SpherePoints, features: Mapping[str, Floats]) -> tuple[Floats, Floats]:
+    """Return features on the grid, shape [N, K], 0 in filled holes, and 1 where they are known, shape [N]."""
+    grid = feature_grid()
+    carried = resample(points, (grid.vertices, grid.faces), device="cpu")
+    columns = np.column_stack(list(features.values()))
+    return np.asarray(carried.matrix @ columns[: carried.matrix.shape[1]]), (~carried.empty).astype(np.float64)
+
+
+def _step(path: Path, template: Template, options: Mapping[str, object]) -> dict[str, Floats]:
+    """Register a map to a template; return its folds there, and where the template's points are on its own sphere."""
+    here, features = _folds(MapResult.load(path), str(path))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", OmtwarpWarning)  # those of the last round are said
+        found = register(here, template, **options)  # type: ignore[arg-type]
+    values, known = _on_grid(here.moved(found.closed_sphere), features)
+    return {"values": known[:, None] * values, "known": known, "back": way_back(here, found)}
+
+
+def way_back(here: SpherePoints, found: Registration) -> Floats:
+    """Return where the points of the feature grid, on a target, are on the sphere of a map turned to it, [N, 3]."""
+    grid, faces = feature_grid(), here.grid.triangles
+    turned = here.grid.points @ found.start.rotation.T
+    return Locator(found.closed_sphere, faces, device="cpu").find(grid.vertices).on_sphere(faces, turned)
+
+
+def _mean_template(total: Mapping[str, Floats], names: tuple[str, ...], max_strain: float) -> Template:
+    """Return the mean folds of registered maps, where the mean of the ways to the maps leads nowhere."""
+    grid = feature_grid()
+    mean = total["values"] / np.maximum(total["known"], 1.0)[:, None]
+    # Where the ways lead on average, there the points go that they lead from.
+    moved = kept_within(grid, normalised(total["back"]), max_strain)
+    found = Locator(moved, grid.faces, device="cpu").find(grid.vertices)
+    values = np.einsum("pk,pkc->pc", found.coordinates, mean[grid.faces[found.faces]])
+    return Template(grid.vertices, grid.faces, values, names)
+
+
+def _finish(path: Path, template: Template, options: Mapping[str, object], output: Path) -> dict[str, float]:
+    """Register a map to the template and write it; return the facts."""
+    result = MapResult.load(path)
+    found = register(result, template, **options)  # type: ignore[arg-type]
+    found.registered(result).save(output)
+    return found.facts()
