@@ -16,8 +16,11 @@ TURN = wp.constant(wp.float32(0.7548777))
 
 
 @wp.func
-def open_share(mesh: wp.uint64, origin: wp.vec3, n: wp.vec3, turn: float, rays: int) -> float:
-    """Return the share of cosine-weighted rays from a point that meet no surface, their pattern rotated."""
+def open_share(mesh: wp.uint64, origin: wp.vec3, n: wp.vec3, turn: float, first: float, rays: int) -> float:
+    """Return the share of cosine-weighted rays from a point that meet no surface.
+
+    Their pattern is rotated, and begins at a share of the disc's area, of a ray, that ``first`` says.
+    """
     helper = wp.vec3(1.0, 0.0, 0.0)
     # Of a normal's x: below 1/sqrt(2) the axis is 45 degrees or more from the normal.
     if wp.abs(n[0]) > wp.float32(0.7):
@@ -27,13 +30,12 @@ def open_share(mesh: wp.uint64, origin: wp.vec3, n: wp.vec3, turn: float, rays: 
     free = int(0)
     for k in range(rays):
         # A spiral over the disc lifted to the hemisphere: cosine-weighted, and the same for every run.
-        r = wp.sqrt((float(k) + 0.5) / float(rays))
+        r = wp.sqrt((float(k) + first) / float(rays))
         # Golden angle, π (3 - sqrt(5)): Vogel's spiral covers a disc evenly
         angle = float(k) * wp.float32(2.3999632) + turn
         up = wp.sqrt(wp.max(1.0 - r * r, 0.0))
         direction = t * (r * wp.cos(angle)) + b * (r * wp.sin(angle)) + n * up
-        query = wp.mesh_query_ray(mesh, origin, direction, 4.0)
-        if not query.result:
+        if not wp.mesh_query_ray_anyhit(mesh, origin, direction, 4.0):
             free += 1
     return float(free) / float(rays)
 
@@ -44,6 +46,7 @@ def cast_open_rays(
     origins: wp.array[wp.vec3],
     normals: wp.array[wp.vec3],
     numbers: wp.array[wp.int32],
+    firsts: wp.array[wp.float32],
     rays: int,
     # Data out:
     openness: wp.array[wp.float32],
@@ -52,7 +55,7 @@ def cast_open_rays(
     i, _compiled_once = wp.tid()
     # Turns, a prime: so many are told apart, and float32 still resolves each to 1e-4
     turn = float(numbers[i] % 1021) * TURN
-    openness[i] = open_share(mesh, origins[i], normals[i], turn, rays)
+    openness[i] = open_share(mesh, origins[i], normals[i], turn, firsts[i], rays)
 
 
 MOST_STRIPS = 100_000  # that slivers are cut in: a tree of them takes a tenth of a second
@@ -75,7 +78,8 @@ def face_openness(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> ND
     chosen = np.arange(0, len(faces), step)
     # Ray start, of the extent, off the surface: single precision resolves 1e-7 of it
     origins = p[chosen].mean(axis=1) + 1e-4 * normal[chosen]
-    shares = open_shares(x, faces, origins, normal[chosen], np.arange(len(chosen)), rays, wp.get_device("cpu"))
+    numbers, middle = np.arange(len(chosen)), np.full(len(chosen), 0.5)
+    shares = open_shares(x, faces, origins, normal[chosen], numbers, middle, rays, wp.get_device("cpu"))
     return np.repeat(shares, step)[: len(faces)]
 
 
@@ -85,6 +89,7 @@ def open_shares(
     origins: NDArray[np.float64],
     normals: NDArray[np.float64],
     numbers: NDArray[np.integer],
+    firsts: NDArray[np.float64],
     rays: int,
     where: wp.Device,
 ) -> NDArray[np.float64]:
@@ -95,6 +100,7 @@ def open_shares(
         origins: shape [N, 3], off the surface.
         normals: the middles of the rays, unit vectors, shape [N, 3].
         numbers: by which the points' rays are turned against each other, shape [N].
+        firsts: where they begin, from 0 to 1 of the share of the disc that belongs to a ray, shape [N].
         rays: from each point.
         where: the device.
     """
@@ -106,11 +112,12 @@ def open_shares(
     start = wp.array(origins.astype(np.float32), dtype=wp.vec3, device=where)
     ways = wp.array(normals.astype(np.float32), dtype=wp.vec3, device=where)
     which = wp.array(numbers.astype(np.int32), dtype=wp.int32, device=where)
+    begin = wp.array(firsts.astype(np.float32), dtype=wp.float32, device=where)
     out = wp.zeros(len(origins), dtype=wp.float32, device=where)
     launch_parts(
         cast_open_rays,
         len(origins),
-        lambda part: ([mesh.id, start[part], ways[part], which[part], rays], [out[part]]),
+        lambda part: ([mesh.id, start[part], ways[part], which[part], begin[part], rays], [out[part]]),
         where,
     )
     return out.numpy().astype(np.float64)

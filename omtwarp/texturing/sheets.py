@@ -237,7 +237,7 @@ class Look:
         size = SIZE if self.size is None and self.source is None else self.size
         return texture(
             (vertices, faces, sphere), image, pattern=pattern, projection=self.projection, atlas=self.atlas,
-            rotate=self.rotate, size=size, device=str(self.device),
+            rotate=self.rotate, size=size, smooth=self.source is not None, device=str(self.device),
         )  # fmt: skip
 
 

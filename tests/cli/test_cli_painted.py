@@ -41,7 +41,7 @@ def test_own_coordinates_with_materials_and_occlusion(desk, capsys):
 def test_occlusion_that_is_smaller_than_asked_says_so(desk, capsys, monkeypatch):
     words = "texture --map two.npz -o ao.glb --bake ao --size 96".split()
     assert "at most" not in run(capsys, *words)[1]
-    monkeypatch.setattr("omtwarp.texturing.bakes.MOST_RAYS", 16 * 2000)  # 2,000 texels
+    monkeypatch.setattr("omtwarp.texturing.bakes.MOST_RAYS", 8 * 2000)  # 2,000 texels
     status, out, _ = run(capsys, *words)
     assert status == 0 and "occlusion 48 x 32, occlusion by" in out and "rays at most" in out
 

@@ -1,6 +1,7 @@
 """Patterns, materials and bakes on a mesh's own texture coordinates, against closed forms."""
 
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +9,11 @@ import pytest
 import trimesh
 
 import omtwarp
+from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.mesh.surface import triangle_areas, vertex_normals
 from omtwarp.texturing import Material, PaintedMesh, paint, read_painted_mesh, unwrap_uv
-from omtwarp.texturing.bakes import area_ratio, mean_curvature
+from omtwarp.texturing.bakes import Target, area_ratio, mean_curvature, occlusion
 from omtwarp.texturing.materials import corner_tangents
 from omtwarp.texturing.patterns.checker import Checker
 from omtwarp.texturing.sheets import over, tiled_copies
@@ -260,12 +262,8 @@ def test_occlusion_of_a_ball_and_of_a_well():
     assert open_ball.occlusion_picture.min() == 255 and open_ball.picture is None
     # A block of 4 x 4 x 2 with a round well, as a surface of revolution: profile from the bottom's middle outwards.
     radius, depth = 1.0, 1.5
-    profile = np.array([[0.0, -depth], [radius / 2, -depth], [radius, -depth], [radius, 0], [3, 0], [3, -3], [0, -3]])
-    block = trimesh.creation.revolve(profile, sections=96)
-    block.merge_vertices()
-    points, triangles = np.asarray(block.vertices), np.asarray(block.faces, dtype=np.int32)
-    if block.volume < 0:
-        triangles = triangles[:, ::-1].copy()
+    profile = [[0.0, -depth], [radius / 2, -depth], [radius, -depth], [radius, 0], [3, 0], [3, -3], [0, -3]]
+    points, triangles = revolved(profile)
     centre = np.linalg.norm(points - [0, 0, -depth], axis=1).argmin()
     fans = np.flatnonzero((triangles == centre).any(axis=1))
     uv = np.zeros((len(triangles), 3, 2))  # the whole picture is the well's bottom
@@ -274,6 +272,55 @@ def test_occlusion_of_a_ball_and_of_a_well():
     painted = paint((points, triangles, sphere), PaintedMesh(points, triangles, uv), bake=["ao"], size=128)
     middle = painted.materials[0].occlusion_picture[60:68, 60:68, 0].mean() / 255
     assert middle == pytest.approx(radius**2 / (radius**2 + depth**2), abs=0.03)
+
+
+def revolved(profile):
+    """Return the surface of revolution of points (radius, height), faces seen from outside: vertices and faces."""
+    body = trimesh.creation.revolve(np.array(profile), sections=96)
+    body.merge_vertices()
+    points, triangles = np.asarray(body.vertices), np.asarray(body.faces, dtype=np.int32)
+    return points, triangles if body.volume > 0 else triangles[:, ::-1].copy()
+
+
+def test_occlusion_inside_a_ball_with_an_opening_is_even():
+    """Every point inside a ball gets the same light through a hole, the hole's share of the ball; noise is a few %."""
+    inside = [(np.sin(turn), -np.cos(turn)) for turn in np.linspace(0, np.deg2rad(120), 49)]
+    outside = [(1.2 * np.sin(turn), -1.2 * np.cos(turn)) for turn in np.linspace(np.deg2rad(120), 0, 49)]
+    points, triangles = revolved([*inside, *outside])
+    turn = np.arccos(np.clip(-points[:, 2] / np.linalg.norm(points, axis=1), -1, 1)) / np.deg2rad(120)
+    plane = points[:, :2] / np.maximum(np.linalg.norm(points[:, :2], axis=1, keepdims=True), 1e-12)
+    within = (np.linalg.norm(points, axis=1) < 1.01)[triangles].all(axis=1)
+    uv = np.where(within[:, None, None], (0.5 + 0.48 * turn[:, None] * plane)[triangles], 0.0)
+    target = Target(
+        uv, points[triangles], vertex_normals(points, triangles)[triangles], np.arange(len(triangles)),
+        np.broadcast_to(np.eye(3), (len(triangles), 3, 3)), (256, 256), wp.get_device("cpu"),
+    )  # fmt: skip
+    light = occlusion(target, points, triangles)[..., 0] / 255
+    row, column = np.mgrid[:256, :256]
+    light = light[np.hypot(row - 127.5, column - 127.5) < 0.46 * 256]  # not at the rim
+    assert light.mean() == pytest.approx(
+        (1 - np.cos(np.deg2rad(60))) / 2, abs=0.01
+    )  # rays along the ground are left out
+    assert light.std() < 0.03
+
+
+def test_occlusion_of_long_triangles_takes_at_most_five_seconds():
+    """Rays meet the 3,000 triangles around two tips, a picture of 1024 x 1024, in 5 CPU seconds; measured 3.5."""
+    count = 1500
+    turn = 2 * np.pi * np.arange(count) / count
+    points = np.vstack([np.column_stack([np.cos(turn), np.sin(turn), 0 * turn]), [[0, 0, 1], [0, 0, -1]]])
+    here = np.arange(count)
+    following = (here + 1) % count
+    above, below = (
+        np.stack([a, b, 0 * a + tip], axis=1) for a, b, tip in ((here, following, count), (following, here, count + 1))
+    )
+    triangles = np.concatenate([above, below]).astype(np.int32)
+    result = points, triangles, points / np.linalg.norm(points, axis=1, keepdims=True)
+    paint(result, uv="atlas", bake=["ao"], size=64, device="cpu")  # kernels are compiled
+    start = time.process_time()
+    made = paint(result, uv="atlas", bake=["ao"], size=1024, device="cpu")
+    assert time.process_time() - start < 5.0
+    assert made.materials[0].occlusion_picture.shape == (512, 512, 3)
 
 
 def test_a_normal_map_gives_the_detailed_normals_back():
