@@ -89,7 +89,7 @@ def open_shares(
     origins: NDArray[np.float64],
     normals: NDArray[np.float64],
     numbers: NDArray[np.integer],
-    firsts: NDArray[np.float64],
+    firsts: NDArray[np.floating],
     rays: int,
     where: wp.Device,
 ) -> NDArray[np.float64]:
