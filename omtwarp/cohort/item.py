@@ -27,6 +27,13 @@ OK, ERROR, TIMEOUT, MEMORY, CRASHED = "ok", "error", "timeout", "memory", "crash
 # Numbers in a record, and in a table's columns.
 WHOLE = ("vertices", "faces", "flips", "memory", "map_size")
 NUMBERS = ("degree", "area", "area_p95", "angle", "ring", "gap", "seconds", "cpu_seconds")
+# Numbers of a registration, as :meth:`omtwarp.registration.Registration.facts` has them.
+OF_REGISTRATION = tuple(
+    f"registration_{name}"
+    for name in (
+        *("score", "margin", "doubtful", "flips", "degree", "area_p95", "stretch_p95", "strain", "sulc", "curv"),
+    )
+)
 
 
 @dataclass(frozen=True)
@@ -38,7 +45,8 @@ class Job:
         path: of its mesh.
         folder: of the cohort's results.
         key: hash of input, options and version; a record with the same key is final.
-        options: of :func:`omtwarp.map_to_sphere`, ``repair``, and ``fill_area`` where holes are filled.
+        options: of :func:`omtwarp.map_to_sphere`, ``repair``, ``fill_area`` where holes are filled, and the target of
+            ``register`` where maps are registered.
         time_limit: seconds.
         memory_limit: bytes that the item may allocate beyond what the process starts with; 0 for no limit.
     """
@@ -137,7 +145,7 @@ def may_write_map(job: Job) -> bool:
 def _well_typed(record: dict[str, object]) -> bool:
     """Return whether a record has a status, and numbers and texts where they belong."""
     return record.get("status") in (OK, ERROR, TIMEOUT, MEMORY, CRASHED) and all(
-        value is None or isinstance(value, int | float if name in (*WHOLE, *NUMBERS) else str)
+        value is None or isinstance(value, int | float if name in (*WHOLE, *NUMBERS, *OF_REGISTRATION) else str)
         for name, value in record.items()
     )
 

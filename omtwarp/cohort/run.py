@@ -13,11 +13,11 @@ from typing import Unpack
 from omtwarp.cohort.executors import executor_for, make_folders
 from omtwarp.cohort.item import OK, Job, Row, complete_journal, forget_failure, key_of, may_write_map, read_record
 from omtwarp.cohort.manifest import Item
-from omtwarp.cohort.table import ORDER, write_table
+from omtwarp.cohort.table import GROUP, ORDER, REGISTERED, REGISTERED_MAPS, write_table
 from omtwarp.device.cores import core_count
 from omtwarp.errors import OmtwarpError, choose
-from omtwarp.files.output import folder_of_results, require_own
-from omtwarp.options import AreaMatch, FillArea, MapKeywords, MapOptions, Progress
+from omtwarp.files.output import digest_of, folder_of_results, require_own
+from omtwarp.options import AreaMatch, FillArea, MapKeywords, MapOptions, Progress, Record
 
 RESULTS = ("table.parquet", "table.csv", "report.html")
 TIME_LIMIT = 3600.0  # seconds; the largest surfaces of the field, 330,000 faces, take one to two minutes
@@ -55,6 +55,7 @@ def run_cohort(
     progress: Progress | None = None,
     repair: bool = False,
     fill_area: str | None = None,
+    register: str | None = None,
     **options: Unpack[MapKeywords],
 ) -> CohortResult:
     """Map many surfaces, each in a process of its own; a surface that fails becomes a row of the table.
@@ -76,6 +77,10 @@ def run_cohort(
         repair: repair meshes first, as ``omtwarp map --repair`` does.
         fill_area: fill holes of surfaces, on the sphere with their own area (``natural``) or a ``small`` one, see
             :func:`omtwarp.map_surface`; without it surfaces with holes are failures.
+        register: what every map is registered to after it is made (:func:`omtwarp.register`): the name of a template,
+            or a file; or ``group``: when all maps are there they are registered, in this process, to a template made
+            from them (:func:`omtwarp.registration.register_group`), in the folder ``registered``. The table has the
+            facts of the registrations.
         options: of :func:`omtwarp.map_to_sphere`.
 
     Raises:
@@ -103,6 +108,16 @@ def run_cohort(
         asked["fill_area"] = str(choose(FillArea, fill_area))
     from omtwarp.cohort.page import write_page  # loads Warp, which fails before the work where it cannot start
 
+    on = asked
+    if register not in (None, GROUP):
+        from omtwarp.registration.register import target_points
+
+        found, own = target_points(register)
+        if found.vertices is None and own is None:
+            raise OmtwarpError(f"'{register}' is a sphere without its surface, and so has no folds to register to")
+        file = Path(register)
+        asked["register"] = str(file.absolute()) if file.is_file() else register
+        on = asked | ({"target": digest_of(file)} if file.is_file() else {})
     target = Path(folder).absolute()
     with folder_of_results(target, *RESULTS):  # refused before the work, not after it
         make_folders(target)
@@ -111,7 +126,7 @@ def run_cohort(
             item.id,
             str(item.path.absolute()),
             str(target),
-            key_of(item.path, asked),
+            key_of(item.path, on),
             asked,
             time_limit,
             int(memory_limit * 2**30),
@@ -132,6 +147,8 @@ def run_cohort(
             _follow(records, len(mine) - len(todo), len(mine), progress)
     complete_journal(jobs, target)
     rows = [_row(item, job) for item, job in zip(items, jobs, strict=True)]
+    if register == GROUP and not collect:
+        _register_all(rows, target, progress)
     with folder_of_results(target, *RESULTS):
         table = write_table(rows, target)
         page = write_page(rows, target)
@@ -156,7 +173,7 @@ def _require_possible(
             f"the time limit must be above 0 and at most {longest:.0e} seconds, the memory limit from 0 to "
             f"{largest_limit:.0e} GiB"
         )
-    taken = next((name for item in items for name in item.fields if name in ORDER), None)
+    taken = next((name for item in items for name in item.fields if name in (*ORDER, *REGISTERED)), None)
     if taken is not None:
         raise OmtwarpError(f"the table of results has a column '{taken}' of its own: rename that of the list of items")
     if workers < 1:
@@ -192,6 +209,24 @@ def _follow(records: Generator[Row, None, None], done: int, total: int, progress
                     progress("cohort", done, total, {"failed": failed})
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"{done} of {total} items done; run again to continue") from None
+
+
+def _register_all(rows: list[Row], folder: Path, progress: Progress | None) -> None:
+    """Register all maps to a template made from them, unless some are not made yet, and add the facts to their rows."""
+    from omtwarp.registration.group import register_group
+
+    done = [row for row in rows if row["status"] == OK]
+    if len(done) < 2 or any(row["status"] == "waiting" for row in rows):
+        return
+
+    def notify(stage: str, step: int, steps: int, info: Record) -> None:
+        if progress is not None:
+            progress("register", step, steps, {"failed": len(rows) - len(done)})
+
+    maps = [folder / "maps" / f"{row['id']}.npz" for row in done]
+    table = register_group(maps, folder / REGISTERED_MAPS, progress=notify).table
+    for row in done:
+        row |= {"registered_to": GROUP, **table[str(row["id"])]}
 
 
 def _row(item: Item, job: Job) -> Row:

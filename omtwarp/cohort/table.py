@@ -6,18 +6,21 @@ import csv
 from collections.abc import Sequence
 from pathlib import Path
 
-from omtwarp.cohort.item import NUMBERS, OK, WHOLE, Row
+from omtwarp.cohort.item import NUMBERS, OF_REGISTRATION, OK, WHOLE, Row
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import staged
 
 TABLES = "table.parquet", "table.csv"
 ORDER = ("id", "path", "status", *WHOLE[:3], *NUMBERS, "memory", "version", "message", "map_size", "map_digest", "key")
+GROUP, REGISTERED_MAPS = "group", "registered"  # what maps are registered to, and the folder where they go then
+REGISTERED = ("registered_to", *OF_REGISTRATION)  # columns where maps are registered
 
 
 def columns_of(rows: Sequence[Row]) -> list[str]:
     """Return the names of a table's columns: the manifest's own after ``path``, then the others in a fixed order."""
-    own = list(dict.fromkeys(name for row in rows for name in row if name not in ORDER))
-    return [*ORDER[:2], *own, *ORDER[2:]]
+    given = dict.fromkeys(name for row in rows for name in row)
+    own = [name for name in given if name not in ORDER and name not in REGISTERED]
+    return [*ORDER[:2], *own, *ORDER[2:], *(name for name in REGISTERED if name in given)]
 
 
 def write_table(rows: Sequence[Row], folder: Path) -> Path:
@@ -39,7 +42,9 @@ def write_table(rows: Sequence[Row], folder: Path) -> Path:
             writer.writerows([["" if row.get(name) is None else row[name] for name in names] for row in rows])
     else:
         target = folder / "table.parquet"
-        kinds = {name: arrow.int64() for name in WHOLE} | {name: arrow.float64() for name in NUMBERS}
+        kinds = {name: arrow.int64() for name in WHOLE} | {
+            name: arrow.float64() for name in (*NUMBERS, *OF_REGISTRATION)
+        }
         columns = [arrow.array([row.get(name) for row in rows], kinds.get(name, arrow.string())) for name in names]
         with staged(target) as file:
             parquet.write_table(arrow.table(columns, names=names), file)
@@ -58,11 +63,18 @@ def read_table(path: Path) -> list[Row]:
     with open(path, encoding="utf-8", newline="") as stream:
         return [
             {
-                name: (int(value) if name in WHOLE else float(value) if name in NUMBERS else value) if value else None
+                name: (int(value) if name in WHOLE else float(value) if name in (*NUMBERS, *OF_REGISTRATION) else value)
+                if value
+                else None
                 for name, value in row.items()
             }
             for row in csv.DictReader(stream)
         ]
+
+
+def map_of(folder: Path, row: Row) -> Path:
+    """Return the file of an item's map in a cohort's folder, registered where the table says so."""
+    return folder / (REGISTERED_MAPS if row.get("registered_to") == GROUP else "maps") / f"{row['id']}.npz"
 
 
 def table_of_cohort(source: Path) -> tuple[Path, list[Row]] | None:

@@ -1,4 +1,4 @@
-"""Run an item in a process of its own: read, map, save, and record the result."""
+"""Run an item in a process of its own: read, map, register where asked, save, and record the result."""
 
 from __future__ import annotations
 
@@ -34,6 +34,9 @@ from omtwarp.mesh.repair import NOTED_LOSS, repair
 from omtwarp.mesh.seams import read_joined_mesh
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.options import Domain, FillArea, MapKeywords
+from omtwarp.registration import register
+
+APART = ("repair", "fill_area", "register")  # options of a job that are not those of a map
 
 
 def run_item(job: Job) -> Row:
@@ -55,6 +58,11 @@ def run_item(job: Job) -> Row:
         try:
             result = _map(job)
             numbers = numbers_of(result)
+            if "register" in job.options:
+                target = str(job.options["register"])
+                registration = register(result, target)
+                result = registration.registered(result)
+                numbers |= {"registered_to": target, **registration.facts()}
             with staged(job.map_file) as file:
                 result.save(file)
                 made: Row = {"map_size": file.stat().st_size, "map_digest": digest_of(file)}
@@ -93,7 +101,7 @@ def mapped(mesh: MeshLike, asked: Mapping[str, object]) -> MapResult:
         mesh: the surface.
         asked: the options of a job.
     """
-    options = cast(MapKeywords, {name: value for name, value in asked.items() if name not in ("repair", "fill_area")})
+    options = cast(MapKeywords, {name: value for name, value in asked.items() if name not in APART})
     if "fill_area" not in asked:
         return map_to_sphere(mesh, **options)
     area = choose(FillArea, asked["fill_area"])

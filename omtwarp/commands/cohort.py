@@ -70,12 +70,20 @@ def cohort(
     collect: Annotated[bool, typer.Option("--collect", help="Compute nothing; write the table and the page.")] = False,
     mapping: Annotated[MapOptions, Only((*ROUTE, "optimality"))],
     fill_area: FillAreaOption = None,
+    register: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TARGET|group",
+            help="Register every map, to a map, template or fsaverage5-left or -right, or all to one of the group.",
+        ),
+    ] = None,
     repair: RepairOption = False,
     printing: Printing,
 ) -> None:
     """Map many surfaces: one process each, with limits; failures are rows of the table; a rerun continues.
 
-    DIR gets maps/ID.npz, records/ID.json, table.parquet (table.csv without pyarrow) and report.html.
+    DIR gets maps/ID.npz, records/ID.json, table.parquet (table.csv without pyarrow) and report.html, and with
+    --register group the template and registered maps in registered/.
     """
     from omtwarp.cohort import read_manifest, run_cohort
 
@@ -96,6 +104,7 @@ def cohort(
             progress=progress,
             repair=repair,
             fill_area=fill_area,
+            register=register,
             **vars(mapping),
         )
     if printing.as_json:
@@ -147,17 +156,18 @@ def _reporting(quiet: bool, verbose: bool = False) -> Iterator[Progress | None]:
             yield draw
         return
     begun = last = time.monotonic()
-    first: list[int] = []
+    first: dict[str, tuple[int, float]] = {}  # of each stage, what was done before, and when it began
 
     def report(stage: str, done: int, total: int, info: Record) -> None:
         nonlocal last
-        first.append(done - 1) if not first else None
         now = time.monotonic()
+        before, begun_at = first.setdefault(stage, (done - 1, begun if not first else last))
         # Lines every: seconds between lines on how far a cohort is, where there is no terminal
         if verbose or now - last >= 30.0 or done == total:
             last = now
-            left = (now - begun) / (done - first[0]) * (total - done)
-            words = f"{done} of {total} done, {info['failed']} failed, about {left:.0f} s left"
+            left = (now - begun_at) / (done - before) * (total - done)
+            what = "steps of registration" if stage == "register" else "done"
+            words = f"{done} of {total} {what}, {info['failed']} failed, about {left:.0f} s left"
             say(words)
 
     yield report

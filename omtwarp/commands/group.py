@@ -133,15 +133,14 @@ def _members(
         OmtwarpError: a covariate that is no column, or some members have a group and others none.
     """
     from omtwarp.cohort.manifest import read_manifest
-    from omtwarp.cohort.table import table_of_cohort
+    from omtwarp.cohort.table import map_of, table_of_cohort
 
     rows: list[Mapping[str, object]]
     one = sources[0] if len(sources) == 1 else ""
     cohort = table_of_cohort(Path(one)) if one and one != str(STREAM) else None
     if cohort is not None:
-        folder, rows = cohort[0], [*cohort[1]]
-        names = [str(row["id"]) for row in rows]
-        paths = [folder / "maps" / f"{name}.npz" for name in names]
+        names, rows = [str(row["id"]) for row in cohort[1]], [*cohort[1]]
+        paths = [map_of(cohort[0], row) for row in cohort[1]]
     elif one == str(STREAM) or Path(one).suffix.lower() in (".csv", ".tsv"):
         items = read_manifest(input_table(one))
         names, paths, rows = [item.id for item in items], [item.path for item in items], [item.fields for item in items]

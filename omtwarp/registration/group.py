@@ -8,8 +8,8 @@ import hashlib
 import json
 import os
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.alignment.features import feature_coefficients
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.files.inputs import read_arrays, write_arrays
-from omtwarp.files.output import RECORD, as_path, digest_of, folder_of_results, staged
+from omtwarp.files.output import RECORD, as_path, digest_of, folder_of_results, staged, written_by_omtwarp
 from omtwarp.geometry.harmonics import power_per_degree
 from omtwarp.location import Locator
 from omtwarp.maps.result import MapResult
@@ -67,7 +67,7 @@ def register_group(
     The first template is the map whose folds are the most usual, by their power at every wave length, in its position.
     In every round all maps are registered to the template; the next one has their mean folds, moved so that the mean
     of the ways from it to the maps, point by point, leads nowhere. Maps are read one at a time. What is done is kept:
-    an interrupted run goes on where it was. The order of the maps does not count.
+    an interrupted run goes on where it was, and a finished one is not repeated. The order of the maps does not count.
 
     Args:
         maps: files of maps with their surfaces, of different names.
@@ -86,10 +86,13 @@ def register_group(
     files = by_name(maps)
     rounds = whole_number(rounds, "rounds", least=1)
     options: dict[str, object] = {"stiffness": stiffness, "max_strain": max_strain, "keep_areas": keep_areas}
-    template = _most_usual(files)
     digests = {name: digest_of(path) for name, path in files.items()}
+    target, origin = as_path(folder), key_of(rounds, digests, options)
+    finished = _finished(target, origin, files)
+    if finished is not None:
+        return finished
+    template = _most_usual(files)
     steps, done = (rounds + 1) * len(files), 0
-    target = as_path(folder)
     results = ("template.npz", "table.csv", *(f"{name}.npz" for name in files))
     with folder_of_results(target, *results), folder_of_results(target / STEPS):
         kept = Kept(target / STEPS)
@@ -104,7 +107,7 @@ def register_group(
                 if progress is not None:
                     progress("group", done, steps, {})
             template = _mean_template(total, template.names, max_strain)
-        template.save(target / "template.npz")
+        template = replace(template, origin=origin)
         table = {}
         for name, path in files.items():
             key = key_of(rounds, digests[name], options, template)
@@ -117,6 +120,7 @@ def register_group(
             if progress is not None:
                 progress("group", done, steps, {})
         write_facts(target / "table.csv", table)
+        template.save(target / "template.npz")
         kept.remove()
     return GroupRegistration(template, table)
 
@@ -134,6 +138,9 @@ def by_name(maps: Sequence[str | os.PathLike[str]]) -> dict[str, Path]:
         raise OmtwarpError(f"{len(maps)} maps have {len(files)} names: results are called as they are, so rename some")
     if "template" in files:
         raise OmtwarpError(f"'{files['template']}' has the name of a result: rename it")
+    missing = next((path for path in files.values() if not path.is_file()), None)
+    if missing is not None:
+        raise OmtwarpError(f"'{missing}' is no file: give maps (.npz)")
     return dict(sorted(files.items()))
 
 
@@ -195,6 +202,21 @@ def write_facts(path: Path, table: Mapping[str, Mapping[str, float]]) -> None:
         writer = csv.writer(stream)
         writer.writerow(["id", *columns])
         writer.writerows([[name, *(row.get(column, "") for column in columns)] for name, row in table.items()])
+
+
+def _finished(folder: Path, origin: str, names: Collection[str]) -> GroupRegistration | None:
+    """Return what a folder holds where a run on the same maps ended in it, and its files were not changed since."""
+    files = [folder / name for name in ("template.npz", "table.csv", *(f"{name}.npz" for name in names))]
+    with contextlib.suppress(OSError, OmtwarpError, ValueError):
+        if all(written_by_omtwarp(file) for file in files):
+            with open(files[0], "rb") as stream:
+                known = str(read_arrays(stream, ["origin"]).get("origin", ""))
+            if known == origin:
+                with open(files[1], encoding="utf-8", newline="") as text:
+                    rows = list(csv.DictReader(text))
+                table = {row.pop("id"): {name: float(value) for name, value in row.items()} for row in rows}
+                return GroupRegistration(Template.load(files[0]), table)
+    return None
 
 
 def _most_usual(files: Mapping[str, Path]) -> Template:

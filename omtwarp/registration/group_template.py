@@ -29,12 +29,14 @@ class Template:
         faces: int32, shape [F, 3].
         features: float64, shape [N, K].
         names: of the features.
+        origin: digest of what it was made from.
     """
 
     points: Floats
     faces: NDArray[np.int32]
     features: Floats
     names: tuple[str, ...]
+    origin: str = ""
 
     def by_name(self) -> dict[str, Floats]:
         """Return the features by name, shape [N] each."""
@@ -60,7 +62,7 @@ class Template:
             OmtwarpError: the file cannot be written.
         """
         arrays = self.points, self.faces, self.features, np.array(self.names)
-        write_arrays(path, dict(zip(ARRAYS, arrays, strict=True)))
+        write_arrays(path, {**dict(zip(ARRAYS, arrays, strict=True)), "origin": np.array(self.origin)})
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Template:
@@ -71,7 +73,7 @@ class Template:
         """
         with open_input(path, LARGEST_MESH_FILE, "template") as stream:
             try:
-                found = read_arrays(stream, ARRAYS)
+                found = read_arrays(stream, (*ARRAYS, "origin"))
                 missing = next((name for name in ARRAYS if name not in found), None)
                 if missing is not None:
                     raise OmtwarpError(f"it has no '{missing}'")
@@ -81,9 +83,9 @@ class Template:
                 features = real_numbers(found[ARRAYS[2]], "its features", (len(points), len(names)))
             except OmtwarpError as error:
                 raise OmtwarpError(f"'{path}' is not a template: {error}") from None
-        return cls(points, faces.astype(np.int32), features, names)
+        return cls(points, faces.astype(np.int32), features, names, str(found.get("origin", "")))
 
 
-def is_template(path: object) -> bool:
-    """Return whether a target is the file of a template."""
-    return isinstance(path, str | os.PathLike) and holds_array(path, *ARRAYS)
+def is_template(path: str | os.PathLike[str]) -> bool:
+    """Return whether a file is a template's."""
+    return holds_array(path, *ARRAYS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -202,10 +203,7 @@ def register(
     max_strain = real_number(max_strain, "max_strain", above=0.0)
     weight_of_areas = _weight_of_areas(keep_areas)
     here = as_points(moving, "the map")
-    if is_template(target):
-        target = Template.load(target)  # type: ignore[arg-type]
-    there = _target_points(target)
-    own = target.by_name() if isinstance(target, Template) else None
+    there, own = target_points(target)
     ours, theirs = _features_of(here, there, features, to_features, own)
     usual = {} if features else FOLDING_WEIGHTS
     weights = _weights_of(ours, {**usual, **(feature_weights or {})})
@@ -269,11 +267,19 @@ def _weight_of_areas(keep_areas: object) -> float:
     return np.inf if keep_areas == "exact" else real_number(keep_areas, "keep_areas, unless 'exact',", least=0.0)
 
 
-def _target_points(target: PointsLike | Template) -> SpherePoints:
-    """Return the points of a target, which may be a template or the name of one."""
+def target_points(target: PointsLike | Template) -> tuple[SpherePoints, dict[str, Floats] | None]:
+    """Return the points of a target, which may be a template, the name of one or its file, and features it has.
+
+    Raises:
+        OmtwarpError: it is no target of these kinds.
+    """
+    if isinstance(target, str | os.PathLike) and is_template(target):
+        target = Template.load(target)
     if isinstance(target, Template):
-        return target.sphere()
-    return template(target) if isinstance(target, str) and target in HEMISPHERES else as_points(target, "the target")
+        return target.sphere(), target.by_name()
+    if isinstance(target, str) and target in HEMISPHERES:
+        return template(target), None
+    return as_points(target, "the target"), None
 
 
 def _distances(marks: Pairs, before: Floats, after: Floats) -> dict[str, dict[str, float]]:

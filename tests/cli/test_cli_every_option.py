@@ -129,6 +129,7 @@ VALUES = {
         "other.npz", "sphere.ply", "ico0", "fsaverage3", "healpix:2", "equiangular:4x8", "octahedral:4",
     ],
     "check --output": ["o.ply"],
+    "cohort --register": ["other.npz"],
     "cohort --executor": ["local"],  # clusters have tests of their own
     "spharm --output": ["o.csv", "o.npz"],
     "benchmark --json": ["figures.json"],

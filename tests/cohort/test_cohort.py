@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import omtwarp
 from omtwarp.cohort import read_manifest, run_cohort
 from omtwarp.cohort.executors import Host, make_folders
 from omtwarp.cohort.item import (
@@ -28,7 +29,7 @@ from omtwarp.cohort.item import (
     settle,
 )
 from omtwarp.cohort.page import outliers
-from omtwarp.cohort.table import read_table
+from omtwarp.cohort.table import map_of, read_table
 from omtwarp.cohort.work import run_item
 from omtwarp.commands._cli import main
 from omtwarp.errors import OmtwarpError
@@ -475,3 +476,57 @@ def test_holes_are_filled_where_asked_for(tmp_path, capsys):
     assert not ended.value.code and (tmp_path / "study" / "distances.csv").exists()
     with pytest.raises(OmtwarpError, match="natural"):
         run_cohort(read_manifest(tmp_path / "in"), tmp_path / "plain", fill_area="large")
+
+
+@pytest.mark.parametrize("to", ["group", "target.npz"])
+def test_maps_are_registered_after_they_are_made(tmp_path, monkeypatch, capsys, to):
+    """The table has the facts, `group` takes the registered maps, and a second run repeats nothing."""
+    monkeypatch.chdir(tmp_path)
+    for k in range(3):
+        surface = blob(k % 2, amplitude=0.3, degree=6, sphere=720)
+        write_mesh(tmp_path / f"s{k}.ply", surface.vertices, surface.faces)
+    target = omtwarp.map_to_sphere(blob(0, amplitude=0.3, degree=6, sphere=720), until="moser", device="cpu")
+    target.save("target.npz")
+    (tmp_path / "list.csv").write_text("path\ns0.ply\ns1.ply\ns2.ply\n")
+    line = [
+        "cohort",
+        "list.csv",
+        "-o",
+        "out",
+        "--until",
+        "moser",
+        "--device",
+        "cpu",
+        "--workers",
+        "1",
+        "--register",
+        to,
+    ]
+    times = []
+    for computed in (3, 0):
+        with pytest.raises(SystemExit) as ended:
+            main([*line, "--json"])
+        said = json.loads(capsys.readouterr().out)
+        assert not ended.value.code and said["computed"] == computed and said["counts"] == {"ok": 3}
+        rows = read_table(Path(said["table"]))
+        folder = "registered" if to == "group" else "maps"
+        times.append([file.stat().st_mtime_ns for file in sorted((tmp_path / "out" / folder).glob("s*.npz"))])
+    assert times[0] == times[1]
+    assert all(row["registered_to"].endswith(to) for row in rows)
+    assert all(row["registration_flips"] == 0.0 and row["registration_strain"] < 1.2 for row in rows)
+    assert rows[0]["registration_sulc"] > 0.97
+    ends = [MapResult.load(tmp_path / "out" / folder / f"s{k}.npz") for k in (0, 2)]
+    assert ends[0].report["registration"]["certificate"]["flips"] == 0
+    np.testing.assert_allclose(ends[0].sphere, ends[1].sphere, atol=1e-6)  # of one surface
+    assert map_of(Path("out"), rows[0]) == Path("out", folder, "s0.npz")
+
+
+@pytest.mark.parametrize(("to", "words"), [("none.npz", "none.npz"), ("list.csv", "list.csv"), ("ico2", "no folds")])
+def test_targets_that_cannot_be_registered_to_are_one_line_before_the_work(tmp_path, monkeypatch, capsys, to, words):
+    monkeypatch.chdir(tmp_path)
+    manifest_of(write_shapes(tmp_path / "in", 1), tmp_path / "list.csv")
+    with pytest.raises(SystemExit) as ended:
+        main(["cohort", "list.csv", "-o", "out", "--register", to])
+    told = capsys.readouterr().err
+    assert ended.value.code == 1 and words in told and told.count("\n") == 1
+    assert not (tmp_path / "out").exists()
