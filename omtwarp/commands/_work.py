@@ -59,13 +59,16 @@ def with_files(files: Sequence[Path]) -> str:
     return f"\nwith {' and '.join(str(file) for file in files[:-1])}" if len(files) > 1 else ""
 
 
-def read_sound_mesh(path: Path, repair: bool = False, *, any_surface: bool = False) -> Input:
+def read_sound_mesh(
+    path: Path, repair: bool = False, *, any_surface: bool = False, smoothing: int | None = None
+) -> Input:
     """Read a mesh and make sure that it can be mapped.
 
     Args:
         path: the file.
         repair: whether to repair the mesh first.
         any_surface: whether holes, handles and several parts are left to :func:`omtwarp.map_surface`.
+        smoothing: of the surfaces of a volume's labels, as for :func:`omtwarp.read_mesh`.
 
     Raises:
         OmtwarpError: the file cannot be read, or its mesh cannot be mapped.
@@ -74,7 +77,7 @@ def read_sound_mesh(path: Path, repair: bool = False, *, any_surface: bool = Fal
     from omtwarp.mesh.surface import Surface
     from omtwarp.mesh.validate import as_arrays, require_valid
 
-    mesh = read_joined_mesh(path, together=repair or any_surface)
+    mesh = read_joined_mesh(path, together=repair or any_surface, smoothing=smoothing)
     notes, vertex_of_file = [*of_a_map(path), *mesh.notes], mesh.vertex_of_file
     vertices, faces = mesh.vertices, mesh.faces
     sizes = len(mesh.file.vertices), len(faces)

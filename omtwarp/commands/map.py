@@ -193,6 +193,10 @@ def map_mesh(
         ),
     ] = None,
     repair: RepairOption = False,
+    smoothing: Annotated[
+        int | None,
+        typer.Option(min=0, max=1000, help="Rounds of smoothing of the surfaces of a volume's labels; 20 by default."),
+    ] = None,
     beside: Annotated[
         bool, typer.Option("--beside", help="For .ply: the surface, with its sphere as px, py, pz at the vertices.")
     ] = False,
@@ -231,7 +235,7 @@ def map_mesh(
     known: list[MapFacts] = []
 
     def map_one(mesh: Path, target: Path | None) -> None:
-        sound = read_sound_mesh(mesh, repair, any_surface=any_surface is not None)
+        sound = read_sound_mesh(mesh, repair, any_surface=any_surface is not None, smoothing=smoothing)
         structure = structure_of(mesh)
         weights, belong = weights_of(mass, sound, structure)
         result = make_map(

@@ -26,14 +26,14 @@ from omtwarp.files.inputs import read_arrays, read_bytes, read_up_to
 from omtwarp.files.limits import LARGEST_MESH_FILE, MOST_FACES, amount
 from omtwarp.files.memory import memory_for_file
 from omtwarp.files.output import as_path, scratch
-from omtwarp.mesh.arrays import whole_numbers
+from omtwarp.mesh.arrays import whole_number, whole_numbers
 from omtwarp.mesh.neuro import load_gifti, nibabel_module
 from omtwarp.mesh.other_formats import MESHIO_FORMATS, WAYS_ROUND, read_by_meshio
 from omtwarp.mesh.ply import read_ply
 from omtwarp.mesh.polygons import fans
 from omtwarp.mesh.scenes import load_scene, placed_meshes, scene_formats
 from omtwarp.mesh.small_formats import read_freesurfer_text, read_mni, read_mz3, read_plates
-from omtwarp.mesh.volumes import VOLUMES, label_surfaces
+from omtwarp.mesh.volumes import MOST_ROUNDS, ROUNDS, VOLUMES, label_surfaces
 from omtwarp.mesh.vtk import read_vtk, read_vtk_xml
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ class MeshFile:
     notes: tuple[str, ...] = ()
 
 
-def read_mesh(path: str | os.PathLike[str], *, together: bool = False) -> MeshFile:
+def read_mesh(path: str | os.PathLike[str], *, together: bool = False, smoothing: int | None = None) -> MeshFile:
     """Read a mesh.
 
     Args:
@@ -64,6 +64,8 @@ def read_mesh(path: str | os.PathLike[str], *, together: bool = False) -> MeshFi
             labels (:mod:`omtwarp.mesh.volumes`), whose surfaces are taken together, and those of
             :data:`omtwarp.mesh.other_formats.MESHIO_FORMATS` (which need meshio); compressed by gzip or not.
         together: take several geometries of a scene together instead of refusing them.
+        smoothing: rounds of Taubin's filter that the surfaces of a volume's labels are smoothed by, 0 to 1000; by
+            default 20.
 
     Returns:
         Vertices and faces in the file's order. STL has no vertices of its own: equal corners become one vertex there,
@@ -87,10 +89,16 @@ def read_mesh(path: str | os.PathLike[str], *, together: bool = False) -> MeshFi
     try:
         # Warnings are about guesses of parsers; results are checked below.
         with warnings.catch_warnings(action="ignore"), memory_for_file(len(data)):
-            if suffix in _OWN:
-                vertices, faces, notes = _OWN[suffix](data, file)
+            if suffix in VOLUMES:
+                rounds = ROUNDS if smoothing is None else whole_number(smoothing, "smoothing", most=MOST_ROUNDS)
+                read: _Read = label_surfaces(data, suffix, rounds)
+            elif smoothing is not None:
+                raise OmtwarpError("smoothing is for the surfaces of a volume's labels: leave it out for a mesh")
+            elif suffix in _OWN:
+                read = _OWN[suffix](data, file)
             else:
-                vertices, faces, notes = _read_scene(data, file, suffix, together)
+                read = _read_scene(data, file, suffix, together)
+        vertices, faces, notes = read
         if np.ndim(vertices) != 2 or np.shape(vertices)[1] != 3 or np.ndim(faces) != 2 or np.shape(faces)[1] != 3:
             raise OmtwarpError("not a triangle mesh: no list of triangles in it")
         corners = whole_numbers(faces, "faces", (None, 3))
@@ -316,10 +324,6 @@ def _read_plates(data: bytes, file: Path) -> _Read:
     return *read_plates(data), []
 
 
-def _read_volume(data: bytes, file: Path) -> _Read:
-    return label_surfaces(data, file.name.lower().removesuffix(".gz").rpartition(".")[2])
-
-
 def _read_by_meshio(data: bytes, file: Path) -> _Read:
     name = MESHIO_FORMATS[file.name.lower().removesuffix(".gz").rpartition(".")[2]]
     if name == "gmsh" and b"$MeshFormat" not in data:
@@ -343,14 +347,13 @@ _OWN: dict[str, Callable[[bytes, Path], _Read]] = {
     "freesurfer": _read_freesurfer,
     "freesurfer text": _read_freesurfer_text,
     "mni": _read_mni,
-    **dict.fromkeys(VOLUMES, _read_volume),
     **dict.fromkeys(MESHIO_FORMATS, _read_by_meshio),
 }
 """The formats that are not read through trimesh, by suffix."""
 
 
 def _read_scene(data: bytes, file: Path, suffix: str, together: bool) -> _Read:
-    known = {*scene_formats(), *(name for name in _OWN if " " not in name)} - {"freesurfer", "mni"}
+    known = {*scene_formats(), *VOLUMES, *(name for name in _OWN if " " not in name)} - {"freesurfer", "mni"}
     if suffix not in known and suffix in WAYS_ROUND:
         raise OmtwarpError(f"'.{suffix}' is not read: {WAYS_ROUND[suffix]}")
     if suffix not in known:

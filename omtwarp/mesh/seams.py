@@ -92,7 +92,9 @@ def compressed(number: Ints) -> tuple[NDArray[np.bool_], Ints]:
     return stays, (np.cumsum(stays) - 1)[number]
 
 
-def read_joined_mesh(path: str | os.PathLike[str], *, together: bool = False) -> JoinedMesh:
+def read_joined_mesh(
+    path: str | os.PathLike[str], *, together: bool = False, smoothing: int | None = None
+) -> JoinedMesh:
     """Read a mesh, and join the copies of vertices that its format makes along seams.
 
     Several geometries of a scene, a material each, are one mesh where they close one another's boundaries.
@@ -100,13 +102,14 @@ def read_joined_mesh(path: str | os.PathLike[str], *, together: bool = False) ->
     Args:
         path: a file that :func:`omtwarp.read_mesh` reads.
         together: whether geometries that do not belong together are taken too, each a part of the surface.
+        smoothing: of the surfaces of a volume's labels, as for :func:`omtwarp.read_mesh`.
 
     Raises:
         OmtwarpError: the file cannot be read, as for :func:`omtwarp.read_mesh`.
     """
     shared = not Path(path).name.lower().removesuffix(".gz").endswith(_DOUBLED)
     try:
-        file, one_mesh = read_mesh(path, together=together), True
+        file, one_mesh = read_mesh(path, together=together, smoothing=smoothing), True
     except OmtwarpError as error:
         if shared:
             raise

@@ -1,4 +1,4 @@
-"""Surfaces of the labels of a volume, as segmentations hold them: NIfTI and FreeSurfer's MGH, which nibabel reads.
+"""Surfaces of the labels of a volume, as segmentations hold them: NIfTI and FreeSurfer's MGH, and stacks in TIFF.
 
 Every cell of eight neighbouring voxels is cut into six tetrahedra along its diagonal, and each tetrahedron with corners
 in the label and outside by the triangle or the quadrilateral through the middles of its edges [1]_. The tetrahedra of
@@ -10,6 +10,7 @@ neighbouring cells meet in the same triangles, so that every surface is closed a
 
 from __future__ import annotations
 
+import io
 from itertools import permutations
 
 import numpy as np
@@ -17,31 +18,34 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.files.pictures import read_stack
 from omtwarp.mesh.neuro import nibabel_module
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-VOLUMES = ("nii", "mgh", "mgz")  # suffixes
+VOLUMES = ("nii", "mgh", "mgz", "tif", "tiff")  # suffixes
 # Of smoothing: the area of a ball of 8 voxels goes from 1.30 to 1.07 times that of the sphere, its volume from 1.010 to
 # 1.014.
 ROUNDS = 20
+MOST_ROUNDS = 1000  # a wave of 100 edges is gone by then
 
 
-def label_surfaces(data: bytes, suffix: str) -> tuple[Floats, Ints, list[str]]:
+def label_surfaces(data: bytes, suffix: str, rounds: int = ROUNDS) -> tuple[Floats, Ints, list[str]]:
     """Extract and smooth the surface of every label of a volume, in the volume's own space.
 
     Args:
         data: the file.
         suffix: one of :data:`VOLUMES`.
+        rounds: of smoothing.
 
     Returns:
-        Vertices [V, 3] in millimetres and faces [F, 3], those of a label together, in the order of the labels, and
-        what was done in words.
+        Vertices [V, 3] in the volume's units (millimetres, of a stack the unit of its voxels' sides) and faces [F, 3],
+        those of a label together, in the order of the labels, and what was done in words.
 
     Raises:
         OmtwarpError: no volume of three dimensions, numbers that are not labels, or no label but 0.
-        Exception: what nibabel raises on a damaged file.
+        Exception: what nibabel or Pillow raises on a damaged file.
     """
     # Labels of a volume: more are grey values
     most_labels = 1000
@@ -55,7 +59,7 @@ def label_surfaces(data: bytes, suffix: str) -> tuple[Floats, Ints, list[str]]:
     vertices, faces, start = [], [], 0
     for label in labels:
         points, triangles = surface_of(volume == label)
-        vertices.append(smoothed(points, triangles, ROUNDS) @ affine[:3, :3].T + affine[:3, 3])
+        vertices.append(smoothed(points, triangles, rounds) @ affine[:3, :3].T + affine[:3, 3])
         faces.append(triangles + start)
         start += len(points)
     corners = np.concatenate(faces)
@@ -63,12 +67,17 @@ def label_surfaces(data: bytes, suffix: str) -> tuple[Floats, Ints, list[str]]:
         corners = corners[:, ::-1]
     shown = ", ".join(f"{label:.0f}" for label in labels[:8]) + (", ..." if len(labels) > 8 else "")
     notes = [f"took the surfaces of {len(labels)} label{'s' * (len(labels) > 1)} ({shown}) together"]
-    notes += [f"smoothed them by {ROUNDS} rounds of Taubin's filter"]
+    notes += [f"smoothed them by {rounds} round{'s' * (rounds != 1)} of Taubin's filter"]
     return np.concatenate(vertices), corners, notes
 
 
 def _volume(data: bytes, suffix: str) -> tuple[NDArray[np.generic], Floats]:
-    """Return the numbers of a volume, shape [X, Y, Z], and the matrix from voxels to millimetres, shape [4, 4]."""
+    """Return the numbers of a volume, shape [X, Y, Z], and the matrix from voxels to the volume's space, [4, 4]."""
+    if suffix in ("tif", "tiff"):
+        stack, sides = read_stack(io.BytesIO(data))
+        if min(stack.shape) < 2:
+            raise OmtwarpError(f"no volume of three dimensions: {' x '.join(map(str, stack.shape))} numbers")
+        return stack, np.diag([*sides, 1.0])
     nibabel = nibabel_module()
     if suffix == "nii":
         second = int.from_bytes(data[:4], "little") in (540, int.from_bytes((540).to_bytes(4, "big"), "little"))
@@ -157,4 +166,4 @@ def smoothed(vertices: Floats, faces: Ints, rounds: int) -> Floats:
     return vertices
 
 
-__all__ = ["ROUNDS", "VOLUMES", "label_surfaces", "smoothed", "surface_of"]
+__all__ = ["MOST_ROUNDS", "ROUNDS", "VOLUMES", "label_surfaces", "smoothed", "surface_of"]

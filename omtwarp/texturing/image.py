@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import os
 import struct
-import threading
 import warnings
 import zlib
 from concurrent.futures import ThreadPoolExecutor
@@ -19,22 +18,18 @@ from omtwarp.device.cores import core_count
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import open_input
 from omtwarp.files.limits import LARGEST_PICTURE_FILE, LONGEST_SIDE, MOST_TEXELS
+from omtwarp.files.pictures import FORMATS, open_picture
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
 PictureLike: TypeAlias = "str | os.PathLike[str] | Image | ArrayLike"
 """A picture in any of the forms that public functions take: a path, a PIL image, or an array [H, W] or [H, W, C]."""
-# Formats that textures come in and Pillow decodes itself; it would pass others, such as EPS, to programs of the system.
-FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "TGA")
-
 # Bytes of an image above which it is compressed on all cores: below, Pillow takes a tenth of a second or two.
 MOST_FOR_ONE_CORE = 4_000_000
 SOFTWARE = b"omtwarp"  # named in the files
 STRIP = 64  # rows; what lies more than 32 kB back is not looked at by the compression anyway
 COLOUR_TYPES = {3: 2, 4: 6}  # of the format, by the number of channels
-
-_pillow = threading.Lock()  # over Pillow's own limit, which is one number for the whole process
 
 
 def read_image(source: PictureLike) -> NDArray[np.generic]:
@@ -62,10 +57,10 @@ def read_image(source: PictureLike) -> NDArray[np.generic]:
 
 
 def decoded(stream: BinaryIO, name: str) -> NDArray[np.generic]:
-    """Decode a picture; the one place where Pillow opens a file, as no other library may.
+    """Decode a picture.
 
     Args:
-        stream: the file, of one of :data:`FORMATS`.
+        stream: the file, of one of :data:`omtwarp.files.pictures.FORMATS`.
         name: what messages call it.
 
     Raises:
@@ -75,7 +70,7 @@ def decoded(stream: BinaryIO, name: str) -> NDArray[np.generic]:
 
     try:
         # Pillow warns of damage that it tolerates.
-        with warnings.catch_warnings(action="ignore"), _open(stream) as opened:
+        with warnings.catch_warnings(action="ignore"), open_picture(stream) as opened:
             return _from_pil(opened, name)
     except (OmtwarpError, MemoryError):
         raise
@@ -83,22 +78,6 @@ def decoded(stream: BinaryIO, name: str) -> NDArray[np.generic]:
         raise OmtwarpError(f"{name}: not a picture in a format that can be read ({', '.join(FORMATS)})") from None
     except Exception as error:  # damaged files end in many kinds of error inside the decoders
         raise OmtwarpError(f"{name}: cannot be read as a picture: {_first_line(error)}") from None
-
-
-def _open(stream: BinaryIO) -> Image:
-    """Open a picture and read its header, without Pillow's own limit of size.
-
-    :func:`_from_pil` has one that fits.
-    """
-    from PIL import Image as pil
-
-    with _pillow:
-        limit = pil.MAX_IMAGE_PIXELS
-        pil.MAX_IMAGE_PIXELS = None
-        try:
-            return pil.open(stream, formats=FORMATS)
-        finally:
-            pil.MAX_IMAGE_PIXELS = limit
 
 
 def _from_pil(image: Image, name: str) -> NDArray[np.generic]:

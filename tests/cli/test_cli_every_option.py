@@ -58,6 +58,7 @@ INSTEAD = {
     "map --together": "map two.ply -o map.npz --device cpu --until conformal",
     "map --cut": "map ring.ply -o map.npz --device cpu --until conformal",
     "map --cut-along": "map ring.ply -o map.npz --device cpu --until conformal",
+    "map --smoothing": "map labels.tif -o map.npz --device cpu --until conformal",
     "map --torus": "map ring.ply -o map.npz --device cpu",
     "texture --uv own": "texture own.glb --map ball.npz -o texture.glb --size 64 --device cpu",
     "texture --keep-materials": "texture own.glb --map ball.npz --uv own -o texture.glb --size 64 --device cpu",
@@ -100,7 +101,8 @@ INSTEAD = {
 VALUES = {
     "--output": [], "--map": ["ball.npz"], "--map-from": ["ball.npz"], "--map-to": ["ball.npz"],
     "--image": ["picture.png"], "--target": ["picture.png"], "--target-floor": ["0.2"], "--weights": ["numbers.npy"],
-    "--report": ["facts.json"], "--radius": ["100"], "--device": [], "--refine": ["0.5", "match:2.5"],
+    "--report": ["facts.json"], "--radius": ["100"], "--smoothing": ["5"], "--device": [],
+    "--refine": ["0.5", "match:2.5"],
     "--opacity": ["0", "1"], "--detail": ["ball.ply"], "--bake": ["numbers.npy"], "--rotate": ["10", "10,20,30"],
     "--seam": ["90"], "--size": ["32"], "--title": ["A ball"], "--up": ["y", "-x"], "--front": ["x"],
     "--zoom": ["1.5"], "--field-of-view": ["40"], "--background": ["black"], "--frames": ["2"], "--fps": ["2"],
@@ -246,6 +248,10 @@ def inputs(tmp_path_factory):
     Image.fromarray(np.tile(np.arange(64, dtype=np.uint8)[:, None, None] + 60, (1, 128, 3))).save(
         folder / "picture.png"
     )
+    box = np.zeros((8, 8, 8), np.uint8)
+    box[2:6, 2:6, 2:6] = 1
+    first, *rest = (Image.fromarray(page) for page in box)
+    first.save(folder / "labels.tif", save_all=True, append_images=rest)
     (folder / "table.csv").write_text("path\nball.ply\n", "utf-8")
     members = [f"m{k},{'other' if k % 2 else 'ball'}.npz,{50 + k}\n" for k in range(6)]
     (folder / "members.csv").write_text("id,path,age\n" + "".join(members), "utf-8")

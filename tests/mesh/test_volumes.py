@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as some
+from PIL import Image
 
 import omtwarp
+from omtwarp.commands._cli import main
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.mesh.validate import check
 from omtwarp.mesh.volumes import ROUNDS, smoothed, surface_of
+from omtwarp.mesh.write import write_mesh
 from omtwarp.topology.kind import MAPPABLE, parts_of
 
 GRID = np.moveaxis(np.indices((32, 30, 28)), 0, -1).astype(float)
@@ -110,3 +113,84 @@ def test_volumes_that_hold_no_labels_are_one_line(tmp_path):
         with pytest.raises(OmtwarpError) as caught:
             read_mesh(tmp_path / name)
         assert "\n" not in str(caught.value)
+
+
+def write_stack(path, labels, kind="uint8", **more):
+    """Write a volume [X, Y, Z] as the pages of a TIFF."""
+    first, *rest = (Image.fromarray(page) for page in labels.transpose(2, 1, 0).astype(kind))
+    first.save(path, save_all=True, append_images=rest, **more)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "packed"),
+    [("a.tif", "uint8", "raw"), ("a.TIFF", "uint16", "tiff_lzw"), ("a.tif.gz", "int32", "raw"), ("a.tif", "f4", "raw")],
+)
+def test_a_stack_of_pages_is_read_as_the_volume_that_it_is(tmp_path, name, kind, packed):
+    """Axes of right and down, the pages above each other; what nibabel reads of the same numbers is the same mesh."""
+    labels = 3 * ball([10.0, 10.0, 10.0], 5.0) + 200 * ball([21.0, 20.0, 17.0], 6.0)
+    path = write_stack(tmp_path / name.removesuffix(".gz"), labels, kind, compression=packed)
+    if name.endswith(".gz"):
+        (tmp_path / name).write_bytes(gzip.compress(path.read_bytes()))
+    mesh, same = read_mesh(tmp_path / name), read_mesh(written(tmp_path / "a.nii", labels, np.eye(4)))
+    np.testing.assert_array_equal(mesh.vertices, same.vertices)
+    np.testing.assert_array_equal(mesh.faces, same.faces)
+    assert mesh.notes == same.notes
+
+
+def test_a_stack_of_imagej_has_the_sides_of_its_voxels(tmp_path):
+    labels = ball([15.0, 14.0, 13.0], 8.0)
+    about = {270: "ImageJ=1.53\nimages=28\nslices=28\nunit=micron\nspacing=2.5\n", 282: 4.0, 283: 2.0}
+    mesh = read_mesh(write_stack(tmp_path / "a.tif", labels, tiffinfo=about))
+    plain = read_mesh(write_stack(tmp_path / "b.tif", labels, tiffinfo={282: 72.0, 283: 72.0}))
+    np.testing.assert_allclose(mesh.vertices, plain.vertices * [0.25, 0.5, 2.5], rtol=1e-6)
+
+
+def test_the_amount_of_smoothing_is_chosen_and_said(tmp_path, capsys):
+    """None leaves the voxels' stairs, more takes away more area; the command's output says how much."""
+    labels = ball([15.0, 14.0, 13.0], 8.0)
+    path, areas = write_stack(tmp_path / "a.tif", labels), []
+    for rounds in (0, 5, 20, 60):
+        mesh = read_mesh(path, smoothing=rounds)
+        areas.append(triangle_areas(mesh.vertices, mesh.faces).sum())
+        assert mesh.notes[1] == f"smoothed them by {rounds} rounds of Taubin's filter"
+    assert areas == sorted(areas, reverse=True)
+    for words, said in ([], "smoothed them by 20 rounds"), (["--smoothing", "1"], "smoothed them by 1 round of"):
+        with pytest.raises(SystemExit) as ended:
+            main(["map", str(path), "-o", str(tmp_path / "a.npz"), "--until", "conformal", *words])
+        assert not ended.value.code and said in capsys.readouterr().err
+    with pytest.raises(OmtwarpError, match="smoothing: must be a whole number from 0 to 1000, not -1"):
+        read_mesh(path, smoothing=-1)
+    write_mesh(tmp_path / "a.ply", *surface_of(labels))
+    with pytest.raises(OmtwarpError, match="smoothing is for the surfaces of a volume's labels"):
+        read_mesh(tmp_path / "a.ply", smoothing=3)
+
+
+def test_pictures_that_hold_no_labels_are_one_line(tmp_path, monkeypatch):
+    labels = ball([15.0, 14.0, 13.0], 8.0)
+    whole = write_stack(tmp_path / "whole.tif", labels).read_bytes()
+    color = Image.fromarray(np.zeros((4, 4, 3), np.uint8))
+    color.save(tmp_path / "colour.tif", save_all=True, append_images=[color])
+    Image.fromarray(labels[0].astype(np.uint8)).save(tmp_path / "page.tif")
+    small, large = (Image.fromarray(np.ones((side, side), np.uint8)) for side in (4, 5))
+    small.save(tmp_path / "sizes.tif", save_all=True, append_images=[large])
+    small.save(tmp_path / "png.tif", format="png")
+    (tmp_path / "cut.tif").write_bytes(whole[:600])
+    (tmp_path / "damaged.tif").write_bytes(whole[:8] + bytes(100) + whole[108:])
+    about = {270: "ImageJ=1.53\nimages=28\nchannels=2\n"}
+    write_stack(tmp_path / "channels.tif", labels, tiffinfo=about)
+    for name, words in (
+        ("colour.tif", r"pages of colours \(RGB\), not of labels"),
+        ("page.tif", "no volume of three dimensions"),
+        ("sizes.tif", "page 1 is of another size than the first"),
+        ("png.tif", "cannot be read as tif"),
+        ("cut.tif", "cannot be read as tif"),
+        ("damaged.tif", "."),
+        ("channels.tif", "a volume of several channels"),
+    ):
+        with pytest.raises(OmtwarpError, match=words) as caught:
+            read_mesh(tmp_path / name)
+        assert "\n" not in str(caught.value)
+    monkeypatch.setattr("omtwarp.files.pictures.MOST_TEXELS", 5 * 32 * 30)
+    with pytest.raises(OmtwarpError, match="million voxels, which is the most"):
+        read_mesh(tmp_path / "whole.tif")
