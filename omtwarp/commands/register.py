@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,14 +20,15 @@ from omtwarp.files.output import check_folder, check_output
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from omtwarp.registration import Registration
+    from omtwarp.registration import GroupRegistration, Registration, SequenceRegistration
 
 
 def register_map(
     *,
     pair: Pair,
     more: Annotated[
-        list[Path] | None, typer.Argument(metavar="MORE", callback=input_file, help="Further maps, for --group.")
+        list[Path] | None,
+        typer.Argument(metavar="MORE", callback=input_file, help="Further maps, for --group and --sequence."),
     ] = None,
     to: Annotated[
         str | None,
@@ -38,6 +40,12 @@ def register_map(
     ] = None,
     group: Annotated[
         bool, typer.Option("--group", help="Make a template from all maps and register them to it; -o is a folder.")
+    ] = False,
+    sequence: Annotated[
+        bool,
+        typer.Option(
+            "--sequence", help="Register one subject's maps in the order of time to the first; -o is a folder."
+        ),
     ] = False,
     rounds: Annotated[
         int, typer.Option(metavar="N", min=1, help="How many times the template of --group is made anew.")
@@ -86,13 +94,16 @@ def register_map(
     from omtwarp.resampling import file_points
     from omtwarp.spheres import is_named
 
-    if group:
+    if group and sequence:
+        raise OmtwarpError("--group and --sequence exclude each other")
+    if group or sequence:
         alone = {"--to": to, "--landmarks": landmarks, "--strain": strain, "--feature-weight": feature_weight}
-        _require_many("--group", pair, alone)
-        _register_group([pair.source, *(more or [])], pair.output, rounds, stiffness, max_strain, keep_areas, printing)
+        _require_many("--group" if group else "--sequence", pair, alone)
+        maps, kept = [pair.source, *(more or [])], _weight_or_exact(keep_areas)
+        _register_many(maps, pair.output, rounds if group else 0, stiffness, max_strain, kept, printing)
         return
     if to is None or more:
-        raise OmtwarpError("give one map and --to TARGET, or several maps and --group")
+        raise OmtwarpError("give one map and --to TARGET, or several maps and --group or --sequence")
     if strain is not None:
         check_output(strain, DATA_SUFFIXES, pair.source, pair.surface)
     other = None if is_named(to) or to in HEMISPHERES else Path(to)
@@ -140,44 +151,39 @@ def _require_many(mode: str, pair: Pair, others: Mapping[str, object]) -> None:
     check_folder(pair.output)
 
 
-def _register_group(
+def _register_many(
     maps: Sequence[Path],
     output: Path,
     rounds: int,
     stiffness: float,
     max_strain: float,
-    keep_areas: str,
+    keep_areas: float | str,
     printing: Printing,
 ) -> None:
-    """Register a group to its own template, and say how well its maps agree."""
-    from omtwarp.registration import register_group
+    """Register maps to a template made from them in so many rounds, with 0 to the first of them, and say how well."""
+    from omtwarp.registration import register_group, register_sequence
 
     with progress_bar(printing.quiet, printing.verbose) as progress, warnings_as_lines():
-        found = register_group(
-            maps,
-            output,
-            rounds=rounds,
-            stiffness=stiffness,
-            max_strain=max_strain,
-            keep_areas=_weight_or_exact(keep_areas),
-            progress=progress,
+        run = partial(register_group, rounds=rounds) if rounds else register_sequence
+        found: GroupRegistration | SequenceRegistration = run(
+            maps, output, stiffness=stiffness, max_strain=max_strain, keep_areas=keep_areas, progress=progress
         )
+        table = found.table
     if printing.as_json:
-        print(report_text({"output": str(output), "maps": found.table}), end="")
+        print(report_text({"output": str(output), "maps": table}), end="")
     elif not printing.quiet:
-        print(f"{output / 'template.npz'}: {many_line(list(found.table.values()))}")
+        made = output / ("template.npz" if rounds else "strain.npz")
+        drift = max(one.get("drift", 0.0) for one in table.values())
+        told = "" if rounds else f"; drift at most {drift:.2f} degrees"
+        print(f"{made}: {_many_line(list(table.values()))}{told}")
 
 
-def many_line(facts: Sequence[Mapping[str, float]]) -> str:
+def _many_line(facts: Sequence[Mapping[str, float]]) -> str:
     """Return how well many maps are registered, of their facts."""
-    last = "registration_"
-    others = ("score", "margin", "doubtful", "flips", "degree", "area_p95", "stretch_p95", "strain")
-    names = [name for name in facts[0] if name.removeprefix(last) not in others]
-    agreement = ", ".join(
-        f"{name.removeprefix(last)} {sum(one[name] for one in facts) / len(facts):.3f}" for name in names
-    )
-    flips, doubtful = (sum(int(one[last + name]) for one in facts) for name in ("flips", "doubtful"))
-    largest = max(one[last + "strain"] for one in facts)
+    known = {name: [one[f"registration_{name}"] for one in facts] for name in ("sulc", "curv", "flips", "doubtful")}
+    agreement = ", ".join(f"{name} {sum(known[name]) / len(facts):.3f}" for name in ("sulc", "curv"))
+    flips, doubtful = int(sum(known["flips"])), int(sum(known["doubtful"]))
+    largest = max(one["registration_strain"] for one in facts)
     return (
         f"{len(facts)} maps; {agreement} on average; largest strain {largest:.2f}; {flips} flips; {doubtful} doubtful"
     )

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import hashlib
-import json
 import os
 import warnings
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from omtwarp.alignment.features import feature_coefficients
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
-from omtwarp.files.inputs import read_arrays, write_arrays
-from omtwarp.files.output import RECORD, as_path, digest_of, folder_of_results, staged, written_by_omtwarp
+from omtwarp.files.inputs import read_arrays
+from omtwarp.files.output import as_path, digest_of, folder_of_results, written_by_omtwarp
 from omtwarp.geometry.harmonics import power_per_degree
 from omtwarp.location import Locator
 from omtwarp.maps.result import MapResult
@@ -28,15 +26,14 @@ from omtwarp.options import Progress
 from omtwarp.registration.folding import folding_features
 from omtwarp.registration.group_template import Template
 from omtwarp.registration.register import Registration, register
+from omtwarp.registration.steps import STEPS, Kept, by_name, key_of, write_facts
 from omtwarp.registration.strain import kept_within
 from omtwarp.registration.warp import feature_grid
 from omtwarp.resampling import SpherePoints, as_points, resample
-from omtwarp.version import package_version
 
 Floats = NDArray[np.float64]
 
 ROUNDS = 3  # that a template is made anew
-STEPS = ".steps"  # folder of what is kept until all is done
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +80,7 @@ def register_group(
     Raises:
         OmtwarpError: fewer than two maps, two of one name, a file that is no map, or a folder that cannot be written.
     """
-    files = by_name(maps)
+    files = dict(sorted(by_name(maps, folder, "template").items()))
     rounds = whole_number(rounds, "rounds", least=1)
     options: dict[str, object] = {"stiffness": stiffness, "max_strain": max_strain, "keep_areas": keep_areas}
     digests = {name: digest_of(path) for name, path in files.items()}
@@ -123,85 +120,6 @@ def register_group(
         template.save(target / "template.npz")
         kept.remove()
     return GroupRegistration(template, table)
-
-
-def by_name(maps: Sequence[str | os.PathLike[str]]) -> dict[str, Path]:
-    """Return files by their names without suffix, in the order of these.
-
-    Raises:
-        OmtwarpError: fewer than two, two of one name, or one that is called as a result is.
-    """
-    files = {Path(path).stem: Path(path) for path in maps}
-    if len(maps) < 2:
-        raise OmtwarpError(f"{len(maps)} map in all: give at least two")
-    if len(files) < len(maps):
-        raise OmtwarpError(f"{len(maps)} maps have {len(files)} names: results are called as they are, so rename some")
-    if "template" in files:
-        raise OmtwarpError(f"'{files['template']}' has the name of a result: rename it")
-    missing = next((path for path in files.values() if not path.is_file()), None)
-    if missing is not None:
-        raise OmtwarpError(f"'{missing}' is no file: give maps (.npz)")
-    return dict(sorted(files.items()))
-
-
-class Kept:
-    """Results of steps, a file each, until all are done.
-
-    Args:
-        folder: made if there is none.
-
-    Raises:
-        OmtwarpError: the folder cannot be made.
-    """
-
-    def __init__(self, folder: Path):
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise OmtwarpError(f"cannot write to '{folder}': {error.strerror or error}") from None
-        self._folder = folder
-        self._files: list[Path] = []
-
-    def result(
-        self, name: str, key: str, make: Callable[[], Mapping[str, ArrayLike]], made: Path | None = None
-    ) -> dict[str, NDArray]:
-        """Return what a step makes, or made before with the same key, and the file it wrote, if any, unchanged."""
-        file = self._folder / f"{name}.npz"
-        self._files.append(file)
-        with contextlib.suppress(OSError, OmtwarpError), open(file, "rb") as stream:
-            names = [str(one) for one in read_arrays(stream, ["names"])["names"]]
-            known = read_arrays(stream, ["key", "made", *names])
-            if str(known.pop("key")) == key and str(known.pop("made")) == (digest_of(made) if made else ""):
-                return known
-        found = {what: np.asarray(values) for what, values in make().items()}
-        words = {"key": np.array(key), "names": np.array([*found]), "made": np.array(digest_of(made) if made else "")}
-        write_arrays(file, {**found, **words})
-        return found
-
-    def remove(self) -> None:
-        """Remove the files of all steps, and their folder where nothing else is in it."""
-        for file in (*self._files, self._folder / RECORD):
-            file.unlink(missing_ok=True)
-        with contextlib.suppress(OSError):
-            self._folder.rmdir()
-
-
-def key_of(*parts: object) -> str:
-    """Return a digest of what a step depends on: the version, plain values, and templates."""
-    digest = hashlib.sha256(package_version().encode())
-    for part in parts:
-        content = part.content() if isinstance(part, Template) else json.dumps(part, sort_keys=True).encode()
-        digest.update(content)
-    return digest.hexdigest()
-
-
-def write_facts(path: Path, table: Mapping[str, Mapping[str, float]]) -> None:
-    """Write facts about maps as ``.csv``, a line for each, with its name as ``id``."""
-    columns = list(dict.fromkeys(column for row in table.values() for column in row))
-    with staged(path) as file, open(file, "w", encoding="utf-8", newline="") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(["id", *columns])
-        writer.writerows([[name, *(row.get(column, "") for column in columns)] for name, row in table.items()])
 
 
 def _finished(folder: Path, origin: str, names: Collection[str]) -> GroupRegistration | None:

@@ -88,6 +88,7 @@ INSTEAD = {
     ),
     "register --radius": "register ball.npz --to other.npz -o register.ply",
     "register --group": "register ball.npz other.npz -o registered --rounds 1",
+    "register --sequence": "register ball.npz other.npz -o registered",
     "register --rounds": "register ball.npz other.npz -o registered --group",
     "resample --to": "resample ball.npz --data numbers.npy -o resample.npy --device cpu",
     "resample --data": "resample ball.npz --to ico1 -o resample.npy --device cpu",

@@ -1,0 +1,114 @@
+"""What registrations of many maps share: names of results, and steps that are kept where a run is interrupted."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import hashlib
+import json
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from omtwarp.errors import OmtwarpError
+from omtwarp.files.inputs import read_arrays, write_arrays
+from omtwarp.files.output import RECORD, digest_of, staged
+from omtwarp.registration.group_template import Template
+from omtwarp.version import package_version
+
+STEPS = ".steps"  # folder of what is kept until all is done
+
+
+def by_name(maps: Sequence[str | os.PathLike[str]], folder: str | os.PathLike[str], *taken: str) -> dict[str, Path]:
+    """Return files by their names without suffix, under which results go to a folder.
+
+    Args:
+        maps: the files.
+        folder: of the results.
+        taken: names of other results.
+
+    Raises:
+        OmtwarpError: fewer than two, two of one name, one that is called as a result is, or that one would replace.
+    """
+    files = {Path(path).stem: Path(path) for path in maps}
+    if len(maps) < 2:
+        raise OmtwarpError(f"{len(maps)} map in all: give at least two")
+    if len(files) < len(maps):
+        raise OmtwarpError(f"{len(maps)} maps have {len(files)} names: results are called as they are, so rename some")
+    for word in taken:
+        if word in files:
+            raise OmtwarpError(f"'{files[word]}' has the name of a result: rename it")
+    replaced = next((one for name, one in files.items() if _same(one, Path(folder) / f"{name}.npz")), None)
+    if replaced is not None:
+        raise OmtwarpError(f"'{replaced}' is a map and would be replaced as a result: choose another folder")
+    missing = next((path for path in files.values() if not path.is_file()), None)
+    if missing is not None:
+        raise OmtwarpError(f"'{missing}' is no file: give maps (.npz)")
+    return files
+
+
+def _same(one: Path, other: Path) -> bool:
+    return os.path.realpath(one) == os.path.realpath(other)
+
+
+class Kept:
+    """Results of steps, a file each, until all are done.
+
+    Args:
+        folder: made if there is none.
+
+    Raises:
+        OmtwarpError: the folder cannot be made.
+    """
+
+    def __init__(self, folder: Path):
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OmtwarpError(f"cannot write to '{folder}': {error.strerror or error}") from None
+        self._folder = folder
+        self._files: list[Path] = []
+
+    def result(
+        self, name: str, key: str, make: Callable[[], Mapping[str, ArrayLike]], made: Path | None = None
+    ) -> dict[str, NDArray]:
+        """Return what a step makes, or made before with the same key, and the file it wrote, if any, unchanged."""
+        file = self._folder / f"{name}.npz"
+        self._files.append(file)
+        with contextlib.suppress(OSError, OmtwarpError), open(file, "rb") as stream:
+            names = [str(one) for one in read_arrays(stream, ["names"])["names"]]
+            known = read_arrays(stream, ["key", "made", *names])
+            if str(known.pop("key")) == key and str(known.pop("made")) == (digest_of(made) if made else ""):
+                return known
+        found = {what: np.asarray(values) for what, values in make().items()}
+        words = {"key": np.array(key), "names": np.array([*found]), "made": np.array(digest_of(made) if made else "")}
+        write_arrays(file, {**found, **words})
+        return found
+
+    def remove(self) -> None:
+        """Remove the files of all steps, and their folder where nothing else is in it."""
+        for file in (*self._files, self._folder / RECORD):
+            file.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            self._folder.rmdir()
+
+
+def key_of(*parts: object) -> str:
+    """Return a digest of what a step depends on: the version, plain values, and templates."""
+    digest = hashlib.sha256(package_version().encode())
+    for part in parts:
+        content = part.content() if isinstance(part, Template) else json.dumps(part, sort_keys=True).encode()
+        digest.update(content)
+    return digest.hexdigest()
+
+
+def write_facts(path: Path, table: Mapping[str, Mapping[str, float]]) -> None:
+    """Write facts about maps as ``.csv``, a line for each, with its name as ``id``."""
+    columns = list(dict.fromkeys(column for row in table.values() for column in row))
+    with staged(path) as file, open(file, "w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(["id", *columns])
+        writer.writerows([[name, *(row.get(column, "") for column in columns)] for name, row in table.items()])
