@@ -28,12 +28,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import omtwarp
-from omtwarp.device.policy import resolve_device
 from omtwarp.geometry.limbs import thinnest_ring, vertices_needed
 from omtwarp.mapping.pipeline import as_surface
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import Surface
-from omtwarp.refine.solver import Refiner
+from omtwarp.optimal.refinement import least_distortion
 
 LENGTHS = (4.0, 12.0, 24.0)
 TRIANGLE_WEIGHT, STEPS, TOLERANCE = 1000.0, 200, 2e-3  # of area against angle distortion, both of triangles
@@ -68,8 +67,8 @@ def main() -> None:
         around, share = ring.around, ring.share
         needed = vertices_needed(share, surface.face_count)
         moser = omtwarp.map_to_sphere(surface, until="moser", device=options.device)
-        refiner = Refiner(surface, resolve_device(options.device))
-        refined = refiner.minimise(moser.sphere, TRIANGLE_WEIGHT, iterations=STEPS, tolerance=TOLERANCE)
+        given = {"iterations": STEPS, "tolerance": TOLERANCE, "device": options.device}
+        refined = least_distortion(surface, moser.sphere, TRIANGLE_WEIGHT, **given)
         judged = omtwarp.distortion(surface, refined.sphere)
         print(
             f"{name[-34:]:34s} {around:8.1f} {needed:6.1f} {around / needed:5.2f} {share:5.3f} "

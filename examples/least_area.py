@@ -22,13 +22,9 @@ from collections.abc import Iterator
 import numpy as np
 
 import omtwarp
-from omtwarp.device.arrays import vectors
-from omtwarp.device.policy import resolve_device
 from omtwarp.mesh.checks import as_surface
 from omtwarp.mesh.surface import Surface
-from omtwarp.optimal.solver import minimise
-from omtwarp.optimal.sphere import energy_on_sphere
-from omtwarp.refine.solver import Refiner
+from omtwarp.optimal.refinement import least_distortion
 
 SIDES, HEIGHT = 24, 1.0  # of the prism
 WEIGHTS, STEPS, TOLERANCE = (1e1, 1e2, 1e3, 1e4, 1e5, 1e6), 200, 1e-7  # of area distortion against angle distortion
@@ -67,13 +63,13 @@ def main() -> None:
     warnings.simplefilter("ignore", omtwarp.OmtwarpWarning)
     mesh = omtwarp.read_mesh(options.mesh) if options.mesh else None
     surface = prism() if mesh is None else as_surface((mesh.vertices, mesh.faces))
-    refiner = Refiner(surface, resolve_device("cpu"))
     print(f"{'area weight':>28s} " + " ".join(f"{weight:7.0e}" for weight in WEIGHTS) + "   angle")
     best, least = None, np.inf
     for name, sphere in starts(surface):
         areas = []
         for weight in WEIGHTS:
-            sphere = refiner.minimise(sphere, weight, iterations=STEPS, tolerance=TOLERANCE).sphere
+            given = {"iterations": STEPS, "tolerance": TOLERANCE, "device": "cpu"}
+            sphere = least_distortion(surface, sphere, weight, **given).sphere
             judged = omtwarp.distortion(surface, sphere, device="cpu")
             areas.append(judged.area["surface"])
         print(
@@ -85,11 +81,9 @@ def main() -> None:
     assert best is not None
     print(f"{'penalty on rings':>28s}    area  ring rms   angle")
     for penalty in RING_PENALTIES:
-        start, weight = vectors(best, refiner.device), WEIGHTS[-2]
-        energy = energy_on_sphere(surface, start, refiner.device, 1.0, cost_weight=0.0, area_weight=weight)
-        found = minimise(
-            energy, best, gain=1e-6 * weight, iterations=RING_STEPS, progress=None, penalty=penalty * weight
-        )
+        weight = WEIGHTS[-2]
+        given = {"of_rings": 0.5 * penalty * weight, "iterations": RING_STEPS, "tolerance": 1e-6 * weight}
+        found = least_distortion(surface, best, weight, **given, device="cpu")
         last = found.history[-1]
         print(f"{penalty:28g} {last['area']:7.4f} {last['ring_rms']:9.4f} {last['angle']:7.2f}", flush=True)
         best = found.sphere

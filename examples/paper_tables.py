@@ -218,9 +218,8 @@ def map_with_density_exponent(
     Raises:
         OmtwarpError: flips could not be undone.
     """
-    from omtwarp.device.policy import resolve_device
     from omtwarp.mesh.surface import triangle_areas
-    from omtwarp.refine.solver import Refiner
+    from omtwarp.optimal.refinement import least_distortion
 
     # In logarithms, since an area on the sphere may be as good as zero.
     on_sphere = np.log(np.maximum(triangle_areas(conformal, surface.faces), 1e-300))
@@ -228,9 +227,8 @@ def map_with_density_exponent(
     sphere = omtwarp.moser_map(target, conformal, device=device).sphere
     if not omtwarp.certify(surface, sphere).bijective:
         sphere = omtwarp.untangle(target, sphere, device=device).sphere
-    return (
-        Refiner(target, resolve_device(device)).minimise(sphere, DENSITY_WEIGHT, iterations=100, tolerance=1e-4).sphere
-    )
+    given = {"iterations": 100, "tolerance": 1e-4, "device": device}
+    return least_distortion(target, sphere, DENSITY_WEIGHT, **given).sphere
 
 
 def tradeoff(name: str, surface: omtwarp.Surface, maps: dict[str, np.ndarray], device: str) -> list[dict[str, Any]]:

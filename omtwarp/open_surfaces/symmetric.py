@@ -181,18 +181,15 @@ class MirroredEnergy(TransportEnergy):
         workspace = shape.distortion.workspace
         super().__init__(domain, cells, cost, shape, shape_weight, area_weight=area_weight, workspace=workspace)
         self._mirror = mirror
-        self.first_curvature_share = 1.0  # without local steps the half of a doll then takes 10 steps in place of 40
 
     def saddle_factor(self) -> SaddlePointFactor:
         """Solve on the half the systems of the double that :meth:`blocks` gives."""
         return self._mirror
 
-    def blocks(
-        self, points: wp.array, terms: MapTerms, curvature_share: float, least: float
-    ) -> tuple[Floats, Floats, Floats]:
+    def blocks(self, points: wp.array, terms: MapTerms) -> tuple[Floats, Floats, Floats]:
         """Return the blocks of the base class, and note the points for the factorisation on the half."""
         self._mirror.at(points)
-        return super().blocks(points, terms, curvature_share, least)
+        return super().blocks(points, terms)
 
 
 def mirrored_energy(

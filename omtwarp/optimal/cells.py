@@ -22,7 +22,13 @@ from omtwarp.device.threads import launch_parts
 from omtwarp.mesh.quarter import PARTS, QuarteredSurface
 from omtwarp.mesh.surface import Surface
 from omtwarp.optimal.kernels import areas_around, edge_slopes
-from omtwarp.solvers.mesh_factor import SaddlePointFactor, cell_saddle_factor, surface_saddle_factor
+from omtwarp.solvers.mesh_factor import (
+    SaddlePointFactor,
+    VertexFactor,
+    cell_saddle_factor,
+    surface_factor,
+    surface_saddle_factor,
+)
 
 Numbers = NDArray[np.float64]
 
@@ -31,9 +37,6 @@ CORNER_SHARE, MIDDLE_SHARE = 1.0 / 12.0, 1.0 / 4.0  # of a triangle's mass, on e
 # of triangles, which are corrected afterwards.
 MAX_RING_RMS, MAX_RING_ERROR = 2e-4, 9e-3
 MAX_CELL_RMS, MAX_CELL_ERROR = 1e-3, 0.05
-# The first share of the curvature of areas that the matrix keeps, see omtwarp.refine.kernels.triangle_hessian, and the
-# least later: with 1 as the first a scan of 40,000 triangles takes 11 steps in place of 6.
-MIN_CURVATURE_SHARE = 0.03
 
 
 class Cells(Protocol):
@@ -42,12 +45,10 @@ class Cells(Protocol):
     Attributes:
         wanted: their areas, shape [N].
         tolerances: root mean square and largest relative error up to which areas count as kept.
-        first_curvature_share: share of the curvature of areas in the first matrix of a minimisation.
     """
 
     wanted: Numbers
     tolerances: tuple[float, float]
-    first_curvature_share: float
 
     def areas(self, triangles: wp.array) -> Numbers:
         """Return the areas of the cells, shape [N], from those of the triangles, float64, shape [F]."""
@@ -77,7 +78,6 @@ class RingCells:
     """
 
     tolerances = (MAX_RING_RMS, MAX_RING_ERROR)
-    first_curvature_share = MIN_CURVATURE_SHARE
 
     def __init__(self, surface: Surface, device: wp.Device):
         self._surface, self._device, self._mesh = surface, device, surface.on(device)
@@ -134,7 +134,6 @@ class TriangleCells:
     """
 
     tolerances = (MAX_CELL_RMS, MAX_CELL_ERROR)
-    first_curvature_share = 1.0  # areas of triangles start farther off than those around vertices
 
     def __init__(self, quartered: QuarteredSurface):
         self._quartered, self._count = quartered, quartered.surface.vertex_count
@@ -176,4 +175,26 @@ class TriangleCells:
         return self._factor
 
 
-__all__ = ["Cells", "RingCells", "TriangleCells"]
+class MeasuredRings(RingCells):
+    """The triangles around every vertex, whose areas are measured and not kept; vertices count by their own masses."""
+
+    tolerances = (np.inf, np.inf)
+
+    def masses(self, areas: Numbers) -> Numbers:
+        """Return the masses of the vertices, shape [V]."""
+        return self._surface.vertex_areas
+
+    def on_triangles(self, potential: Numbers) -> Numbers:
+        """Return zeros, shape [F], as masses do not depend on areas."""
+        return np.zeros(self._surface.face_count)
+
+    def slopes(self, of_triangles: wp.array) -> Numbers:
+        """Return nothing: the factor takes no derivatives of areas."""
+        return np.empty(0)
+
+    def factor(self, workspace: Workspace | None = None) -> SaddlePointFactor:
+        """Return what factorises matrices of the vertices' coordinates alone; multipliers stay 0."""
+        return VertexFactor(surface_factor(self._surface, block=2, workspace=workspace))
+
+
+__all__ = ["Cells", "MeasuredRings", "RingCells", "TriangleCells"]

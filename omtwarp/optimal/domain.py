@@ -101,11 +101,8 @@ class Shape(Protocol):
     def gradient(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
         """Return the gradient by the vertices of the total of ``terms``."""
 
-    def hessian(self, points: wp.array, terms: ShapeTerms, weight: float, curvature_share: float) -> wp.array:
-        """Return every triangle's Hessian in its corners' frames, semidefinite: on and above the diagonal, [F, 21].
-
-        ``curvature_share`` is the share of the areas' own curvature that is kept.
-        """
+    def hessian(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
+        """Return every triangle's Hessian in its corners' frames, semidefinite: on and above the diagonal, [F, 21]."""
 
 
 __all__ = ["Domain", "Shape", "ShapeTerms", "VertexCost"]

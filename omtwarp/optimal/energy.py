@@ -36,7 +36,7 @@ from omtwarp.optimal.cells import Cells
 from omtwarp.optimal.domain import Domain, Shape, ShapeTerms, VertexCost
 from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
-from omtwarp.solvers.triangle_newton.newton import NewtonMatrix
+from omtwarp.solvers.triangle_newton.newton import TriangleSums
 from omtwarp.untangling.steps import FlipFreeSteps
 
 Numbers = NDArray[np.float64]
@@ -44,6 +44,9 @@ Numbers = NDArray[np.float64]
 # λ of the shape term: weight of the area distortion of triangles against angle distortion, large enough that no
 # slivers arise.
 AREA_WEIGHT = 10.0
+# Least eigenvalue kept of the inverse map's derivative: see omtwarp.optimal.kernels.cost_metric. Where x has shrunk
+# a limb the cost hardly depends on the image.
+LEAST_EIGENVALUE = 1e-3
 # Added to the diagonal, relative to its mean: it holds the three rotations and makes H definite. Where rounding still
 # leaves a pivot of the wrong sign, the diagonal grows by these shares, one after another.
 REGULARISATION = 1e-8
@@ -84,7 +87,6 @@ class TransportEnergy:
         exact_tolerance: largest relative error after :func:`omtwarp.optimal.restoration.restore_areas`.
         has_local_steps: whether :class:`omtwarp.optimal.local.LocalSteps` may move single vertices of the maps; they
             know the energy of :func:`omtwarp.optimal.sphere.energy_on_sphere` alone.
-        first_curvature_share: share of the curvature of areas in the first matrix of a minimisation.
     """
 
     exact_tolerance = 1e-6
@@ -105,9 +107,8 @@ class TransportEnergy:
         self.shape_weight, self.cost_weight, self.area_weight = shape_weight, cost_weight, area_weight
         self.surface, self.device = domain.surface, domain.device
         self.has_local_steps = False
-        self.first_curvature_share = cells.first_curvature_share
         self._workspace = workspace
-        self._newton = NewtonMatrix.of_surface(domain.surface, workspace)
+        self._sums = TriangleSums.of_surface(domain.surface)
         self._covered = float(cells.wanted.sum())
 
     @property
@@ -134,7 +135,7 @@ class TransportEnergy:
 
     def lagrangian(self, terms: MapTerms, multipliers: Numbers) -> float:
         """Return the Lagrangian C' + Σ p_c (a_c - A_c) + β S."""
-        cost = self.cost_weight * float(terms.areas @ self.cells.means(terms.cost)) / self._covered
+        cost = float(self._masses(terms) @ terms.cost)
         return cost + float(multipliers @ self.missing(terms)) + self.shape_weight * terms.shape.total(self.area_weight)
 
     def missing(self, terms: MapTerms) -> Numbers:
@@ -156,24 +157,20 @@ class TransportEnergy:
         transport = self.vertex_cost.gradient(points, self._masses(terms), potential)
         return transport + self.shape_weight * self.shape.gradient(points, terms.shape, self.area_weight).numpy()
 
-    def blocks(
-        self, points: wp.array, terms: MapTerms, curvature_share: float, least: float
-    ) -> tuple[Numbers, Numbers, Numbers]:
+    def blocks(self, points: wp.array, terms: MapTerms) -> tuple[Numbers, Numbers, Numbers]:
         """Return the second derivative of the Lagrangian and the first derivatives of the areas, in the points' frames.
 
         Args:
             points: the map, shape [V].
             terms: the terms of the map.
-            curvature_share: see :func:`omtwarp.refine.kernels.triangle_hessian`.
-            least: see :func:`omtwarp.optimal.kernels.cost_metric`.
 
         Returns:
             The blocks of the vertices, shape [V, 2, 2], and of the edges, shape [E, 2, 2], of a positive semidefinite
             matrix; and the areas' derivatives as :meth:`omtwarp.solvers.cholesky.SaddleFactor.factorise` takes them.
         """
-        hessians = self.shape.hessian(points, terms.shape, self.area_weight, curvature_share)
-        diagonal, off_diagonal = (self.shape_weight * blocks for blocks in self._newton.assemble(hessians.numpy()))
-        diagonal += self.vertex_cost.hessian(points, self._masses(terms), least)
+        hessians = self.shape.hessian(points, terms.shape, self.area_weight)
+        diagonal, off_diagonal = (self.shape_weight * blocks for blocks in self._sums.assemble(hessians.numpy()))
+        diagonal += self.vertex_cost.hessian(points, self._masses(terms), LEAST_EIGENVALUE)
         return diagonal, off_diagonal, self.cells.slopes(self.domain.area_slopes(points))
 
     def factorise(
@@ -181,15 +178,13 @@ class TransportEnergy:
         factor: SaddlePointFactor,
         points: wp.array,
         terms: MapTerms,
-        curvature_share: float,
-        least: float,
         compliance: Numbers,
     ) -> Numbers:
         """Factorise the matrix of a map, with a larger diagonal where rounding made a pivot's sign wrong.
 
         Args:
             factor: as of :meth:`saddle_factor`.
-            points, terms, curvature_share, least: as of :meth:`blocks`.
+            points, terms: as of :meth:`blocks`.
             compliance: how far areas may be off, C of the saddle-point system, shape [N].
 
         Returns:
@@ -198,7 +193,7 @@ class TransportEnergy:
         Raises:
             OmtwarpError: the second derivative is not finite.
         """
-        diagonal, off_diagonal, gradients = self.blocks(points, terms, curvature_share, least)
+        diagonal, off_diagonal, gradients = self.blocks(points, terms)
         own = diagonal[:, [0, 1], [0, 1]]
         for part in STIFFER:
             diagonal[:, [0, 1], [0, 1]] = own * (1.0 + part) + REGULARISATION * own.mean()
@@ -214,4 +209,4 @@ class TransportEnergy:
         return self.cost_weight / SPHERE_AREA * self.cells.masses(terms.areas)
 
 
-__all__ = ["AREA_WEIGHT", "MapTerms", "TransportEnergy"]
+__all__ = ["AREA_WEIGHT", "LEAST_EIGENVALUE", "MapTerms", "TransportEnergy"]

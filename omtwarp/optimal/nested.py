@@ -16,7 +16,6 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.rings import is_bijective
 from omtwarp.geometry.axes import principal_axes, turned_towards
@@ -25,8 +24,8 @@ from omtwarp.mesh.arrays import normalised
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.moser import moser_map
+from omtwarp.optimal.refinement import least_distortion
 from omtwarp.optimal.solver import PENALTY, OptimalMap, optimal_map
-from omtwarp.refine.solver import Refiner
 from omtwarp.transport.cost import transport_cost
 from omtwarp.untangling.untangle import untangle
 
@@ -214,8 +213,9 @@ def untangled(surface: Surface, sphere: Numbers, *, device: str | None = "auto")
 
 def smoothed(surface: Surface, sphere: Numbers, *, device: str | None = "auto") -> Numbers:
     """Return a map without the slivers that repair leaves, turned onto the one given; that one where it would flip."""
-    refiner = Refiner(surface, resolve_device(device))
-    found = refiner.minimise(sphere, SMOOTHING_WEIGHT, iterations=SMOOTHING_STEPS, tolerance=SMOOTHING_TOLERANCE).sphere
+    found = least_distortion(
+        surface, sphere, SMOOTHING_WEIGHT, iterations=SMOOTHING_STEPS, tolerance=SMOOTHING_TOLERANCE, device=device
+    ).sphere
     turned = normalised(turned_towards(found, sphere, surface.vertex_areas))
     return turned if is_bijective(turned, surface.faces, device=device) else found
 

@@ -160,7 +160,7 @@ def differentiate(
         frame = patches.frames[t]
         share = given.shape_weight * patches.areas[t] / SPHERE_AREA
         rows = distortion_gradient(frame, share, a, b, c, given.linear, given.inverse, given.barrier)
-        distortion_hessian(t, frame, share, a, b, c, given.linear, given.inverse, given.barrier, ONE, scratch.blocks)
+        distortion_hessian(t, frame, share, a, b, c, given.linear, given.inverse, given.barrier, scratch.blocks)
         potential = ZERO
         for k in range(3):
             potential += multipliers[face[k]] + given.cost_factor * scratch.cost[face[k]]

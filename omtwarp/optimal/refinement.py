@@ -13,7 +13,8 @@ weight ``area``, whose promise is area, then gives them more: 30, 100 or 300 in 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,11 +27,13 @@ from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.arrays import real_number, whole_number
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import Surface
+from omtwarp.optimal.cells import RingCells
 from omtwarp.optimal.solver import minimise
-from omtwarp.optimal.sphere import energy_on_sphere
-from omtwarp.options import AreaMatch, Progress, Refinement, parse_refinement
+from omtwarp.optimal.sphere import ShapeEnergy
+from omtwarp.options import AreaMatch, Progress, Record, Refinement, parse_refinement
+from omtwarp.refine.energy import DistortionEnergy
 from omtwarp.refine.matching import LEAST_WEIGHT, MOST_WEIGHT, match_area
-from omtwarp.refine.solver import Refiner, RefineResult
+from omtwarp.refine.vertex_term import VertexTerm
 
 # λ, the weight of area against angle, of each named refinement
 WEIGHTS = {
@@ -49,6 +52,26 @@ LOST_AREA, RAISED_WEIGHTS = 1.05, (30.0, 100.0, 300.0)
 # match:AREA looks for λ until the area distortion is within the tolerance below the one asked for, or for that many
 # trials.
 MATCH_TOLERANCE, MATCH_TRIALS = 1e-4, 16
+
+
+@dataclass(frozen=True)
+class RefineResult:
+    """A refined map.
+
+    Attributes:
+        sphere: unit vectors, float64, shape [V, 3]; no triangle is flipped.
+        weight: λ, the weight of area against angle that was minimised.
+        history: one record per step, as of :class:`omtwarp.optimal.solver.OptimalMap`; ``energy`` is what is
+            minimised, less its least possible value. The first record is the start.
+        converged: whether the tolerance was reached.
+        factorisations: how many sparse matrices were factorised.
+    """
+
+    sphere: NDArray[np.float64]
+    weight: float
+    history: list[Record] = field(default_factory=list)
+    converged: bool = False
+    factorisations: int = 0
 
 
 def refinement_weight(weight: str | float | AreaMatch) -> float:
@@ -130,41 +153,65 @@ def refine_map(
     return refinement.run(start, refinement_weight(weight))
 
 
+def least_distortion(
+    surface: Surface,
+    sphere: NDArray[np.float64],
+    weight: float,
+    *,
+    of_rings: float = 0.0,
+    most_strain: float | None = None,
+    vertex_term: VertexTerm | None = None,
+    iterations: int,
+    tolerance: float,
+    device: str | None = "auto",
+    progress: Progress | None = None,
+) -> RefineResult:
+    """Minimise angle distortion plus λ times the area distortion of triangles.
+
+    Args:
+        surface: V vertices.
+        sphere: a map without flips to begin with, shape [V, 3].
+        weight: λ.
+        of_rings: the weight of Σ_v m_v (a_v / 3m_v - 1)² / 4π, the areas around vertices.
+        most_strain, vertex_term: a barrier and a further term, as of :class:`omtwarp.refine.energy.DistortionEnergy`.
+        iterations, tolerance, device, progress: as of :func:`refine_map`.
+    """
+    where = resolve_device(device)
+    cells = RingCells(surface, where) if of_rings > 0.0 else None
+    energy = ShapeEnergy(surface, where, weight, most_strain=most_strain, vertex_term=vertex_term, cells=cells)
+    # Σ m (a / 3m - 1)² / 4π equals Σ (a - 3m)² / 3m over 12π; the penalty is half of that.
+    penalty = 2.0 * of_rings
+    found = minimise(energy, sphere, gain=tolerance, iterations=iterations, progress=progress, penalty=penalty)
+    return RefineResult(found.sphere, weight + of_rings, list(found.history), found.converged, found.factorisations)
+
+
 class _Refinement:
     """Refines maps of one surface at one weight after another, with the same solver."""
 
     def __init__(self, surface: Surface, device: str, iterations: int, tolerance: float, progress: Progress | None):
         self.surface, self.device = surface, resolve_device(device)
-        self.iterations, self.tolerance, self.progress = iterations, tolerance, progress
-        self.refiner = Refiner(surface, self.device)
+        self.tolerance = tolerance
+        self.minimised = partial(
+            least_distortion,
+            surface,
+            iterations=iterations,
+            tolerance=tolerance,
+            device=device,
+            progress=progress,
+        )
+        self.distortion = DistortionEnergy(surface, self.device)
 
     def run(self, sphere: NDArray[np.float64], weight: float, of_triangles: float = TRIANGLE_WEIGHT) -> RefineResult:
         """Minimise the distortion at a weight, beginning with a flip-free map, shape [V, 3].
 
         Up to ``of_triangles`` the weight is that of the areas of triangles, the rest that of those around vertices.
         """
-        if weight <= of_triangles:
-            return self.by_triangles(sphere, weight)
-        energy = energy_on_sphere(
-            self.surface, vectors(sphere, self.device), self.device, 1.0, cost_weight=0.0, area_weight=of_triangles
-        )
-        # Σ m (a / 3m - 1)² / 4π equals Σ (a - 3m)² / 3m over 12π; the penalty is half of that.
-        penalty = 2.0 * (weight - of_triangles)
-        found = minimise(
-            energy,
-            sphere,
-            gain=self.tolerance,
-            iterations=self.iterations,
-            progress=self.progress,
-            penalty=penalty,
-        )
-        return RefineResult(found.sphere, weight, list(found.history), found.converged, found.factorisations)
+        least = min(weight, of_triangles)
+        return self.minimised(sphere, least, of_rings=weight - least)
 
     def by_triangles(self, sphere: NDArray[np.float64], weight: float) -> RefineResult:
         """Minimise the distortion with the whole weight on the areas of triangles, none on those around vertices."""
-        return self.refiner.minimise(
-            sphere, weight, iterations=self.iterations, tolerance=self.tolerance, progress=self.progress
-        )
+        return self.minimised(sphere, weight)
 
     def towards_area(self, sphere: NDArray[np.float64]) -> RefineResult:
         """Refine at the weight of ``area``, with more of it on triangles where their areas would become worse."""
@@ -207,7 +254,7 @@ class _Refinement:
 
     def excess(self, sphere: NDArray[np.float64]) -> float:
         """Return how far the mean area distortion of the triangles of a map is above 2."""
-        return self.refiner.energy.terms(self.refiner.energy.upload(sphere)).area
+        return self.distortion.terms(vectors(sphere, self.device)).area
 
 
-__all__ = ["TRIANGLE_WEIGHT", "WEIGHTS", "refine_map", "refinement_weight"]
+__all__ = ["TRIANGLE_WEIGHT", "WEIGHTS", "RefineResult", "least_distortion", "refine_map", "refinement_weight"]

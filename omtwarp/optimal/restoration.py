@@ -27,7 +27,6 @@ ROUNDS = 30  # largest number of steps
 STIFFNESS = 1e7  # weight of areas relative to cost and shape, which only choose among the steps that correct areas
 MAX_HALVINGS = 12  # of a step, down to 1/4096
 SUFFICIENT = 0.1  # a step is taken where it lowers the area errors by this share of what the first derivative predicts
-LEAST = 1e-3  # least eigenvalue kept of the inverse map's derivative: see omtwarp.optimal.kernels.cost_metric
 
 
 @blas_threads(1)
@@ -59,7 +58,7 @@ def restore_areas(
         if _right(energy, terms):
             return points.numpy().copy(), True
         try:
-            energy.factorise(factor, points, terms, 1.0, LEAST, compliance)
+            energy.factorise(factor, points, terms, compliance)
         except OmtwarpError:
             break
         moved = _step(energy, steps, factor, points, terms)

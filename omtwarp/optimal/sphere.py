@@ -9,12 +9,14 @@ from omtwarp.device.arrays import empty, vectors
 from omtwarp.device.start import wp
 from omtwarp.device.threads import cut, launch_parts
 from omtwarp.flips.predicates import flipped_faces
-from omtwarp.mesh.surface import Surface
-from omtwarp.optimal.cells import Cells, RingCells
+from omtwarp.mesh.arrays import normalised
+from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.optimal.cells import Cells, MeasuredRings, RingCells
 from omtwarp.optimal.domain import ShapeTerms
-from omtwarp.optimal.energy import AREA_WEIGHT, TransportEnergy
+from omtwarp.optimal.energy import AREA_WEIGHT, MapTerms, TransportEnergy
 from omtwarp.optimal.kernels import area_slopes, cost_metric, transport_gradient, vertex_costs
 from omtwarp.refine.energy import DistortionEnergy, Terms
+from omtwarp.refine.vertex_term import VertexTerm
 from omtwarp.solvers.triangle_newton.motion_kernels import from_tangent, to_tangent
 from omtwarp.untangling.kernels import solid_angles
 from omtwarp.untangling.steps import FlipFreeSteps
@@ -158,10 +160,10 @@ class SphereShape:
         assert isinstance(terms, Terms)
         return self.distortion.gradient(points, terms, weight)
 
-    def hessian(self, points: wp.array, terms: ShapeTerms, weight: float, curvature_share: float) -> wp.array:
+    def hessian(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
         """Return every triangle's Hessian, shape [F, 21], as :meth:`DistortionEnergy.hessian` does."""
         assert isinstance(terms, Terms)
-        return self.distortion.hessian(points, terms, weight, curvature_share)
+        return self.distortion.hessian(points, terms, weight)
 
 
 def energy_on_sphere(
@@ -194,4 +196,45 @@ def energy_on_sphere(
     return energy
 
 
-__all__ = ["GeodesicCost", "Sphere", "SphereShape", "energy_on_sphere"]
+class ShapeEnergy(TransportEnergy):
+    """The distortion of the triangles of maps to the sphere, and no cost of transport.
+
+    Args:
+        surface: V vertices.
+        device: a Warp device.
+        area_weight: λ, of area against angle distortion.
+        most_strain, vertex_term: a barrier and a further term, as of :class:`omtwarp.refine.energy.DistortionEnergy`.
+        cells: whose areas are kept; by default those around vertices are measured and not kept.
+    """
+
+    def __init__(
+        self,
+        surface: Surface,
+        device: wp.Device,
+        area_weight: float,
+        *,
+        most_strain: float | None = None,
+        vertex_term: VertexTerm | None = None,
+        cells: Cells | None = None,
+    ):
+        self.distortion = DistortionEnergy(surface, device, most_strain=most_strain, vertex_term=vertex_term)
+        kept = MeasuredRings(surface, device) if cells is None else cells
+        cost = GeodesicCost(surface, vectors(normalised(surface.vertices), device), device)
+        domain, shape, workspace = Sphere(surface, device), SphereShape(self.distortion), self.distortion.workspace
+        super().__init__(domain, kept, cost, shape, 1.0, 0.0, area_weight, workspace=workspace)
+        # The kernel of local steps knows neither the barrier nor the further term.
+        self.has_local_steps = isinstance(kept, RingCells) and not self.distortion.extended
+
+    def cost(self, terms: MapTerms) -> float:
+        """Return 4π, a mean of 1: gains are compared with the distortion, not with a cost."""
+        return SPHERE_AREA
+
+    def blocks(self, points: wp.array, terms: MapTerms) -> tuple[Numbers, Numbers, Numbers]:
+        """Return what the base class does, with the term at vertices on the diagonal."""
+        diagonal, off_diagonal, gradients = super().blocks(points, terms)
+        assert isinstance(terms.shape, Terms)
+        further = self.distortion.vertex_blocks(points, terms.shape)
+        return (diagonal if further is None else diagonal + further), off_diagonal, gradients
+
+
+__all__ = ["GeodesicCost", "ShapeEnergy", "Sphere", "SphereShape", "energy_on_sphere"]

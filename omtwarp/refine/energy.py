@@ -139,13 +139,13 @@ class TriangleKernels:
         launch_parts(gather_tangent, gradient.size, gathered, self.device)
         return gradient
 
-    def hessian(self, points: wp.array, pressures: Pressures, curvature_share: float) -> wp.array:
+    def hessian(self, points: wp.array, pressures: Pressures) -> wp.array:
         """Return the Hessian of every triangle in its corners' tangent bases, positive semidefinite, shape [F, 21].
 
         Of each 6x6 matrix the entries on and above the diagonal, row by row. Valid until the workspace is taken again.
         """
         blocks = self._scratch(self.count, 21)
-        numbers = [*pressures, wp.float64(curvature_share), wp.float64(SPHERE_AREA)]
+        numbers = [*pressures, wp.float64(SPHERE_AREA)]
 
         def arguments(part: slice) -> Arguments:
             own = [cut(array, part) for array in (self.faces, self.frames, self.areas)]
@@ -240,12 +240,12 @@ class DistortionEnergy:
             total += further - (further * here).sum(axis=1, keepdims=True) * here
         return vectors(total, self.device)
 
-    def hessian(self, points: wp.array, terms: Terms, weight: float, curvature_share: float) -> wp.array:
+    def hessian(self, points: wp.array, terms: Terms, weight: float) -> wp.array:
         """Return the Hessian of every triangle in its corners' tangent bases, positive semidefinite, shape [F, 21].
 
         Of each 6x6 matrix the entries on and above the diagonal, row by row. Valid until the workspace is taken again.
         """
-        blocks = self.triangles.hessian(points, self.pressures(terms, weight), curvature_share)
+        blocks = self.triangles.hessian(points, self.pressures(terms, weight))
         if self._barrier is not None:
             blocks.numpy()[:] += self._barrier.hessian(points)
         return blocks

@@ -193,7 +193,6 @@ def distortion_hessian(
     linear: wp.float64,
     inverse: wp.float64,
     barrier: wp.float64,
-    curvature_share: wp.float64,
     # Data out:
     hessian: wp.array2d[wp.float64],
 ):
@@ -216,7 +215,7 @@ def distortion_hessian(
     d = s1 * s2
     fro = s1 * s1 + s2 * s2
 
-    by_det = curvature_share * (linear - (fro + inverse) / (d * d))
+    by_det = linear - (fro + inverse) / (d * d)
     twist = wp.max(TWO / d + by_det, ZERO)
     flip = wp.max(TWO / d - by_det, ZERO)
     h11 = TWO * (s2 * s2 + inverse) / (s1 * s1 * d)
@@ -276,7 +275,6 @@ def triangle_hessian(
     linear: wp.float64,
     inverse: wp.float64,
     barrier: wp.float64,
-    curvature_share: wp.float64,
     divisor: wp.float64,
     # Data out:
     hessian: wp.array2d[wp.float64],
@@ -286,10 +284,6 @@ def triangle_hessian(
     The energy depends on the singular values of the Jacobian alone, so that its second derivative by the Jacobian has
     known eigenvectors (Smith, De Goes, Kim: "Analytic eigensystems for isotropic distortion energies", 2019): twist,
     flip and two scalings. Negative eigenvalues are cut off, which makes the matrix positive semidefinite.
-
-    ``curvature_share``, 0 to 1, is the share of the curvature of D that is kept; its factor is the pressure of the
-    triangle. Far from the minimum all of it is needed. Near the minimum the pressure varies smoothly, the curvatures of
-    neighbouring triangles cancel, and a matrix that drops only the negative ones would be too stiff.
     """
     t, _compiled_once = wp.tid()
     face = faces[t]
@@ -297,32 +291,4 @@ def triangle_hessian(
     b = sphere[face[1]]
     c = sphere[face[2]]
     share = areas[t] / divisor
-    distortion_hessian(t, frames[t], share, a, b, c, linear, inverse, barrier, curvature_share, hessian)
-
-
-@wp.kernel
-def newton_decrements(
-    sphere: wp.array[wp.vec3d],
-    gradient: wp.array[wp.vec3d],
-    places: wp.array[wp.int32],
-    blocks: wp.array[wp.float64],
-    # Data out:
-    decrement: wp.array[wp.float64],
-):
-    """Compute gᵀ B⁻¹ g of every vertex, with B its own block: twice the gain of moving it alone.
-
-    The result is 0 where the block has no inverse.
-    """
-    i = wp.tid()
-    y = sphere[i]
-    t = first_tangent(y)
-    x0 = wp.dot(t, gradient[i])
-    x1 = wp.dot(wp.cross(y, t), gradient[i])
-    at = 4 * places[i]
-    a = blocks[at]
-    b = blocks[at + 1]
-    c = blocks[at + 3]
-    determinant = a * c - b * b
-    decrement[i] = ZERO
-    if determinant > ZERO:
-        decrement[i] = (c * x0 * x0 - TWO * b * x0 * x1 + a * x1 * x1) / determinant
+    distortion_hessian(t, frames[t], share, a, b, c, linear, inverse, barrier, hessian)

@@ -1,19 +1,15 @@
-"""Registration among maps that keep the areas around vertices, with the multipliers of the optimal map."""
+"""The energy of registration, and registration among maps that keep the areas around vertices."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
-from omtwarp.device.start import wp
-from omtwarp.mesh.surface import SPHERE_AREA, Surface
-from omtwarp.optimal.cells import RingCells
-from omtwarp.optimal.energy import MapTerms, TransportEnergy
+from omtwarp.mesh.surface import Surface
+from omtwarp.optimal.cells import MeasuredRings, RingCells
 from omtwarp.optimal.restoration import restore_areas
-from omtwarp.optimal.sphere import GeodesicCost, Sphere, SphereShape
-from omtwarp.refine.energy import DistortionEnergy, Terms
+from omtwarp.optimal.sphere import ShapeEnergy
 from omtwarp.refine.vertex_term import VertexTerm
 from omtwarp.spheres import triangle_solid_angles
 
@@ -31,44 +27,24 @@ def areas_around(points: Floats, faces: NDArray[np.int32]) -> Floats:
     return np.bincount(faces.ravel(), np.repeat(solid, 3), len(points)).astype(np.float64)
 
 
-class WarpEnergy(TransportEnergy):
-    """The energy of registration, with the areas around the vertices of a sphere as constraints.
-
-    The cost of transport counts nothing; in its place are the distortion, the barrier of strain and a term at vertices.
+def warp_energy(
+    sphere: Surface,
+    area_weight: float,
+    most_strain: float | None = None,
+    vertex_term: VertexTerm | None = None,
+    keep_areas: bool = True,
+) -> ShapeEnergy:
+    """Return the energy of registration: the distortion, the barrier of strain and a term at vertices.
 
     Args:
         sphere: what is warped.
-        area_weight: of the areas of triangles against their angles.
-        most_strain, vertex_term: as of :class:`omtwarp.refine.energy.DistortionEnergy`.
+        area_weight, most_strain, vertex_term: as of :class:`omtwarp.optimal.sphere.ShapeEnergy`.
+        keep_areas: whether the areas around the vertices of the sphere are constraints, or have a penalty.
     """
-
-    def __init__(
-        self,
-        sphere: Surface,
-        area_weight: float,
-        most_strain: float | None = None,
-        vertex_term: VertexTerm | None = None,
-    ):
-        device = resolve_device("cpu")
-        self.distortion = DistortionEnergy(sphere, device, most_strain=most_strain, vertex_term=vertex_term)
-        cells, shape = RingCells(sphere, device), SphereShape(self.distortion)
-        cells.wanted = areas_around(sphere.vertices, sphere.faces)
-        cost = GeodesicCost(sphere, vectors(sphere.vertices, device), device)
-        domain, workspace = Sphere(sphere, device), self.distortion.workspace
-        super().__init__(domain, cells, cost, shape, 1.0, 0.0, area_weight, workspace=workspace)
-
-    def cost(self, terms: MapTerms) -> float:
-        """Return 4π, a mean of 1: gains are compared with the distortion, not with a cost."""
-        return SPHERE_AREA
-
-    def blocks(
-        self, points: wp.array, terms: MapTerms, curvature_share: float, least: float
-    ) -> tuple[Floats, Floats, Floats]:
-        """Return what the base class does, with the term at vertices on the diagonal."""
-        diagonal, off_diagonal, gradients = super().blocks(points, terms, curvature_share, least)
-        assert isinstance(terms.shape, Terms)
-        further = self.distortion.vertex_blocks(points, terms.shape)
-        return (diagonal if further is None else diagonal + further), off_diagonal, gradients
+    device = resolve_device("cpu")
+    cells = RingCells(sphere, device) if keep_areas else MeasuredRings(sphere, device)
+    cells.wanted = areas_around(sphere.vertices, sphere.faces)
+    return ShapeEnergy(sphere, device, area_weight, most_strain=most_strain, vertex_term=vertex_term, cells=cells)
 
 
 def with_areas(sphere: Surface, warp: Floats, area_weight: float) -> Floats:
@@ -77,9 +53,9 @@ def with_areas(sphere: Surface, warp: Floats, area_weight: float) -> Floats:
     Args:
         sphere: before the warp.
         warp: unit vectors, no triangle flipped, shape [V, 3].
-        area_weight: as of :class:`WarpEnergy`.
+        area_weight: as of :func:`warp_energy`.
     """
-    return restore_areas(WarpEnergy(sphere, area_weight), warp)[0]
+    return restore_areas(warp_energy(sphere, area_weight), warp)[0]
 
 
 def area_changes(before: Floats, after: Floats, faces: NDArray[np.int32]) -> dict[str, float]:

@@ -8,15 +8,21 @@ from numpy.typing import NDArray
 from omtwarp.device.policy import resolve_device
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.arrays import TINY
-from omtwarp.mesh.patches import grow
+from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.surface import Surface, triangle_areas
-from omtwarp.refine.energy import DistortionEnergy
-from omtwarp.refine.relaxation import FREED_RINGS, relax
+from omtwarp.optimal.local import LocalSteps
+from omtwarp.optimal.solver import LEAST_PENALTY
+from omtwarp.optimal.sphere import ShapeEnergy
+from omtwarp.refine.strain import strain_limit
 from omtwarp.untangling.untangle import untangle
 
 Floats = NDArray[np.float64]
 
 ROUNDS = 24  # of relaxing around triangles over the bound
+FREED_RINGS = 2  # that move with the corners of these triangles
+STEPS = 3  # Newton steps of a patch in a round
+# Of the limit at which the barrier of strain is infinite: where warps begin, steps have to find room.
+NEAR_LIMIT = 0.9
 
 
 def octaves(before: Floats, after: Floats, faces: NDArray[np.int32]) -> tuple[Floats, Floats]:
@@ -50,7 +56,9 @@ def strain_at_vertices(before: Floats, faces: NDArray[np.int32], strain: Floats)
     return np.asarray(sums[0] / np.maximum(sums[1], TINY))
 
 
-def kept_within(surface: Surface, sphere: Floats, bound: float, held: NDArray[np.integer] | None = None) -> Floats:
+def kept_within(
+    surface: Surface, sphere: Floats, bound: float, held: NDArray[np.integer] | None = None, *, with_room: bool = False
+) -> Floats:
     """Return a warp without flips and within the bound of strain, moved only around triangles that are not.
 
     Flips are untangled first. Then vertices around triangles with too much strain go to where they hold less
@@ -61,13 +69,16 @@ def kept_within(surface: Surface, sphere: Floats, bound: float, held: NDArray[np
         sphere: the warp, unit vectors, shape [V, 3].
         bound: of both numbers of :func:`octaves`, in size.
         held: vertices that are not to move where nothing is flipped; by default all may.
+        with_room: whether both numbers together are to leave a minimisation with the barrier of the bound room to begin
+            (:mod:`omtwarp.refine.strain`), which is more than that each is within the bound.
 
     Returns:
         Unit vectors, shape [V, 3]; where no more is gained some triangles may stay over the bound.
     """
     if flipped_faces(sphere, surface.faces).any():
         sphere = untangle(surface, sphere, device="cpu").sphere
-    energy: DistortionEnergy | None = None
+    energy: ShapeEnergy | None = None
+    limit = NEAR_LIMIT * strain_limit(bound)
     near_held = np.zeros(surface.vertex_count, dtype=bool)
     if held is not None:
         near_held[held] = True
@@ -75,9 +86,11 @@ def kept_within(surface: Surface, sphere: Floats, bound: float, held: NDArray[np
     for done in range(ROUNDS):
         by_area, by_stretch = octaves(surface.vertices, sphere, surface.faces)
         over = np.maximum(np.abs(by_area), by_stretch) > bound
+        if with_room:
+            over |= np.exp2(by_area) + np.exp2(-by_area) + np.exp2(by_stretch) + np.exp2(-by_stretch) - 4.0 > limit
         if not over.any():
             break
-        energy = energy or DistortionEnergy(surface, resolve_device("cpu"))
+        energy = energy or ShapeEnergy(surface, resolve_device("cpu"), 1.0)
         chosen = np.zeros(surface.vertex_count, dtype=bool)
         chosen[surface.faces[over]] = True
         # Rounds per ring, after so many, a ring of vertices more is freed
@@ -85,8 +98,17 @@ def kept_within(surface: Surface, sphere: Floats, bound: float, held: NDArray[np
         chosen &= ~near_held
         if not chosen.any():
             break
-        points = energy.upload(np.ascontiguousarray(sphere))
-        moved = relax(energy, points, energy.terms(points), 1.0, 1.0, chosen)
-        if moved is not None:
-            sphere = moved[0].numpy().copy()
+        sphere = _relaxed(energy, sphere, grow(surface.faces, chosen, FREED_RINGS))
     return sphere
+
+
+def _relaxed(energy: ShapeEnergy, sphere: Floats, freed: NDArray[np.bool_]) -> Floats:
+    """Move vertices, given as a mask of shape [V], to where they hold less distortion."""
+    surface = energy.surface
+    points = energy.domain.sent(np.ascontiguousarray(sphere))
+    terms, none = energy.terms(points), np.zeros(surface.vertex_count)
+    patches = Patches.of_vertices(surface.faces, freed)
+    steps = LocalSteps(energy, patches, points, terms, none, LEAST_PENALTY / energy.wanted, constrained=False)
+    if not steps.worthwhile:
+        return sphere
+    return steps.run(0.0, STEPS)[0].numpy().copy()

@@ -8,16 +8,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.device.policy import resolve_device
 from omtwarp.location import Locator
 from omtwarp.mesh.shapes import icosphere
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.solver import OptimalMap, minimise
 from omtwarp.options import Record
-from omtwarp.refine.solver import Refiner, RefineResult
 from omtwarp.refine.strain import strain_limit
 from omtwarp.refine.vertex_term import VertexTerm
-from omtwarp.registration.areas import WarpEnergy
+from omtwarp.registration.areas import warp_energy
 from omtwarp.registration.feature_term import FeatureField, FeatureTerm
 from omtwarp.registration.folding import smoothed, vertex_areas
 from omtwarp.registration.landmarks import LandmarkTerm, Pairs, TermSum
@@ -115,12 +113,12 @@ class Warping:
             if warp is None:
                 points = grid.vertices
             else:
-                points = kept_within(grid, warp.carry(grid.vertices), self._bound)
+                points = kept_within(grid, warp.carry(grid.vertices), self._bound, with_room=True)
             values = np.column_stack([self._smooth(moving, width), counted])
             here = FeatureField(self.grid, values).at(grid.vertices)[0]
             # Of the target, where each place is to agree: what shrinks on the way counts less.
             areas = here[:, -1] * vertex_areas(points, grid.faces) / SPHERE_AREA
-            # Energy over λ / 2: Refiner has 1 before the distortion of triangles.
+            # Energy over λ / 2, so that the distortion of triangles has the factor 1.
             scale = 2.0 / (stiffer * self._stiffness)
             term: VertexTerm = FeatureTerm(here[:, :-1], areas, self._field(width), scale * self._weights)
             pulls = None if landmarks is None else LandmarkTerm(landmarks, grid, scale)
@@ -144,18 +142,12 @@ class Warping:
         assert warp is not None
         return warp
 
-    def _minimiser(
-        self, grid: Surface, term: VertexTerm, scale: float
-    ) -> Callable[[Floats], RefineResult | OptimalMap]:
+    def _minimiser(self, grid: Surface, term: VertexTerm, scale: float) -> Callable[[Floats], OptimalMap]:
         """Return what minimises the energy from a warp of a grid, with a penalty or constraints on areas if wanted."""
         tolerance = 1e-4  # of the mean distortion
-        limit = strain_limit(self._bound)
-        if self._keep_areas == 0.0:
-            refiner = Refiner(grid, resolve_device("cpu"), most_strain=limit, vertex_term=term)
-            return lambda points: refiner.minimise(points, AREA_WEIGHT, iterations=ITERATIONS, tolerance=tolerance)
         # Σ m (a / m - 1)² / 4π is Σ (a - m)² / m over 4π; the penalty of areas a that sum to 12π is half of that.
         penalty = None if np.isinf(self._keep_areas) else 2.0 * scale * self._keep_areas
-        energy = WarpEnergy(grid, AREA_WEIGHT, limit, term)
+        energy = warp_energy(grid, AREA_WEIGHT, strain_limit(self._bound), term, self._keep_areas > 0.0)
         return lambda points: minimise(
             energy, points, gain=tolerance, iterations=ITERATIONS, progress=None, penalty=penalty
         )

@@ -64,6 +64,33 @@ class SaddlePointFactor(Protocol):
         """Solve for coordinates, shape [V, 2], and multipliers, shape [N]."""
 
 
+class VertexFactor:
+    """A factorisation of the coordinates alone in place of one of saddle-point matrices; multipliers stay 0.
+
+    Args:
+        factor: of two unknowns per vertex.
+    """
+
+    def __init__(self, factor: MeshFactor):
+        self._factor = factor
+
+    def factorise(
+        self,
+        diagonal: NDArray[np.float64],
+        off_diagonal: NDArray[np.float64],
+        gradients: NDArray[np.float64],
+        compliance: NDArray[np.float64],
+    ) -> None:
+        """Factorise the matrix of the coordinates; derivatives of areas do not count."""
+        self._factor.factorise(diagonal, off_diagonal)
+
+    def solve(
+        self, first: NDArray[np.float64], second: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Solve for coordinates, shape [V, 2]; multipliers are 0, shape [N]."""
+        return self._factor.solve(first), np.zeros_like(second)
+
+
 class SparseFactor:
     """Factorises symmetric positive definite matrices on a mesh by SuperLU.
 
@@ -289,6 +316,7 @@ __all__ = [
     "SaddlePointFactor",
     "SparseFactor",
     "SparseSaddleFactor",
+    "VertexFactor",
     "begin_saddle_order",
     "cell_saddle_factor",
     "mesh_factor",

@@ -195,7 +195,7 @@ class PlaneShape:
         wp.launch(kernels.sum_at_vertices, dim=len(points), inputs=inputs, outputs=[sums], device="cpu")
         return sums
 
-    def hessian(self, points: wp.array, terms: ShapeTerms, weight: float, curvature_share: float) -> wp.array:
+    def hessian(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
         """Return every triangle's Hessian without the areas' own curvature, shape [F, 21]."""
         hessians = wp.empty((self._plane.surface.face_count, 21), dtype=wp.float64, device="cpu")
         self._plane.launch(

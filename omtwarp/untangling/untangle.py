@@ -30,7 +30,7 @@ from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.options import Progress
 from omtwarp.solvers.triangle_newton.frames import triangle_frames
 from omtwarp.solvers.triangle_newton.line_search import search_patches
-from omtwarp.solvers.triangle_newton.newton import NewtonMatrix
+from omtwarp.solvers.triangle_newton.newton import PatchMatrix
 from omtwarp.solvers.triangle_newton.small_patches import SmallPatches, shared
 from omtwarp.untangling.kernels import move_in_tangent, solid_angles, untangle_newton, untangle_value
 from omtwarp.untangling.patch_kernels import Untangling, untangle_small_patches
@@ -285,7 +285,7 @@ class _Untangling:
     def _take(self, patches: Patches) -> None:
         """Create the matrix, the gradient's index and the arrays on the device for these patches."""
         self.patches = patches
-        self.matrix = NewtonMatrix.of_patches(patches, self.surface, DAMPING)
+        self.matrix = PatchMatrix(patches, self.surface, DAMPING)
         corner = np.repeat(patches.faces, 2, axis=1)
         index = np.where(corner < patches.free, 2 * corner + np.array([0, 1] * 3), -1).ravel()
         self.gradient_kept = np.flatnonzero(index >= 0)

@@ -70,7 +70,7 @@ def test_gradient_is_the_derivative(energy_and_map):
 def test_couplings_are_derivatives_of_the_areas(energy_and_map):
     energy, y = energy_and_map
     points = vectors(y, CPU)
-    _, _, couplings = energy.blocks(points, energy.terms(points), 1.0, 1e-3)
+    _, _, couplings = energy.blocks(points, energy.terms(points))
     axis = np.zeros_like(y)
     axis[np.arange(len(y)), np.abs(y).argmin(axis=1)] = 1.0
     first = np.cross(y, axis) / np.linalg.norm(np.cross(y, axis), axis=1)[:, None]

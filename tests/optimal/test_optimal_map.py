@@ -64,7 +64,7 @@ def test_couplings_are_derivatives_of_the_areas(energy_and_map):
     energy, y = energy_and_map
     surface = energy.surface
     points = vectors(y, CPU)
-    _, _, couplings = energy.blocks(points, energy.terms(points), 1.0, 1e-3)
+    _, _, couplings = energy.blocks(points, energy.terms(points))
     axis = np.zeros_like(y)
     axis[np.arange(len(y)), np.abs(y).argmin(axis=1)] = 1.0
     first = np.cross(y, axis) / np.linalg.norm(np.cross(y, axis), axis=1)[:, None]

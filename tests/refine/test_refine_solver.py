@@ -15,7 +15,7 @@ from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mesh.shapes import blob, icosphere, limbs, noisy, tube
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.optimal.refinement import refine_map, refinement_weight
-from omtwarp.solvers.triangle_newton.newton import NewtonMatrix
+from omtwarp.solvers.triangle_newton.newton import TriangleSums
 from omtwarp.start.hierarchical import hierarchical_embedding
 from omtwarp.untangling.untangle import untangle
 
@@ -178,8 +178,8 @@ def test_refuses_flipped_maps_and_unknown_weights():
     assert refinement_weight("12.5") == 12.5 and refinement_weight("area") == 1000.0
 
 
-def test_newton_matrix_sums_blocks_and_solves():
-    """The Newton matrix and its solutions agree with a dense sum of the same blocks."""
+def test_newton_matrix_sums_blocks():
+    """The Newton matrix agrees with a dense sum of the same blocks."""
     surface = icosphere(2)
     count = surface.vertex_count
     rng = np.random.default_rng(0)
@@ -189,15 +189,12 @@ def test_newton_matrix_sums_blocks_and_solves():
     for face, block in zip(surface.faces, blocks, strict=True):
         index = (2 * face[:, None] + np.arange(2)).ravel()
         dense[np.ix_(index, index)] += block
-    matrix = NewtonMatrix.of_surface(surface)
+    sums = TriangleSums.of_surface(surface)
     packed = np.ascontiguousarray(blocks[:, *np.triu_indices(6)])
-    diagonal, off_diagonal = matrix.assemble(packed)
+    diagonal, off_diagonal = sums.assemble(packed)
     square = dense.reshape(count, 2, count, 2).transpose(0, 2, 1, 3)
     assert np.allclose(diagonal, square[np.arange(count), np.arange(count)])
     assert np.allclose(off_diagonal, square[surface.edges[:, 0], surface.edges[:, 1]])
-    matrix.factorise(packed)
-    right = rng.normal(size=(count, 2))
-    assert np.allclose(dense @ matrix.solve(right).ravel(), right.ravel(), rtol=1e-4, atol=1e-4)
 
 
 def ring_rms(surface, sphere):

@@ -10,9 +10,9 @@ import pytest
 from omtwarp.device.policy import resolve_device
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.shapes import icosphere
+from omtwarp.optimal.refinement import least_distortion
+from omtwarp.optimal.sphere import ShapeEnergy
 from omtwarp.refine.energy import DistortionEnergy
-from omtwarp.refine.solver import Refiner
-from omtwarp.refine.steps import Steps
 from omtwarp.refine.strain import strain_limit
 from omtwarp.refine.vertex_term import VertexDerivatives
 
@@ -100,13 +100,12 @@ def test_blocks_of_the_term_enter_the_matrix(bent):
     """Of a strong spring the Newton step leads to the places in one step."""
     surface, sphere = bent
     places = unit(sphere + 0.01 * np.random.default_rng(1).normal(size=sphere.shape))
-    energy = DistortionEnergy(surface, resolve_device("cpu"), vertex_term=Pull(places, 1e7))
-    points = energy.upload(sphere)
-    terms = energy.terms(points)
-    steps = Steps(energy)
-    steps.assemble(points, terms, 1.0, 1.0)
-    steps.factorise()
-    direction = steps.direction(points, energy.gradient(points, terms, 1.0)).vectors.numpy()
+    energy = ShapeEnergy(surface, resolve_device("cpu"), 1.0, vertex_term=Pull(places, 1e7))
+    points, none = energy.domain.sent(sphere), np.zeros(surface.vertex_count)
+    terms, factor = energy.terms(points), energy.saddle_factor()
+    energy.factorise(factor, points, terms, np.ones(surface.vertex_count))
+    gradient = energy.domain.coordinates(points, energy.gradient(points, terms, none))
+    direction = energy.domain.vectors(points, points, factor.solve(-gradient, none)[0])
     tangent = places - (places * sphere).sum(axis=1, keepdims=True) * sphere
     np.testing.assert_allclose(direction, tangent, atol=2e-4 * np.abs(tangent).max() + 1e-6)
 
@@ -117,8 +116,8 @@ def test_a_map_is_pulled_as_far_as_strain_allows(bent):
     axis = np.array([0.0, 0.0, 1.0])
     places = unit(surface.vertices + 3.0 * axis)
     limit = strain_limit(1.0)
-    refiner = Refiner(surface, resolve_device("cpu"), most_strain=limit, vertex_term=Pull(places, 1e3))
-    found = refiner.minimise(surface.vertices, 1.0, iterations=100, tolerance=1e-6)
+    given = {"most_strain": limit, "vertex_term": Pull(places, 1e3), "iterations": 100, "tolerance": 1e-6}
+    found = least_distortion(surface, surface.vertices, 1.0, **given, device="cpu")
     s = np.log2(stretches(surface.scaled_vertices, found.sphere, surface.faces))
     assert found.converged and not flipped_faces(found.sphere, surface.faces).any()
     assert np.abs(s.sum(axis=1)).max() < 1.0 and (s[:, 0] - s[:, 1]).max() < 1.0
@@ -128,7 +127,7 @@ def test_a_map_is_pulled_as_far_as_strain_allows(bent):
 def test_springs_alone_lead_home(bent):
     """From a bent start to places that an undistorted map has; the energy there is 0, of which no share is reached."""
     surface, sphere = bent
-    refiner = Refiner(surface, resolve_device("cpu"), vertex_term=Pull(surface.vertices, 10.0))
-    found = refiner.minimise(sphere, 1.0, iterations=50, tolerance=1e-10)
+    given = {"vertex_term": Pull(surface.vertices, 10.0), "iterations": 50, "tolerance": 1e-10}
+    found = least_distortion(surface, sphere, 1.0, **given, device="cpu")
     assert found.history[-1]["energy"] < 1e-12
     np.testing.assert_allclose(found.sphere, surface.vertices, atol=1e-4)

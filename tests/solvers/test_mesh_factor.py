@@ -7,11 +7,12 @@ import trimesh
 import omtwarp
 from omtwarp.device.policy import solving_with, wanted_solver
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.shapes import blob, icosphere
+from omtwarp.mesh.patches import Patches
+from omtwarp.mesh.shapes import blob
 from omtwarp.options import Solver
 from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.solvers.mesh_factor import SparseFactor, cell_saddle_factor, surface_factor, surface_saddle_factor
-from omtwarp.solvers.triangle_newton.newton import NewtonMatrix
+from omtwarp.solvers.triangle_newton.newton import PatchMatrix
 from omtwarp.transport.polish import polish_transport
 
 SURFACE = blob(seed=3, amplitude=0.3, sphere=1280)
@@ -146,7 +147,8 @@ def test_scipy_carries_a_whole_map_alone(monkeypatch):
 
 def test_patches_use_the_solver_that_is_asked_for():
     with solving_with(Solver.SCIPY):
-        assert isinstance(NewtonMatrix.of_surface(icosphere(2))._factor, SparseFactor)
+        patches = Patches.of_vertices(SURFACE.faces, SURFACE.vertices[:, 2] > 0.5)
+        assert isinstance(PatchMatrix(patches, SURFACE, 0.0)._factor, SparseFactor)
 
 
 def test_what_is_asked_for_last_counts(monkeypatch):

@@ -46,7 +46,7 @@ def test_gradient_is_the_derivative(energy_and_map):
 def test_slopes_are_derivatives_of_the_areas(energy_and_map):
     energy, y = energy_and_map
     here = energy.domain.sent(y)
-    _, _, slopes = energy.blocks(here, energy.terms(here), 1.0, 1e-3)
+    _, _, slopes = energy.blocks(here, energy.terms(here))
     step = 1e-6 * np.random.default_rng(1).normal(size=y.shape)
     if isinstance(energy.cells, TriangleCells):
         change = (slopes * step[energy.cells.vertices]).sum(axis=(1, 2))
