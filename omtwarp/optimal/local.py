@@ -27,21 +27,14 @@ from omtwarp.solvers.triangle_newton.small_patches import launch_patches, shared
 
 Numbers = NDArray[np.float64]
 
-# The chosen vertices are the fewest that together have this share of the gains that single vertices could make, at most
-# the second number as a share of all vertices. There are no local steps where, with the rings around them that move
-# too, they are a larger share than the third. With 0.03, 0.05, 0.08 and 0.1 as the second, five scans of 7,000 to
-# 35,000 vertices take 17, 16, 14 and 17 factorisations of the whole map. Without local steps where more would be
-# chosen, one of them takes 8, or 4, depending on whether the first step leaves a little more or less than that share.
-# With 0.8, 0.85 and 0.9 as the first that scan takes 0.76 to 0.79 s in the mean over eight accuracies of the flow, with
-# 0.95 0.84 to 0.89; with 0.9 its exact map gets stuck at long thin triangles in two of three cases.
+# The chosen vertices are the fewest that together have this share of the gains that single vertices could make.
 GAIN_SHARE = 0.8
 # No vertex counts for more than this share of what the last step of the whole map was expected to gain. Beside a
-# triangle that was flipped a moment ago the gain expected from moving one vertex alone is 1e9 times too large: without
-# a limit a scan with 230 such triangles takes steps around one of them alone and 5 to 8 factorisations in place of 4,
-# and noise of 1e-12 moves its vertices by up to 0.2 radians in place of 2e-6.
+# triangle that was flipped a moment ago the gain expected from moving one vertex alone is far too large, and noise in
+# the last digits of a mesh would choose the vertices.
 MAX_GAIN_SHARE = 0.1
-MAX_CHOSEN_SHARE, MAX_FREED_SHARE = 0.08, 0.5
-FREED_RINGS = 3
+MAX_CHOSEN_SHARE = 0.08  # of all vertices: with more, local steps take longer than they save steps of the whole map
+FREED_RINGS = 3  # of vertices around those chosen, which move with them
 # Multiplications of the largest patch's factorisation; beyond some 1,800 vertices one thread takes too long.
 MAX_OPERATIONS = 2e8
 MAX_STEPS = 8  # Newton steps of the patches after each step of the whole map
@@ -49,30 +42,23 @@ MAX_HALVINGS = 12  # of a patch's step before the patch stays where it is
 REGULARISATION = 1e-6  # added to the diagonal, relative to each entry, as the second derivative is only semidefinite
 
 
-def freed_vertices(
-    faces: NDArray[np.int32],
-    gains: Numbers,
-    expected: float,
-    share: float = GAIN_SHARE,
-) -> NDArray[np.bool_] | None:
-    """Choose the vertices that local steps move, as a mask of shape [V], or None where they would be too many or none.
+def freed_vertices(faces: NDArray[np.int32], gains: Numbers, expected: float) -> NDArray[np.bool_] | None:
+    """Choose the vertices that local steps move, as a mask of shape [V], or None where none has anything to gain.
 
     Args:
         faces: of the surface, shape [F, 3].
         gains: the gain expected from moving each vertex alone, shape [V].
         expected: the gain that was expected from the last step of the whole map, which limits those of single vertices.
-        share: of all gains, that of the vertices chosen.
     """
     gains = np.minimum(gains, MAX_GAIN_SHARE * expected)
     order = np.argsort(-gains, kind="stable")
     total = np.cumsum(gains[order])
-    count = min(int(np.searchsorted(total, share * total[-1])) + 1, int(MAX_CHOSEN_SHARE * len(gains)))
+    count = min(int(np.searchsorted(total, GAIN_SHARE * total[-1])) + 1, int(MAX_CHOSEN_SHARE * len(gains)))
     if not total[-1] > 0.0 or count == 0:
         return None
     chosen = np.zeros(len(gains), dtype=bool)
     chosen[order[:count]] = True
-    freed = grow(faces, chosen, FREED_RINGS)
-    return None if freed.mean() > MAX_FREED_SHARE else freed
+    return grow(faces, chosen, FREED_RINGS)
 
 
 class LocalSteps:

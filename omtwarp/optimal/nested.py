@@ -4,7 +4,7 @@ Where the points of the conformal map are apart, the Delaunay triangulation of s
 mesh's masses, is a small surface whose optimal map takes little time. It is carried to the mesh by linear interpolation
 at the points x, and a few steps on the mesh itself end at the optimum; their number does not grow with the mesh. Where
 points coincide, as at the ends of long limbs, there is no such triangulation: the minimisation then begins at a
-coarse-to-fine embedding, with a penalty on areas that grows.
+coarse-to-fine embedding, with a light penalty on areas first.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ LEAST_COST, LEAST_BEND = 1e-4, 1e-3
 # Vertices of the mesh for one of the coarse triangulation: fewer make the coarse map better and slower.
 VERTICES_PER_COARSE = 8
 LEAST_COARSE, MOST_COARSE = 200, 20_000  # vertices of the coarse triangulation
-# Penalties on areas from an embedding, the last the usual one: smaller first ones allow longer steps, larger ones save
-# rounds.
-GROWING_PENALTIES = (0.3, 3.0, 30.0, PENALTY)
+# Penalties on areas from an embedding, the last the usual one: the first allows longer steps, and more of them take
+# longer for the same maps.
+GROWING_PENALTIES = (3.0, PENALTY)
 STEPS, STEPS_OF_ROUND = 40, 12  # most with the last penalty, and with each before
 MOSER_PASSES = 2  # from an embedding: a second halves the area error that the first leaves, and takes as long
 # Weight of area against angle, and tolerance and most steps, of smoothing a map with repaired triangles: slivers that

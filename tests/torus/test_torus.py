@@ -74,7 +74,7 @@ def test_transport_of_a_density_of_one_coordinate_is_monotone_rearrangement():
         moved, _ = transport_on_torus(Surface(ring_torus(3.0, columns, 6).vertices, faces, density), flat)
         assert moved.converged
         apart = moved.points / side - places
-        assert np.ptp(apart[:, 1]) < 2e-6
+        assert np.ptp(apart[:, 1]) < 5e-6
         wrong = apart[:, 0] + 0.5 / wave * np.cos(wave * places[:, 0])
         errors.append(float(np.std(wrong)))
         costs.append(moved.history[-1]["cost"] / SPHERE_AREA**2 - 0.125 / wave**2)
@@ -311,6 +311,6 @@ def test_intrinsic_delaunay_weights_of_a_twisted_grid():
 
 def test_a_warning_names_the_line_that_asked_for_the_map():
     ring = trimesh.creation.torus(1.0, 0.4, major_sections=12, minor_sections=6)
-    with pytest.warns(omtwarp.OmtwarpWarning, match="areas around vertices") as caught:
-        omtwarp.map_surface(ring, domain="torus")
+    with pytest.warns(omtwarp.OmtwarpWarning, match="no map with the area distortion") as caught:
+        omtwarp.map_surface(ring, domain="torus", refine="match:5")
     assert [warning.filename for warning in caught] == [__file__]
