@@ -106,6 +106,17 @@ def needle_pair(ratio, frequency=6):
     return np.vstack([vertices, point]), np.array(out)
 
 
+def bipyramid(count):
+    """Two tips over a polygon of so many corners: fans of long triangles."""
+    turn = 2.0 * np.pi * np.arange(count) / count
+    points = np.vstack([np.column_stack([np.cos(turn), np.sin(turn), 0.0 * turn]), [[0, 0, 1], [0, 0, -1]]])
+    here = np.arange(count)
+    following = (here + 1) % count
+    above = np.stack([here, following, np.full(count, count)], axis=1)
+    below = np.stack([following, here, np.full(count, count + 1)], axis=1)
+    return points, np.concatenate([above, below]).astype(np.int32)
+
+
 def zigzag_between(outer, inner):
     """Fill the ring between two convex polygons of one plane, one inside the other, counter-clockwise.
 

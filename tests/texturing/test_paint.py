@@ -18,6 +18,7 @@ from omtwarp.texturing.materials import corner_tangents
 from omtwarp.texturing.patterns.checker import Checker
 from omtwarp.texturing.sheets import over, tiled_copies
 from omtwarp.texturing.textured import texture
+from tests.hostile.hostile_meshes import bipyramid
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "materials"))
 from two_materials import RED, two_halves
@@ -306,15 +307,7 @@ def test_occlusion_inside_a_ball_with_an_opening_is_even():
 
 def test_occlusion_of_long_triangles_takes_at_most_five_seconds():
     """Rays meet the 3,000 triangles around two tips, a picture of 1024 x 1024, in 5 CPU seconds; measured 3.5."""
-    count = 1500
-    turn = 2 * np.pi * np.arange(count) / count
-    points = np.vstack([np.column_stack([np.cos(turn), np.sin(turn), 0 * turn]), [[0, 0, 1], [0, 0, -1]]])
-    here = np.arange(count)
-    following = (here + 1) % count
-    above, below = (
-        np.stack([a, b, 0 * a + tip], axis=1) for a, b, tip in ((here, following, count), (following, here, count + 1))
-    )
-    triangles = np.concatenate([above, below]).astype(np.int32)
+    points, triangles = bipyramid(1500)
     result = points, triangles, points / np.linalg.norm(points, axis=1, keepdims=True)
     paint(result, uv="atlas", bake=["ao"], size=64, device="cpu")  # kernels are compiled
     start = time.process_time()
