@@ -1,8 +1,8 @@
 """What commands open, import and start, as Python's audit events tell it: nothing outside of where they belong.
 
 Every command that takes a mesh, a map or data opens every case, all lines in one process. Cases are meshes of five
-formats that name a file in their folder, two elsewhere and one by a link, a sound mesh and its map, and each file of the folder
-that ``OMTWARP_CASES`` names. ``cohort`` opens all in one line, with children of its own; ``demo`` takes none.
+formats that name a file in their folder, two elsewhere and one by a link, a sound mesh and its map, and each file of
+the folder that ``OMTWARP_CASES`` names. ``cohort`` opens all in one line, by children; ``demo`` takes none.
 """
 
 from __future__ import annotations
