@@ -201,7 +201,7 @@ def register(
     """
     stiffness = real_number(stiffness, "the stiffness", above=0.0)
     max_strain = real_number(max_strain, "max_strain", above=0.0)
-    weight_of_areas = _weight_of_areas(keep_areas)
+    weight_of_areas = area_penalty(keep_areas)
     here = as_points(moving, "the map")
     there, own = target_points(target)
     ours, theirs = _features_of(here, there, features, to_features, own)
@@ -239,9 +239,7 @@ def register(
     surface = Surface(before, turned.grid.triangles)
     found = None if marks is None else Locator(before, surface.faces, device="cpu").find(marks.points)
     held = None if marks is None or found is None else surface.faces[found.faces[marks.exact]]
-    sphere = kept_within(surface, warp.carry(before), max_strain, held)
-    if np.isinf(weight_of_areas):
-        sphere = with_areas(surface, sphere, AREA_WEIGHT)
+    sphere = settled(surface, warp.carry(before), max_strain, weight_of_areas, held)
     distances: dict[str, dict[str, float]] = {}
     if marks is not None and found is not None:
         distances = _distances(marks, *(found.on_sphere(surface.faces, points) for points in (before, sphere)))
@@ -262,7 +260,22 @@ def register(
     )  # fmt: skip
 
 
-def _weight_of_areas(keep_areas: object) -> float:
+def settled(
+    surface: Surface, warp: Floats, max_strain: float, penalty: float, held: NDArray[np.integer] | None = None
+) -> Floats:
+    """Return the warp of a map's sphere, [V, 3], without flips, within the bound, and with its areas if need be.
+
+    Args:
+        surface: the sphere before.
+        warp: unit vectors, shape [V, 3].
+        max_strain, held: as of :func:`omtwarp.registration.strain.kept_within`.
+        penalty: of :func:`area_penalty`.
+    """
+    sphere = kept_within(surface, warp, max_strain, held)
+    return with_areas(surface, sphere, AREA_WEIGHT) if np.isinf(penalty) else sphere
+
+
+def area_penalty(keep_areas: object) -> float:
     """Return the weight of the areas around vertices, infinite where they are to be kept exactly."""
     return np.inf if keep_areas == "exact" else real_number(keep_areas, "keep_areas, unless 'exact',", least=0.0)
 

@@ -19,10 +19,12 @@ from omtwarp.files.output import as_path, digest_of, folder_of_results
 from omtwarp.location import Locator
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.data import VertexData, write_data
+from omtwarp.mesh.surface import Surface
+from omtwarp.metrics.certificate import certify_triangles
 from omtwarp.options import Progress
 from omtwarp.registration.areas import area_changes
 from omtwarp.registration.folding import LEAST_AREA, vertex_areas
-from omtwarp.registration.register import Registration, register
+from omtwarp.registration.register import Registration, area_penalty, register, settled
 from omtwarp.registration.steps import STEPS, Kept, by_name, key_of, write_facts
 from omtwarp.registration.strain import octaves, strain_at_vertices
 from omtwarp.resampling import SpherePoints, as_points
@@ -71,7 +73,7 @@ def register_sequence(
         folder: gets every map registered, under its own name, the first as it is; ``strain.npz`` with ``area``,
             ``stretch`` and ``names``, where nibabel is installed also ``area.shape.gii`` and ``stretch.shape.gii``, and
             ``table.csv``.
-        stiffness, max_strain, keep_areas: as of :func:`omtwarp.register`, for each of the two warps.
+        stiffness, max_strain, keep_areas: as of :func:`omtwarp.register`, for both warps together.
         progress: called as ``progress("sequence", step, steps, {})`` after every map.
 
     Returns:
@@ -122,7 +124,7 @@ def _step(
     here, start = as_points(result, str(path)), as_points(first)
     chained = register(here, as_points(before), **options)  # type: ignore[arg-type]
     found = register(here.moved(chained.closed_sphere), start, **options)  # type: ignore[arg-type]
-    joined = _joined(here, chained, found)
+    joined = _joined(here, chained, found, options["keep_areas"])
     joined.registered(result).save(output)
     turned = chained.sphere @ found.start.rotation.T
     ends = here.grid.points[here.grid.own_triangles]
@@ -132,15 +134,19 @@ def _step(
     return {**joined.facts(), **facts, **growth(start, here.moved(joined.closed_sphere))}
 
 
-def _joined(here: SpherePoints, chained: Registration, found: Registration) -> Registration:
-    """Return two registrations, one after the other, as one."""
+def _joined(here: SpherePoints, chained: Registration, found: Registration, keep_areas: object) -> Registration:
+    """Return two registrations, one after the other, as one within the bound of strain."""
     rotation = found.start.rotation @ chained.start.rotation
-    turned, faces = here.grid.points @ rotation.T, here.grid.triangles
-    by_area, by_stretch = octaves(turned, found.closed_sphere, here.grid.own_triangles)
-    start = replace(chained.start, rotation=rotation, sphere=turned[: here.grid.own_points])
+    turned, faces, own = here.grid.points @ rotation.T, here.grid.own_triangles, here.grid.own_points
+    surface = Surface(turned, here.grid.triangles)
+    sphere = settled(surface, found.closed_sphere, found.most_strain, area_penalty(keep_areas))
+    by_area, by_stretch = octaves(turned, sphere, faces)
+    start = replace(chained.start, rotation=rotation, sphere=turned[:own])
     return replace(
-        found, start=start, doubtful=chained.doubtful, starts=chained.starts, area_strain=by_area,
-        stretch_strain=by_stretch, area_changes=area_changes(turned, found.closed_sphere, faces),
+        found, sphere=sphere[:own], closed_sphere=sphere, start=start,
+        doubtful=chained.doubtful, starts=chained.starts, area_strain=by_area, stretch_strain=by_stretch,
+        area_changes=area_changes(turned, sphere, surface.faces),
+        certificate=certify_triangles(here.grid.triangles, sphere, device="cpu"),
     )  # fmt: skip
 
 

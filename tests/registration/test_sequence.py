@@ -66,6 +66,16 @@ def test_correspondences_do_not_drift_by_more_than_the_mesh(files, done):
     assert worst < EDGE
 
 
+def test_the_bound_of_strain_is_that_of_both_warps(files, tmp_path):
+    """To the one before and on to the first each warp is within the bound, and together they are not."""
+    found = register_sequence([files[0], files[-1]], tmp_path, max_strain=0.5)
+    assert 0.4 < found.table[files[-1].stem]["registration_strain"] <= 0.5
+    registered = MapResult.load(tmp_path / files[-1].name)
+    strains = octaves(registered.conformal, registered.sphere, registered.faces)
+    assert max(np.abs(strains[0]).max(), strains[1].max()) <= 0.5 + 1e-9
+    assert registered.report["registration"]["certificate"]["flips"] == 0
+
+
 def test_growth_is_data_at_the_first_surfaces_vertices(files, done):
     folder, found = done
     start, faces = grown(BALLS[0], 0), BALLS[0].faces
