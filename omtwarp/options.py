@@ -98,6 +98,13 @@ class Interpolation(StrEnum):
     CONSERVATIVE = "conservative"
 
 
+class Side(StrEnum):
+    """A hemisphere of the brain."""
+
+    LEFT = "left"
+    RIGHT = "right"
+
+
 class TextureFormat(StrEnum):
     """How the pictures of a glTF file are encoded; both keep every texel."""
 

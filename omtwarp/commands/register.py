@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from omtwarp.commands._features import Pair
-from omtwarp.commands._options import Printing
+from omtwarp.commands._options import Printing, named
 from omtwarp.commands._progress import progress_bar
 from omtwarp.commands._streams import input_file, is_standard_output, warnings_as_lines
 from omtwarp.commands._work import report_text
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_folder, check_output
+from omtwarp.options import Side
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -35,8 +36,11 @@ def register_map(
         typer.Option(
             metavar="TARGET",
             callback=input_file,
-            help="A map, a template, fsaverage5-left or -right, or a sphere with --to-surface or --to-feature; or -.",
+            help="A map, a template, fsaverage5, fsaverage, fsLR32k, or a sphere with --to-surface or --to-feature; -.",
         ),
+    ] = None,
+    hemisphere: Annotated[
+        Side | None, named(Side, "Of fsaverage5, fsaverage or fsLR32k; by default the one that MOVING says.")
     ] = None,
     group: Annotated[
         bool, typer.Option("--group", help="Make a template from all maps and register them to it; -o is a folder.")
@@ -88,10 +92,11 @@ def register_map(
     agrees nearly as well the start is doubtful: several are tried, and the output says so.
     """
     from omtwarp.mesh.data import DATA_SUFFIXES
+    from omtwarp.mesh.neuro import structure_of
     from omtwarp.registration import register
     from omtwarp.registration.group_template import is_template
-    from omtwarp.registration.templates import HEMISPHERES
     from omtwarp.resampling import file_points
+    from omtwarp.resampling.averages import is_average, with_side
     from omtwarp.spheres import is_named
 
     if group and sequence:
@@ -106,12 +111,13 @@ def register_map(
         raise OmtwarpError("give one map and --to TARGET, or several maps and --group or --sequence")
     if strain is not None:
         check_output(strain, DATA_SUFFIXES, pair.source, pair.surface)
-    other = None if is_named(to) or to in HEMISPHERES else Path(to)
+    if not (pair.feature and is_named(to)):
+        to = with_side(to, hemisphere or structure_of(pair.source) or structure_of(pair.surface))
+    other = None if is_named(to) or is_average(to) else Path(to)
     pair.check(other)
     with progress_bar(printing.quiet, printing.verbose) as progress:
         moving = file_points(pair.source, pair.surface)
-        named = to in HEMISPHERES or is_template(to)
-        fixed = to if named else file_points(to, pair.to_surface)
+        fixed = to if is_average(to) or is_template(to) else file_points(to, pair.to_surface)
         mine, others = pair.features(other)
         weights = None if feature_weight is None else _named_weights(list(mine or ["sulc", "curv"]), feature_weight)
         found = register(

@@ -14,7 +14,7 @@ from omtwarp.commands._streams import STREAM, input_file, output_file
 from omtwarp.commands._work import report_text, start_device
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output
-from omtwarp.options import Device, Interpolation, MapOptions
+from omtwarp.options import Device, Interpolation, MapOptions, Side
 
 if TYPE_CHECKING:
     import numpy as np
@@ -39,7 +39,7 @@ def resample_map(
         typer.Option(
             metavar="TARGET",
             callback=input_file,
-            help="A map, a sphere, or ico0..ico8, fsaverage3..7, healpix:NSIDE, equiangular:HxW, octahedral:N.",
+            help="A map, a sphere, ico0..ico8, fsaverage3..7, fsLR32k, healpix:NSIDE, equiangular:HxW, octahedral:N.",
         ),
     ],
     output: Annotated[
@@ -68,6 +68,9 @@ def resample_map(
     matrix: Annotated[
         Path | None, typer.Option(metavar="NPZ", help="Write the sparse matrix, for scipy.sparse.load_npz.")
     ] = None,
+    hemisphere: Annotated[
+        Side | None, named(Side, "Of fsLR32k; by default the one that SOURCE or the data say.")
+    ] = None,
     device: Device = MapOptions.device,
     printing: Printing,
 ) -> None:
@@ -78,9 +81,13 @@ def resample_map(
     """
     from omtwarp.mesh.neuro import require_same_structure, structure_of
     from omtwarp.resampling import file_points, resample
+    from omtwarp.resampling.averages import is_average, with_side
     from omtwarp.spheres import is_named
 
-    here, there = (None if is_named(text) else Path(text) for text in (source, to))
+    files = [file for file in (data, surface, *map(Path, (source, to))) if file is not None]
+    side = hemisphere or next(filter(None, map(structure_of, files)), None)
+    source, to = (text if is_named(text) else with_side(text, side) for text in (source, to))
+    here, there = (None if is_named(text) or is_average(text) else Path(text) for text in (source, to))
     if output == STREAM:
         output = cast(Path, output_file(".ply" if data is None else ".npy")(output))
     _check_outputs(output, sphere, matrix, data, [here, there, surface])

@@ -26,9 +26,9 @@ from omtwarp.registration.folding import FOLDING_WEIGHTS, folding_features
 from omtwarp.registration.group_template import Template, is_template
 from omtwarp.registration.landmarks import LandmarksLike, Pairs, pairs_of
 from omtwarp.registration.strain import kept_within, octaves
-from omtwarp.registration.templates import HEMISPHERES, template
 from omtwarp.registration.warp import AREA_WEIGHT, COARSE, FINE, Warping, feature_grid
 from omtwarp.resampling import Resampling, SpherePoints, as_points, resample
+from omtwarp.resampling.averages import average_surface, is_average, with_side
 from omtwarp.resampling.resample import PointsLike
 
 Floats = NDArray[np.float64]
@@ -162,8 +162,9 @@ def register(
     Args:
         moving: a map, with its surface where no features are given (:func:`omtwarp.resampling.as_points` lists the
             forms), V vertices and F faces.
-        target: another map or sphere in any of the same forms, or a template: ``fsaverage5-left`` or
-            ``fsaverage5-right``, which nilearn brings, or one of a group
+        target: another map or sphere in any of the same forms, or the name of an average that is
+            installed (``fsaverage5-left``, ``fsaverage-left``, ``fsLR32k-left``, the same with ``-right``, or with
+            neither for a map that says of which hemisphere it is), or a template of a group
             (:func:`omtwarp.registration.register_group`) or its file, which has features of its own.
         features: numbers per vertex of the map, by name, shape [V] each; with ``to_features`` of the same names they
             take the place of sulcal depth and curvature of the two surfaces.
@@ -203,6 +204,8 @@ def register(
     max_strain = real_number(max_strain, "max_strain", above=0.0)
     weight_of_areas = area_penalty(keep_areas)
     here = as_points(moving, "the map")
+    if isinstance(target, str) and features is None:
+        target = with_side(target, moving.report.get("structure") if isinstance(moving, MapResult) else None)
     there, own = target_points(target)
     ours, theirs = _features_of(here, there, features, to_features, own)
     usual = {} if features else FOLDING_WEIGHTS
@@ -290,8 +293,8 @@ def target_points(target: PointsLike | Template) -> tuple[SpherePoints, dict[str
         target = Template.load(target)
     if isinstance(target, Template):
         return target.sphere(), target.by_name()
-    if isinstance(target, str) and target in HEMISPHERES:
-        return template(target), None
+    if isinstance(target, str) and is_average(target):
+        return replace(as_points(target), vertices=average_surface(target)), None
     return as_points(target, "the target"), None
 
 

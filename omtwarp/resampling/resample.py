@@ -25,6 +25,7 @@ from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.options import Domain, Interpolation, InterpolationLike
+from omtwarp.resampling.averages import average_sphere, is_average
 from omtwarp.resampling.overlap import overlap_areas
 from omtwarp.spheres import SphereGrid, is_named, mesh_grid, named_grid
 
@@ -180,9 +181,9 @@ def as_points(given: PointsLike, name: str = "the sphere") -> SpherePoints:
 
     Args:
         given: a :class:`~omtwarp.MapResult`, with what fills its holes; the name of a grid (see
-            :mod:`omtwarp.spheres`); a file: a map in ``.npz``, a ``.ply`` with the sphere as px, py and pz at the
-            vertices, or a mesh that is a sphere about the origin, of any radius; ``(points, faces)``; anything with
-            ``vertices`` and ``faces``; or a grid.
+            :mod:`omtwarp.spheres`) or of an average with its hemisphere, such as ``fsLR32k-left``; a file: a map in
+            ``.npz``, a ``.ply`` with the sphere as px, py and pz at the vertices, or a mesh that is a sphere about the
+            origin, of any radius; ``(points, faces)``; anything with ``vertices`` and ``faces``; or a grid.
         name: how messages call it.
 
     Raises:
@@ -194,6 +195,8 @@ def as_points(given: PointsLike, name: str = "the sphere") -> SpherePoints:
         return SpherePoints(given)
     if isinstance(given, MapResult):
         return _points_of_map(given, name)
+    if isinstance(given, str) and is_average(given):
+        return SpherePoints(average_sphere(given))
     if isinstance(given, str) and is_named(given):
         return SpherePoints(named_grid(given))
     if isinstance(given, str | os.PathLike):

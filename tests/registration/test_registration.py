@@ -19,8 +19,8 @@ from omtwarp.mesh.data import read_data
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.registration.feature_term import FeatureField, FeatureTerm
 from omtwarp.registration.folding import HeatFlow, folding_features
+from omtwarp.registration.register import target_points
 from omtwarp.registration.strain import kept_within, octaves, strain_at_vertices
-from omtwarp.registration.templates import template
 from omtwarp.resampling import SpherePoints
 from omtwarp.spheres import mesh_grid
 
@@ -250,7 +250,7 @@ def test_a_sphere_alone_has_no_folds():
 def test_a_template_is_a_sphere_with_its_surface():
     """Registered to itself from a rotated position, the average hemisphere comes back."""
     pytest.importorskip("nilearn")
-    fixed = template("fsaverage5-left")
+    fixed, _ = target_points("fsaverage5-left")
     assert len(fixed.grid.points) == len(fixed.vertices) == 10242
     moved = SpherePoints(mesh_grid(fixed.grid.points @ random_rotation(4).T, fixed.grid.triangles), fixed.vertices)
     found = omtwarp.register(moved, "fsaverage5-left")
