@@ -9,7 +9,7 @@ import json
 import os
 import re
 import struct
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -326,12 +326,14 @@ def obj_files(
         if statement and part.uv is not None and getattr(part.material, own) is not None
     ]
     alone = len({id(picture) for _, _, picture, _ in drawn}) == 1
-    names = _names([part.material.name for part in parts])
+    # Without spaces and comments, at which readers of these files end a name
+    names = _distinct([re.sub(r"[\s#\x00-\x1f]+", "_", part.material.name).strip("_") for part in parts])
+    safe = [re.sub(r"[^A-Za-z0-9._-]+", "_", part.material.name).strip("._") for part in parts]
+    of_files = _distinct(safe, str.lower)
     written: dict[int, tuple[Path, bytes]] = {}
     for number, _, picture, ending in drawn:
         if id(picture) not in written:
-            # Names without spaces, at which readers of these files end a name.
-            there = companion(place, ".png" if alone else f"-{names[number]}-{ending}.png", kept)
+            there = companion(place, ".png" if alone else f"-{of_files[number]}-{ending}.png", kept)
             written[id(picture)] = (there, png_bytes(picture))
     library = ["# omtwarp"]
     for k, (name, part) in enumerate(zip(names, parts, strict=True)):
@@ -370,26 +372,26 @@ def _library_entry(name: str, material: Material) -> list[str]:
     """Return the lines of a material's numbers."""
     red, green, blue, opacity = material.color
     phong = {"Ks": (0.0, 0.0, 0.0), "illum": (1.0,)} | dict(material.phong)
+    # Readers take a roughness in place of the shininess that a library had, which had none then
+    plain = "Ns" in phong and (material.roughness, material.metallic) == (Material.roughness, Material.metallic)
     return [
         f"newmtl {name}",
         f"Kd {red:.6f} {green:.6f} {blue:.6f}",
         *(" ".join((word, *(f"{number:.9g}" for number in numbers))) for word, numbers in phong.items()),
         f"d {opacity:.6f}",
-        f"Pr {material.roughness:.4f}",
-        f"Pm {material.metallic:.4f}",
+        *([] if plain else [f"Pr {material.roughness:.4f}", f"Pm {material.metallic:.4f}"]),
     ]
 
 
-def _names(given: list[str]) -> list[str]:
-    """Return distinct names of materials without spaces, which can also be names of files."""
+def _distinct(words: list[str], compared: Callable[[str], str] = str) -> list[str]:
+    """Return names that are not empty, and all different in what is compared of them."""
     names: list[str] = []
-    for name in given:
-        word = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._") or "material"
-        taken = word
+    for word in words:
+        name = word = word or "material"
         number = 2
-        while taken in names:
-            taken, number = f"{word}-{number}", number + 1
-        names.append(taken)
+        while compared(name) in map(compared, names):
+            name, number = f"{word}-{number}", number + 1
+        names.append(name)
     return names
 
 

@@ -103,6 +103,8 @@ def _from_array(source: ArrayLike) -> NDArray[np.generic]:
         array = np.asarray(source)
     except Exception as error:
         raise OmtwarpError(f"image of type {type(source).__name__}: give a path, a PIL image or an array") from error
+    if array.dtype.kind == "c":
+        raise OmtwarpError("image array of complex numbers: give floats in 0..1, or uint8")
     if array.dtype == object or array.dtype.kind not in "uifb":
         raise OmtwarpError(f"image of type {type(source).__name__}: give a path, a PIL image or an array")
     if array.ndim == 2:

@@ -1,6 +1,8 @@
 """Meshes keep their texture coordinates, materials and pictures when they are read, and previews show them."""
 
 import json
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -243,3 +245,31 @@ def test_objects_and_groups_of_an_obj_come_back(tmp_path):
             known[key] = (again.objects[of], again.materials[material].name)
         assert known == wanted
     assert again.objects == mesh.objects
+
+
+def test_a_library_of_blender_comes_back_as_it_went_in(tmp_path):
+    """The numbers of every statement, no roughness beside a shininess, and the names, whose files have safe ones."""
+    lines = ["Ns 250", "Ka 1 1 1", "Kd 0.8 0.2 0.1", "Ks 0.5 0.5 0.5", "Ke 0 0 0", "Ni 1.45", "d 0.5", "illum 2"]
+    library = "".join(f"newmtl {name}\n" + "\n".join(lines) + "\n" for name in ("Körper/1", "körper/1", "b"))
+    (tmp_path / "in.mtl").write_text(library.replace("newmtl b\n", "newmtl b\nPr 0.3\n"), "utf-8")
+    ball = omtwarp.shapes.icosphere(1)
+    text = ["mtllib in.mtl", *(f"v {x} {y} {z}" for x, y, z in ball.vertices), "vt 0 0"]
+    for number, face in enumerate(ball.faces + 1):
+        text += [f"usemtl {('Körper/1', 'körper/1', 'b')[number % 3]}", "f " + " ".join(f"{k}/1" for k in face)]
+    (tmp_path / "in.obj").write_text("\n".join(text) + "\n", "utf-8")
+    mesh = read_painted_mesh(tmp_path / "in.obj")
+    picture = np.zeros((2, 2, 3), np.uint8)
+    with_pictures = [replace(material, picture=picture + k) for k, material in enumerate(mesh.materials)]
+    files = replace(mesh, materials=tuple(with_pictures)).export(tmp_path / "out.obj")
+    assert all(re.fullmatch(r"out[-.A-Za-z0-9_]+", file.name) for file in files)
+    written = (tmp_path / "out.mtl").read_text("utf-8").split("newmtl ")[1:]
+    assert [one.splitlines()[0] for one in written] == ["Körper/1", "körper/1", "b"]
+
+    def numbers(block):
+        return {
+            line.split()[0]: [float(word) for word in line.split()[1:]] for line in block if line and "map" not in line
+        }
+
+    for one in written[:2]:
+        assert numbers(one.splitlines()[1:]) == numbers(lines)
+    assert numbers(written[2].splitlines()[1:])["Pr"] == [0.3]
