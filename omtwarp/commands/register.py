@@ -14,6 +14,7 @@ from omtwarp.commands._options import Printing, named
 from omtwarp.commands._progress import progress_bar
 from omtwarp.commands._streams import input_file, is_standard_output, warnings_as_lines
 from omtwarp.commands._work import report_text
+from omtwarp.commands.film import FILMS
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_folder, check_output
 from omtwarp.options import Side
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from omtwarp.registration import GroupRegistration, Registration, SequenceRegistration
+    from omtwarp.resampling import SpherePoints
 
 
 def register_map(
@@ -76,6 +78,17 @@ def register_map(
         Path | None,
         typer.Option(metavar="FILE", help="Write log2 of ratios of areas and of stretches at MOVING's vertices too."),
     ] = None,
+    before: Annotated[
+        Path | None,
+        typer.Option(metavar="MESH", help="Write MOVING's sphere as it was too: with the sphere of -o a deformation."),
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option(metavar="HTML", help="Write a page: features before and after, strain, pictures.")
+    ] = None,
+    film: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write a film of the warp of a map (.npz): .mp4, .gif or .webp."),
+    ] = None,
     stiffness: Annotated[
         float, typer.Option(metavar="NUMBER", help="Weight of distortion against differences of features.")
     ] = 0.4,
@@ -93,6 +106,7 @@ def register_map(
     """
     from omtwarp.mesh.data import DATA_SUFFIXES
     from omtwarp.mesh.neuro import structure_of
+    from omtwarp.mesh.write import SUFFIXES, write_mesh
     from omtwarp.registration import register
     from omtwarp.registration.group_template import is_template
     from omtwarp.resampling import file_points
@@ -103,14 +117,19 @@ def register_map(
         raise OmtwarpError("--group and --sequence exclude each other")
     if group or sequence:
         alone = {"--to": to, "--landmarks": landmarks, "--strain": strain, "--feature-weight": feature_weight}
+        alone |= {"--before": before, "--report": report, "--film": film}
         _require_many("--group" if group else "--sequence", pair, alone)
         maps, kept = [pair.source, *(more or [])], _weight_or_exact(keep_areas)
         _register_many(maps, pair.output, rounds if group else 0, stiffness, max_strain, kept, printing)
         return
     if to is None or more:
         raise OmtwarpError("give one map and --to TARGET, or several maps and --group or --sequence")
-    if strain is not None:
-        check_output(strain, DATA_SUFFIXES, pair.source, pair.surface)
+    if film is not None and pair.source.suffix.lower() != ".npz":
+        raise OmtwarpError("--film needs a map (.npz): a sphere alone has no surface to film")
+    suffixes = {strain: DATA_SUFFIXES, before: SUFFIXES, report: (".html", ".htm"), film: FILMS}
+    for extra, allowed in suffixes.items():
+        if extra is not None:
+            check_output(extra, allowed, pair.source, pair.surface)
     if not (pair.feature and is_named(to)):
         to = with_side(to, hemisphere or structure_of(pair.source) or structure_of(pair.surface))
     other = None if is_named(to) or is_average(to) else Path(to)
@@ -135,6 +154,11 @@ def register_map(
     pair.write(found.registered, found.sphere, moving.grid.own_triangles)
     if strain is not None:
         _write_strain(strain, found, moving.grid.own_triangles, pair.surface or pair.source)
+    if before is not None:
+        points, faces = moving.grid.points[: moving.grid.own_points], moving.grid.own_triangles
+        write_mesh(before, pair.radius * points, faces, spherical=True, like=pair.source)
+    if report is not None or film is not None:
+        _show(report, film, found, pair.source, moving, fixed)
     if printing.as_json:
         print(report_text({"output": str(pair.output), **found.to_dict()}), end="")
     elif not printing.quiet:
@@ -227,6 +251,25 @@ def _write_strain(file: Path, found: Registration, faces: NDArray, like: Path) -
     ]
     data = VertexData(np.column_stack(columns), ("area_log2", "stretch_log2"), structure=structure_of(like))
     write_data(file, data, (found.sphere, faces))
+
+
+def _show(
+    report: Path | None,
+    film: Path | None,
+    found: Registration,
+    source: Path,
+    moving: SpherePoints,
+    fixed: SpherePoints | str,
+) -> None:
+    """Write the page and the film that are asked for."""
+    from omtwarp.maps.result import MapResult
+    from omtwarp.registration.register import target_points
+    from omtwarp.registration.report import film_warp, write_registration_page
+
+    if report is not None:
+        write_registration_page(report, found, moving, target_points(fixed)[0])
+    if film is not None:
+        film_warp(film, found, MapResult.load(source))
 
 
 def _line(found: Registration) -> str:

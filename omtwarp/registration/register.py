@@ -56,6 +56,7 @@ class Registration:
         certificate: whether the registered map is one to one, decided exactly.
         levels: a record for every level from coarse to fine.
         closed_sphere: the sphere with what fills holes, shape [N, 3]; its first points are ``sphere``.
+        features: what was compared, by name: at the vertices of the map and at those of the target.
     """
 
     sphere: Floats
@@ -71,6 +72,7 @@ class Registration:
     landmarks: dict[str, dict[str, float]] = field(default_factory=dict)
     levels: list[Record] = field(default_factory=list)
     closed_sphere: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    features: tuple[dict[str, Floats], dict[str, Floats]] = field(default_factory=lambda: ({}, {}))
 
     @property
     def largest_strain(self) -> float:
@@ -259,7 +261,7 @@ def register(
     _warn_of_strain(np.maximum(np.abs(by_area), by_stretch), max_strain)
     return Registration(
         sphere[:count], start, doubtful, starts, correlations, by_area, by_stretch, max_strain, certificate,
-        area_changes(before, sphere, surface.faces), distances, warp.levels, sphere,
+        area_changes(before, sphere, surface.faces), distances, warp.levels, sphere, (ours, theirs),
     )  # fmt: skip
 
 

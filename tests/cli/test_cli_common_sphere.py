@@ -7,10 +7,12 @@ import inspect
 import io
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from scipy import sparse
 from sphere_truths import random_rotation
 
@@ -98,6 +100,38 @@ def test_register_writes_strain_and_weights_features(desk, capsys):
     assert MapResult.load("out.npz").report["registration"]["levels"][-1]["energy"] != depth
     assert run(*words, "--feature-weight", "2") == 1
     assert "1 times --feature-weight for 2 features" in capsys.readouterr().err
+
+
+def test_register_writes_what_workbench_takes(desk):
+    """The sphere before and after on one mesh, strain at its vertices, each with the part of the brain."""
+    pytest.importorskip("nibabel")
+    result = replace(a_map(random_rotation(1)), report={"structure": "CortexLeft"})
+    result.save("one.npz")
+    line = ["register", "one.npz", "--to", "template.npz", "-q", "--radius", "100"]
+    extra = ["--before", "before.surf.gii", "--strain", "strain.shape.gii"]
+    assert run(*line, "-o", "after.surf.gii", *extra) == 0 == run(*line, "-o", "lh.sphere.reg")
+    before, after, theirs = (read_mesh(name) for name in ("before.surf.gii", "after.surf.gii", "lh.sphere.reg"))
+    for mesh in (before, after, theirs):
+        np.testing.assert_array_equal(mesh.faces, BLOB.faces)
+    np.testing.assert_allclose(before.vertices, 100.0 * result.sphere, atol=1e-4)
+    np.testing.assert_allclose(after.vertices, 100.0 * SPHERE.vertices @ random_rotation(2).T, atol=2.0)
+    np.testing.assert_allclose(theirs.vertices, after.vertices, atol=1e-4)
+    parts = [structure_of(Path(name)) for name in ("before.surf.gii", "after.surf.gii", "strain.shape.gii")]
+    assert parts == ["CortexLeft"] * 3
+    assert read_data(Path("strain.shape.gii")).names == ("area_log2", "stretch_log2")
+
+
+def test_register_writes_a_page_and_a_film(desk, capsys):
+    """The page has features of the target, before and after, and both strains; the film goes to the registered map."""
+    words = ["register", "lh.npz", "--to", "template.npz", "-o", "out.npz", "-q"]
+    assert run(*words, "--report", "page.html", "--film", "warp.gif") == 0
+    page = Path("page.html").read_text("utf-8")
+    assert page.count("<img") == 3 * 2 + 2 and "ratios of areas" in page and "http" not in page.split("</style>")[1]
+    found = MapResult.load("out.npz").report["registration"]
+    assert f"{found['correlations']['curv']['after']:.3f}" in page
+    assert Image.open("warp.gif").n_frames > 10
+    assert run("register", "lh.sphere.ply", "--surface", "lh.white.ply", *words[2:5], "o.ply", "--film", "a.gif") == 1
+    assert "--film needs a map" in capsys.readouterr().err
 
 
 def test_register_takes_landmarks_from_a_table(desk, capsys):
