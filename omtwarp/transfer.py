@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,7 +13,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.maps.result import MapResult
-from omtwarp.options import AtlasLike
+from omtwarp.options import AtlasLike, CoordinatesLike
 from omtwarp.resampling import SpherePoints, as_points
 from omtwarp.spheres import mesh_grid
 from omtwarp.texturing.atlas import Atlas, make_atlas
@@ -34,6 +35,7 @@ def transfer_texture(
     other: Map,
     *,
     onto: PaintedMesh | None = None,
+    uv: CoordinatesLike = "own",
     aligned: bool = False,
     mirror: bool = False,
     atlas: AtlasLike = "cube",
@@ -52,10 +54,11 @@ def transfer_texture(
         result: its map: a :class:`~omtwarp.MapResult`, anything with ``vertices``, ``faces`` and ``sphere``, or the
             three as a tuple.
         other: the map of the surface that gets the texture, in the same forms.
-        onto: the other mesh with texture coordinates of its own, to get the texture in those; by default an atlas.
+        onto: the other mesh, to get the texture in its own coordinates and keep its names of objects.
+        uv: ``own``, or ``atlas`` for new coordinates, as without ``onto``.
         aligned: the two maps are aligned already and are not rotated.
         mirror: try the mirror image of the other surface too, for a left and a right part.
-        atlas: as in :func:`omtwarp.texture`, where ``onto`` is not given.
+        atlas: as in :func:`omtwarp.texture`, for new coordinates.
         size: width of the picture in texels; 2048 by default.
         device: ``auto``, ``cpu`` or ``cuda:N``.
 
@@ -74,6 +77,8 @@ def transfer_texture(
         >>> same.materials[0].picture.shape
         (64, 96, 3)
     """
+    if uv not in ("own", "atlas"):
+        raise OmtwarpError(f"unknown texture coordinates '{uv}': use own or atlas")
     where = resolve_device(device)
     vertices, faces, sphere = as_map(result)
     there, triangles, points = as_map(other)
@@ -95,16 +100,17 @@ def transfer_texture(
         points = alignment.sphere
     layout = make_atlas(atlas, size if size is not None else SIZE)
     picture = _on_sphere(source, sphere, layout, where)
-    if onto is not None:
-        own = onto.on(there, triangles)
-        uv = own.require_uv("the mesh that gets the texture")
+    own = None if onto is None else onto.on(there, triangles)
+    if own is not None and uv == "own":
+        coordinates = own.require_uv("the mesh that gets the texture")
         baked = bake_to_uv(
-            picture_source(picture, layout, where), points, triangles, uv, size=size or SIZE, padding=PADDING,
+            picture_source(picture, layout, where), points, triangles, coordinates, size=size or SIZE, padding=PADDING,
             device=where,
         )  # fmt: skip
         if picture[..., 3].min() == 1.0:
             baked[..., 3] = 1.0  # also where nothing is
-        return PaintedMesh(there, triangles, uv, (_material(source, baked),), source_files=onto.source_files)
+        material = _material(source, baked)
+        return replace(own, uv=coordinates, materials=(material,), face_material=None, vertex_colors=None, notes=())
     cut = unwrap(points, triangles, layout)
     first = np.zeros(int(cut.welded.max()) + 1, dtype=np.int64)
     first[cut.welded[::-1]] = np.arange(len(cut.welded))[::-1]
@@ -114,6 +120,8 @@ def transfer_texture(
         cut.uv[cut.faces],
         (_material(source, picture),),
         wraps_rows=False,
+        objects=() if own is None else own.objects,
+        face_object=None if own is None or own.face_object is None else own.face_object[cut.source_face],
     )
 
 

@@ -1,5 +1,7 @@
 """Texture transfer: on the same shape with other triangles, a texture comes back."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -72,6 +74,22 @@ def test_a_texture_comes_back_on_other_triangles(painted, onto_own):
     assert wrong_places(made, back_to_the_sphere) < before + 0.02
     if onto_own:
         np.testing.assert_array_equal(made.uv, onto.uv)
+
+
+@pytest.mark.parametrize("uv", ["own", "atlas"])
+def test_the_mesh_that_gets_the_texture_keeps_its_names_of_objects(painted, uv):
+    """Each triangle, cut or not, is in the object that the ray from the middle to it goes through."""
+    mesh, result = painted
+    vertices, faces, sphere = meshed(2, 2)
+    above = (vertices[faces].mean(axis=1)[:, 2] > 0).astype(int)
+    onto = replace(unwrap_uv((vertices, faces, sphere)), objects=(("low", ""), ("high", "cap")), face_object=above)
+    made = transfer_texture(mesh, result, (vertices, faces, sphere), onto=onto, uv=uv, aligned=True, size=96)
+    assert made.objects == onto.objects
+    middle = made.vertices[made.faces].mean(axis=1)
+    shares = np.einsum("fij,pj->pfi", np.linalg.inv(vertices[faces].transpose(0, 2, 1)), middle)
+    np.testing.assert_array_equal(made.face_object, above[shares.min(axis=2).argmax(axis=1)])
+    with pytest.raises(OmtwarpError, match="unknown texture coordinates 'new'"):
+        transfer_texture(mesh, result, result, onto=mesh, uv="new")
 
 
 def test_maps_in_different_positions_are_aligned_first(painted):
