@@ -34,7 +34,7 @@ GAIN_SHARE = 0.8
 # the last digits of a mesh would choose the vertices.
 MAX_GAIN_SHARE = 0.1
 MAX_CHOSEN_SHARE = 0.08  # of all vertices: with more, local steps take longer than they save steps of the whole map
-FREED_RINGS = 3  # of vertices around those chosen, which move with them
+FREED_RINGS = 4  # of vertices around those chosen, which move with them
 # Multiplications of the largest patch's factorisation; beyond some 1,800 vertices one thread takes too long.
 MAX_OPERATIONS = 2e8
 MAX_STEPS = 8  # Newton steps of the patches after each step of the whole map

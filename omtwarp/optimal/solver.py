@@ -40,7 +40,6 @@ PENALTY = 1000.0  # μ: weight of the remaining area errors beside the cost
 LEAST_PENALTY = 1e-12  # in place of 0, by which saddle-point systems divide
 MIN_COST = 1e-6  # radians²: gains are compared with the cost, or with this where the cost is smaller
 MAX_HALVINGS = 20  # of a step, down to a millionth
-UNTANGLED = 3  # lengths tried with flipped triangles untangled, the longest first; others only hold vertices back
 # Share of the squared errors of areas that a step has to take away to be worth taking for that alone.
 LEAST_AREA_GAIN = 0.1
 # Local steps end where the next is expected to gain less than this share of the gain that ends the minimisation.
@@ -405,18 +404,18 @@ class _Newton:
     ) -> _Step | None:
         """Halve a step until it lowers the merit without flipping a triangle; return None where none does."""
         before, length = self._merit(terms), 1.0
-        for attempt in range(MAX_HALVINGS + 1):
+        for _ in range(MAX_HALVINGS + 1):
             enough = before - SUFFICIENT_DECREASE * length * decrement
-            for step in self._moved(points, terms, direction, q, length, attempt < UNTANGLED):
+            for step in self._moved(points, terms, direction, q, length):
                 if step.merit <= enough:
                     return step
             length *= 0.5
         return None
 
     def _moved(
-        self, points: wp.array, terms: MapTerms, direction: wp.array, q: Numbers, length: float, untangling: bool
+        self, points: wp.array, terms: MapTerms, direction: wp.array, q: Numbers, length: float
     ) -> Iterator[_Step]:
-        """Yield the flip-free maps at a share of the direction: with untangling, with vertices held back, or both."""
+        """Yield the flip-free maps at a share of the direction: with triangles untangled, with vertices held back."""
         volume = terms.shape.d_volume
         multipliers = self.multipliers + length * q if self.constrained else self.multipliers
 
@@ -424,12 +423,11 @@ class _Newton:
             after = self.energy.terms(there)
             return _Step(there, after, length, corrected, self._merit(after), multipliers)
 
-        if untangling:
-            found = self.steps.untangled(points, direction, volume, length, self.energy.area_weight)
-            if found is not None:
-                yield step_to(*found)
-                if found[1] == 0:
-                    return
+        found = self.steps.untangled(points, direction, volume, length, self.energy.area_weight)
+        if found is not None:
+            yield step_to(*found)
+            if found[1] == 0:
+                return
         held = self.steps.held_back(points, direction, volume, length)
         if held is not None:
             yield step_to(held[0], int((held[1].numpy() < 1.0).sum()))
