@@ -264,7 +264,7 @@ def _show(
     """Write the page and the film that are asked for."""
     from omtwarp.maps.result import MapResult
     from omtwarp.registration.register import target_points
-    from omtwarp.registration.report import film_warp, write_registration_page
+    from omtwarp.shape_analysis.registration_report import film_warp, write_registration_page
 
     if report is not None:
         write_registration_page(report, found, moving, target_points(fixed)[0])
