@@ -16,11 +16,11 @@ from omtwarp.files.output import keeping
 GROUPS = {
     "Input": (
         "finished", "map_of_source", "map_of_target", "surface", "to_surface", "data", "labels", "feature",
-        "to_feature", "landmarks", "sizes", "shapes", "subdivisions", "faces",
+        "to_feature", "landmarks", "sizes", "shapes", "subdivisions", "faces", "smoothing", "covariate",
     ),
     "Output": (
         "output", "report", "json_output", "as_json", "quiet", "verbose", "title", "beside", "radius", "sphere",
-        "matrix", "reconstruction", "strain", "force",
+        "matrix", "reconstruction", "strain", "force", "before", "film",
     ),
     "Map": (
         "method", "until", "cost", "scheme", "refine", "exact", "weights", "weights_at", "density", "target_floor",
@@ -32,6 +32,7 @@ GROUPS = {
     "Method": (
         "to", "by", "aligned", "mirror", "grid", "degree", "scale", "fit", "permutations", "seed", "transport",
         "resample method", "group components", "stiffness", "max_strain", "feature_weight", "keep_areas",
+        "group", "sequence", "rounds", "register",
     ),
     "Texture": (
         "image", "pattern", "projection", "atlas", "rotate", "seam", "uv", "keep_materials", "opacity", "bake",

@@ -38,7 +38,7 @@ def register_map(
         typer.Option(
             metavar="TARGET",
             callback=input_file,
-            help="A map, a template, fsaverage5, fsaverage, fsLR32k, or a sphere with --to-surface or --to-feature; -.",
+            help="A map, a template, fsaverage5, fsaverage, fsLR32k, or a sphere with its surface or features; -.",
         ),
     ] = None,
     hemisphere: Annotated[

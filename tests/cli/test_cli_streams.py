@@ -203,7 +203,7 @@ TABLE = {
     "report": (["--map", "-", "-o", "x.html"], "-o", True),
     "align": (["-", "-o", "x.npz"], "-o", False),
     "resample": (["-", "--to", "ico0", "-o", "x.ply"], "-o", False),
-    "register": (["-", "--to", "map.npz", "-o", "x.npz"], "-o", False),
+    "register": (["-", "--to", "map.npz", "-o", "x.npz"], "-o", True),
     "check": (["-", "--repair", "-o", "x.ply"], "-o", True),
     "cohort": (["-", "-o", "x"], None, False),  # a table or a pattern names them
     "spharm": (["-", "-o", "x.csv"], "-o", False),

@@ -228,9 +228,9 @@ def test_a_large_picture_of_the_earth_is_read_without_a_word(tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         stream = open(tmp_path / "marble.png", "rb")
-        from omtwarp.texturing.image import _open
+        from omtwarp.files.pictures import open_picture
 
-        with stream, _open(stream) as opened:
+        with stream, open_picture(stream) as opened:
             assert opened.size == (21600, 10800)
     limit = Image.MAX_IMAGE_PIXELS
     assert limit is not None and 21600 * 10800 > 2 * limit

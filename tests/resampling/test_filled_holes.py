@@ -71,8 +71,8 @@ def test_rotation_of_the_map_comes_back(filled, by):
     assert np.allclose(turned.filled_sphere, filled.filled_sphere @ TURN.T)
     found = align(turned, filled, by=by)
     assert found.sphere.shape == filled.sphere.shape and found.score == pytest.approx(1.0)
-    assert np.abs(found.rotation @ TURN - np.eye(3)).max() < 1e-9
-    assert np.abs(found.sphere - filled.sphere).max() < 1e-9
+    assert np.abs(found.rotation @ TURN - np.eye(3)).max() < 1e-8
+    assert np.abs(found.sphere - filled.sphere).max() < 1e-8
 
 
 def test_rotation_of_the_surface_changes_nothing(holed, filled):
