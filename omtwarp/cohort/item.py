@@ -30,10 +30,9 @@ NUMBERS = ("degree", "area", "area_p95", "angle", "ring", "gap", "seconds", "cpu
 # Numbers of a registration, as :meth:`omtwarp.registration.Registration.facts` has them.
 OF_REGISTRATION = tuple(
     f"registration_{name}"
-    for name in (
-        *("score", "margin", "doubtful", "flips", "degree", "area_p95", "stretch_p95", "strain", "sulc", "curv"),
-    )
+    for name in ("score", "margin", "doubtful", "flips", "degree", "area_p95", "stretch_p95", "strain", "sulc", "curv")
 )
+REAL = (*NUMBERS, *OF_REGISTRATION)  # columns of real numbers
 
 
 @dataclass(frozen=True)
@@ -145,7 +144,7 @@ def may_write_map(job: Job) -> bool:
 def _well_typed(record: dict[str, object]) -> bool:
     """Return whether a record has a status, and numbers and texts where they belong."""
     return record.get("status") in (OK, ERROR, TIMEOUT, MEMORY, CRASHED) and all(
-        value is None or isinstance(value, int | float if name in (*WHOLE, *NUMBERS, *OF_REGISTRATION) else str)
+        value is None or isinstance(value, int | float if name in (*WHOLE, *REAL) else str)
         for name, value in record.items()
     )
 

@@ -6,7 +6,7 @@ import csv
 from collections.abc import Sequence
 from pathlib import Path
 
-from omtwarp.cohort.item import NUMBERS, OF_REGISTRATION, OK, WHOLE, Row
+from omtwarp.cohort.item import NUMBERS, OF_REGISTRATION, OK, REAL, WHOLE, Row
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import staged
 
@@ -42,9 +42,7 @@ def write_table(rows: Sequence[Row], folder: Path) -> Path:
             writer.writerows([["" if row.get(name) is None else row[name] for name in names] for row in rows])
     else:
         target = folder / "table.parquet"
-        kinds = {name: arrow.int64() for name in WHOLE} | {
-            name: arrow.float64() for name in (*NUMBERS, *OF_REGISTRATION)
-        }
+        kinds = {name: arrow.int64() for name in WHOLE} | {name: arrow.float64() for name in REAL}
         columns = [arrow.array([row.get(name) for row in rows], kinds.get(name, arrow.string())) for name in names]
         with staged(target) as file:
             parquet.write_table(arrow.table(columns, names=names), file)
@@ -63,9 +61,7 @@ def read_table(path: Path) -> list[Row]:
     with open(path, encoding="utf-8", newline="") as stream:
         return [
             {
-                name: (int(value) if name in WHOLE else float(value) if name in (*NUMBERS, *OF_REGISTRATION) else value)
-                if value
-                else None
+                name: (int(value) if name in WHOLE else float(value) if name in REAL else value) if value else None
                 for name, value in row.items()
             }
             for row in csv.DictReader(stream)

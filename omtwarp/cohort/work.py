@@ -34,7 +34,6 @@ from omtwarp.mesh.repair import NOTED_LOSS, repair
 from omtwarp.mesh.seams import read_joined_mesh
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.options import Domain, FillArea, MapKeywords
-from omtwarp.registration import register
 
 APART = ("repair", "fill_area", "register")  # options of a job that are not those of a map
 
@@ -59,6 +58,8 @@ def run_item(job: Job) -> Row:
             result = _map(job)
             numbers = numbers_of(result)
             if "register" in job.options:
+                from omtwarp.registration import register  # what cohorts without it need not load
+
                 target = str(job.options["register"])
                 registration = register(result, target)
                 result = registration.registered(result)
