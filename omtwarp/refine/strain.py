@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,8 +13,10 @@ from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.refine.kernels import gather_tangent
 from omtwarp.refine.strain_kernels import barrier_gradient, barrier_hessian, strain_terms
 
+Octaves = TypeVar("Octaves", float, NDArray[np.float64])
 
-def strain_limit(octaves: float) -> float:
+
+def strain_limit(octaves: Octaves) -> Octaves:
     """Return the limit of w = (R + 1/R - 2) + (D + 1/D - 2) that keeps ratios of areas and stretches within 2^±octaves.
 
     Args:
@@ -22,7 +26,7 @@ def strain_limit(octaves: float) -> float:
         >>> strain_limit(1.0)
         0.5
     """
-    return float(2.0**octaves + 2.0**-octaves - 2.0)
+    return 2.0**octaves + 2.0**-octaves - 2.0
 
 
 class StrainBarrier:

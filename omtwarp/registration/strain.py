@@ -87,7 +87,7 @@ def kept_within(
         by_area, by_stretch = octaves(surface.vertices, sphere, surface.faces)
         over = np.maximum(np.abs(by_area), by_stretch) > bound
         if with_room:
-            over |= np.exp2(by_area) + np.exp2(-by_area) + np.exp2(by_stretch) + np.exp2(-by_stretch) - 4.0 > limit
+            over |= strain_limit(by_area) + strain_limit(by_stretch) > limit
         if not over.any():
             break
         energy = energy or ShapeEnergy(surface, resolve_device("cpu"), 1.0)
