@@ -21,6 +21,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import launch_parts
 from omtwarp.mesh.quarter import PARTS, QuarteredSurface
 from omtwarp.mesh.surface import Surface
+from omtwarp.optimal.domain import Domain
 from omtwarp.optimal.kernels import areas_around, edge_slopes
 from omtwarp.solvers.mesh_factor import (
     SaddlePointFactor,
@@ -62,8 +63,8 @@ class Cells(Protocol):
     def on_triangles(self, potential: Numbers) -> Numbers:
         """Return the sum of the potentials of the cells that a triangle belongs to, shape [F]."""
 
-    def slopes(self, of_triangles: wp.array) -> Numbers:
-        """Return the derivatives of the areas as the factor takes them, from those of triangles, vec2d, [F, 3]."""
+    def slopes(self, domain: Domain, points: wp.array) -> Numbers:
+        """Return the derivatives of the areas of a map as the factor takes them."""
 
     def factor(self, workspace: Workspace | None = None) -> SaddlePointFactor:
         """Return what factorises matrices with a multiplier for every cell."""
@@ -107,9 +108,9 @@ class RingCells:
         one, two, three = (potential[self._surface.faces[:, k]] for k in range(3))
         return np.asarray(one + two + three)
 
-    def slopes(self, of_triangles: wp.array) -> Numbers:
+    def slopes(self, domain: Domain, points: wp.array) -> Numbers:
         """Return the derivatives across every edge, both ways, shape [2, E, 2]."""
-        mesh = self._mesh
+        mesh, of_triangles = self._mesh, domain.area_slopes(points)
 
         def across(part: slice) -> tuple[list[object], list[object]]:
             inputs = [of_triangles, mesh.faces, mesh.edges[part], mesh.edge_corners[part]]
@@ -162,9 +163,9 @@ class TriangleCells:
         """Return every triangle's potential at its parts, shape [4 N]."""
         return np.repeat(potential, PARTS)
 
-    def slopes(self, of_triangles: wp.array) -> Numbers:
+    def slopes(self, domain: Domain, points: wp.array) -> Numbers:
         """Return the derivatives by every triangle's six vertices, shape [N, 6, 2]."""
-        parts = of_triangles.numpy().reshape(-1, PARTS, 3, 2)
+        parts = domain.area_slopes(points).numpy().reshape(-1, PARTS, 3, 2)
         at_corners, own, before = (parts[:, :3, k] for k in range(3))
         return np.concatenate([at_corners, own + np.roll(before, -1, axis=1) + parts[:, 3]], axis=1)
 
@@ -188,7 +189,7 @@ class MeasuredRings(RingCells):
         """Return zeros, shape [F], as masses do not depend on areas."""
         return np.zeros(self._surface.face_count)
 
-    def slopes(self, of_triangles: wp.array) -> Numbers:
+    def slopes(self, domain: Domain, points: wp.array) -> Numbers:
         """Return nothing: the factor takes no derivatives of areas."""
         return np.empty(0)
 

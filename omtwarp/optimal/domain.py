@@ -45,8 +45,8 @@ class Domain(Protocol):
     def coordinates(self, base: wp.array, vectors: Numbers) -> Numbers:
         """Return vectors, shape [V, D], in the frames at ``base``, shape [V, 2]."""
 
-    def vectors(self, base: wp.array, points: wp.array, coordinates: Numbers) -> Numbers:
-        """Return the vectors at ``points`` with these coordinates in the frames at ``base``, shape [V, D]."""
+    def vectors(self, points: wp.array, coordinates: Numbers) -> Numbers:
+        """Return the vectors with these coordinates in the frames at ``points``, shape [V, D]."""
 
     def steps(self) -> FlipFreeSteps:
         """Return an object that moves maps along vectors without flipping triangles."""

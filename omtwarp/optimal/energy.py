@@ -171,7 +171,7 @@ class TransportEnergy:
         hessians = self.shape.hessian(points, terms.shape, self.area_weight)
         diagonal, off_diagonal = (self.shape_weight * blocks for blocks in self._sums.assemble(hessians.numpy()))
         diagonal += self.vertex_cost.hessian(points, self._masses(terms), LEAST_EIGENVALUE)
-        return diagonal, off_diagonal, self.cells.slopes(self.domain.area_slopes(points))
+        return diagonal, off_diagonal, self.cells.slopes(self.domain, points)
 
     def factorise(
         self,

@@ -75,7 +75,7 @@ def _step(
 ) -> tuple[wp.array, MapTerms] | None:
     """Return the map and its terms after the longest share of a Newton step that reduces area errors, or None."""
     coordinates, _ = factor.solve(np.zeros((len(points), 2)), -energy.missing(terms))
-    direction = energy.domain.sent(energy.domain.vectors(points, points, coordinates))
+    direction = energy.domain.sent(energy.domain.vectors(points, coordinates))
     before, length = _error(energy, terms), 1.0
     for _ in range(MAX_HALVINGS):
         held = steps.held_back(points, direction, terms.shape.d_volume, length)

@@ -282,8 +282,8 @@ class _Newton:
         first = self._penalised_energy(terms, self.strictness)
         history = [self._record(terms, 0.0, 0.0, 0, 0)]
         ended, converged, factorisations = "most steps taken", False, 0
+        compliance = 1.0 / self.stiffness
         for number in range(iterations):
-            compliance = 1.0 / self.stiffness
             self.base, self.own = points, energy.factorise(self.factor, points, terms, compliance)
             factorisations += 1
             if number == 0 and multipliers is None and self.constrained:
@@ -386,15 +386,15 @@ class _Newton:
     def _estimate(self, points: wp.array, terms: MapTerms) -> None:
         """Add to the multipliers what makes the gradient of the Lagrangian smallest in the metric of the matrix."""
         gradient = self.energy.gradient(points, terms, self.multipliers)
-        _, q = self.factor.solve(-self.domain.coordinates(self.base, gradient), np.zeros(len(self.multipliers)))
+        _, q = self.factor.solve(-self.domain.coordinates(points, gradient), np.zeros(len(self.multipliers)))
         self.multipliers = self.multipliers + q
 
     def _direction(self, points: wp.array, terms: MapTerms) -> tuple[wp.array, Numbers, float]:
         """Return the Newton step (vectors on the device), the multipliers' change, and the expected gain."""
         missing = self.energy.missing(terms)
         gradient = self.energy.gradient(points, terms, self.multipliers)
-        u, q = self.factor.solve(-self.domain.coordinates(self.base, gradient), -missing)
-        step = self.domain.vectors(self.base, points, u)
+        u, q = self.factor.solve(-self.domain.coordinates(points, gradient), -missing)
+        step = self.domain.vectors(points, u)
         # The slope of the penalty along u is that of B u = C q - missing.
         slope = float((gradient * step).sum()) + float(missing @ q) - float(self.stiffness @ missing**2)
         return self.domain.sent(step), q, -slope

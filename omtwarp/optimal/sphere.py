@@ -71,13 +71,12 @@ class Sphere:
         wp.launch(to_tangent, dim=len(tangent), inputs=inputs, outputs=[out], device=self.device)
         return out.numpy()
 
-    def vectors(self, base: wp.array, points: wp.array, coordinates: Numbers) -> Numbers:
-        """Return the vectors with these coordinates in the bases at ``base``, tangent at ``points``, shape [V, 3]."""
+    def vectors(self, points: wp.array, coordinates: Numbers) -> Numbers:
+        """Return the vectors with these coordinates in the tangent bases at ``points``, shape [V, 3]."""
         out = empty(len(coordinates), wp.vec3d, self.device)
-        inputs = [base, wp.array(coordinates, dtype=wp.float64, device=self.device)]
+        inputs = [points, wp.array(coordinates, dtype=wp.float64, device=self.device)]
         wp.launch(from_tangent, dim=len(coordinates), inputs=inputs, outputs=[out], device=self.device)
-        here, step = points.numpy(), out.numpy()
-        return np.asarray(step - (step * here).sum(axis=1, keepdims=True) * here)
+        return np.asarray(out.numpy())
 
     def steps(self) -> FlipFreeSteps:
         """Return an object that moves maps along tangent vectors without flipping triangles."""
@@ -139,6 +138,18 @@ class GeodesicCost:
 
     def _sent(self, values: Numbers) -> wp.array:
         return wp.array(np.ascontiguousarray(values), dtype=wp.float64, device=self._device, copy=False)
+
+
+class NoCost(GeodesicCost):
+    """A cost that counts nothing: it and its second derivative are 0, and areas alone have a gradient."""
+
+    def values(self, points: wp.array) -> Numbers:
+        """Return zeros, shape [V]."""
+        return np.zeros(self._count)
+
+    def hessian(self, points: wp.array, masses: Numbers, least: float) -> Numbers:
+        """Return zeros, shape [V, 2, 2]."""
+        return np.zeros((self._count, 2, 2))
 
 
 class SphereShape:
@@ -219,7 +230,7 @@ class ShapeEnergy(TransportEnergy):
     ):
         self.distortion = DistortionEnergy(surface, device, most_strain=most_strain, vertex_term=vertex_term)
         kept = MeasuredRings(surface, device) if cells is None else cells
-        cost = GeodesicCost(surface, vectors(normalised(surface.vertices), device), device)
+        cost = NoCost(surface, vectors(normalised(surface.vertices), device), device)
         domain, shape, workspace = Sphere(surface, device), SphereShape(self.distortion), self.distortion.workspace
         super().__init__(domain, kept, cost, shape, 1.0, 0.0, area_weight, workspace=workspace)
         # The kernel of local steps knows neither the barrier nor the further term.

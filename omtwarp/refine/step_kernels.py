@@ -1,4 +1,4 @@
-"""Kernels of Newton steps whose vectors and inner products stay on the device."""
+"""The kernel that computes what the distortion of a map sums up, where the map is on a GPU."""
 
 from omtwarp.device.start import KERNEL_OPTIONS, ONE, wp
 from omtwarp.mesh import surface

@@ -68,7 +68,7 @@ class Plane:
         """Return the vectors: in the plane all frames are the axes."""
         return vectors
 
-    def vectors(self, base: wp.array, points: wp.array, coordinates: Floats) -> Floats:
+    def vectors(self, points: wp.array, coordinates: Floats) -> Floats:
         """Return the coordinates: in the plane all frames are the axes."""
         return coordinates
 
