@@ -282,6 +282,17 @@ def test_versions_are_listed_with_the_newest_first(tmp_path):
     assert "url=v0.10.0/" in (tmp_path / "index.html").read_text("utf-8")
 
 
+def test_figures_of_the_page_on_performance_are_written_by_its_command():
+    command = runpy.run_path(str(ROOT / "docs" / "performance.py"))
+    page = (ROOT / "docs" / "performance.md").read_text("utf-8")
+    table = command["measured"]([], sizes=(400,))
+    changed = command["with_figures"](page, table)
+    assert "| blob_" in table.splitlines()[-1]
+    assert table in changed and command["with_figures"](changed, "none").count("| blob_") == 0
+    heads = [line for line in page.splitlines() if line.startswith("| mesh |")]
+    assert heads == [line for line in table.splitlines() if line.startswith("| mesh |")]
+
+
 def test_modules_named_with_the_package_need_no_import_of_their_own():
     code = "import omtwarp; assert callable(omtwarp.benchmark.run) and callable(omtwarp.shapes.blob)"
     done = quietly([sys.executable, "-c", code])

@@ -120,12 +120,16 @@ class Benchmark(TypedDict):
     first_use: NotRequired[dict[str, dict[str, float]]]
 
 
+MAPS = (
+    "Seconds on the wall, stage by stage, and of all threads; both of a whole map as multiples of one SciPy `splu` "
+    "factorisation and solve of the same mesh's Laplacian, on one thread; the peak of memory above that before:"
+)
 STAGES = ("conformal", "moser", "omt", "refine", "optimality", "other")
 
 
 def markdown(result: Benchmark) -> str:
     """Return the tables of a result of :func:`omtwarp.benchmark.run` as Markdown."""
-    parts = [_machine(result["machine"], result["settings"]), _times(result), _ratios(result), _memory(result)]
+    parts = [_machine(result["machine"], result["settings"]), MAPS, maps_table(result)]
     if result.get("growth"):
         parts.append(_growth(result["growth"]))
     parts += [_kernels(table) for table in result.get("kernels", [])]
@@ -163,58 +167,20 @@ def _stage_names(result: Benchmark) -> list[str]:
     return [name for name in STAGES if name in present] + sorted(present - set(STAGES))
 
 
-def _times(result: Benchmark) -> str:
+def maps_table(result: Benchmark) -> str:
+    """Return the table of all maps, one in a row: seconds on the wall by stage, processor seconds and memory."""
     names = _stage_names(result)
     rows = []
     for mesh in result["meshes"]:
         for run in mesh["runs"]:
             stages = {stage["name"]: stage["seconds"] for stage in run["stages"]}
-            rows.append(
-                [mesh["name"], f"{mesh['faces']}", run["device"]]
-                + [_number(stages.get(name)) for name in names]
-                + [_number(run["seconds"]), _number(run["cpu_seconds"]), str(run["flips"])]
-            )
-    heads = ["mesh", "faces", "device", *names, "whole map", "CPU s", "flips"]
-    return "Seconds on the wall, stage by stage:\n\n" + table(heads, rows)
-
-
-def _ratios(result: Benchmark) -> str:
-    names = _stage_names(result)
-    rows = []
-    for mesh in result["meshes"]:
-        if mesh["splu"] is None:
-            continue
-        for run in mesh["runs"]:
-            if run["ratio"] is None:
-                continue
-            stages = {stage["name"]: stage["ratio"] for stage in run["stages"]}
-            rows.append(
-                [mesh["name"], _number(mesh["splu"]["seconds"])]
-                + [_number(stages.get(name)) for name in names]
-                + [_number(run["ratio"]), _number(run["cpu_ratio"])]
-            )
-    if not rows:
-        return ""
-    heads = ["mesh", "splu s", *names, "whole map", "CPU over CPU"]
-    title = "As multiples of one SciPy `splu` factorisation and solve of the same mesh's Laplacian"
-    return f"{title}:\n\n{table(heads, rows)}"
-
-
-def _memory(result: Benchmark) -> str:
-    rows = []
-    for mesh in result["meshes"]:
-        for run in mesh["runs"]:
-            peak = run["peak_bytes"]
-            if peak is None and run["device_bytes"] is None:
-                continue
-            rest = None if peak is None else max(peak - mesh["factor_bytes"], 0) / mesh["vertices"]
-            on_device = None if run["device_bytes"] is None else run["device_bytes"] / mesh["vertices"]
-            rows.append(
-                [mesh["name"], run["device"], _number(None if peak is None else peak / 2**20)]
-                + [_number(mesh["factor_bytes"] / 2**20), _number(rest, 4), _number(on_device, 4)]
-            )
-    heads = ["mesh", "device", "peak MiB", "largest factor MiB", "rest, B per vertex", "on the device, B per vertex"]
-    return "Memory above what the process held before the map:\n\n" + table(heads, rows) if rows else ""
+            memory = [None if size is None else size / 2**20 for size in (run["peak_bytes"], run["device_bytes"])]
+            seconds = [*(stages.get(name) for name in names), run["seconds"], run["cpu_seconds"]]
+            ratios = [run.get("ratio"), run.get("cpu_ratio")]
+            figures = [_number(value) for value in (*seconds, *ratios, *memory)]
+            rows.append([mesh["name"], f"{mesh['faces']}", run["device"], *figures, str(run["flips"])])
+    heads = ["mesh", "faces", "device", *names, "whole map", "CPU", "map / splu", "CPU / splu", "MiB", "device MiB"]
+    return table([*heads, "flips"], rows)
 
 
 def _growth(growth: dict[str, dict[str, dict[str, float]]]) -> str:

@@ -54,7 +54,7 @@ def test_every_stage_of_every_mesh_is_measured(result):
 def test_a_result_is_json_and_markdown(result):
     assert json.loads(json.dumps(result)) == result
     text = markdown(result)
-    for heading in ("Seconds on the wall", "one SciPy `splu`", "Exponent p", "a plain copy moves"):
+    for heading in ("Seconds on the wall", "one SciPy `splu`", "| CPU / splu |", "Exponent p", "a plain copy moves"):
         assert heading in text
     for line in text.splitlines():
         if line.startswith("|"):
