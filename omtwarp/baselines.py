@@ -14,144 +14,20 @@ from scipy.sparse.linalg import splu
 from omtwarp.conformal.centring import centre_points
 from omtwarp.conformal.haker import most_regular_face
 from omtwarp.device.policy import resolve_device
-from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
 from omtwarp.errors import OmtwarpError
-from omtwarp.geometry.spherical import tangential
 from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.options import Progress
 from omtwarp.solvers.poisson import Factorization, LaplacianSolver
 
-wp.set_module_options(KERNEL_OPTIONS)
-
-
-@wp.func
-def half_angle_tangent(u: wp.vec3d, v: wp.vec3d) -> wp.float64:
-    """Return tan(θ/2) of the angle θ between u and v; sin/(1 + cos) stays accurate at both ends."""
-    return wp.length(wp.cross(u, v)) / (wp.length(u) * wp.length(v) + wp.dot(u, v))
-
-
-@wp.kernel
-def mean_value_edge_weights(
-    # Mesh:
-    vertices: wp.array[wp.vec3d],
-    faces: wp.array2d[wp.int32],
-    # Data out:
-    weights_out: wp.array2d[wp.float64],
-):
-    """Compute the part of each face in the symmetric weight of its edges (k, k+1): the mean of both directed ones."""
-    f = wp.tid()
-    p0 = vertices[faces[f, 0]]
-    p1 = vertices[faces[f, 1]]
-    p2 = vertices[faces[f, 2]]
-    t0 = half_angle_tangent(p1 - p0, p2 - p0)
-    t1 = half_angle_tangent(p2 - p1, p0 - p1)
-    t2 = half_angle_tangent(p0 - p2, p1 - p2)
-    weights_out[f, 0] = HALF * (t0 + t1) / wp.length(p1 - p0)
-    weights_out[f, 1] = HALF * (t1 + t2) / wp.length(p2 - p1)
-    weights_out[f, 2] = HALF * (t2 + t0) / wp.length(p0 - p2)
-
-
-@wp.kernel
-def sweep_vertices(
-    # Weights as compressed rows:
-    offsets: wp.array[wp.int32],
-    columns: wp.array[wp.int32],
-    weights: wp.array[wp.float64],
-    # Map:
-    x: wp.array[wp.vec3d],
-    # Data out:
-    force_out: wp.array[wp.vec3d],
-    tension_out: wp.array[wp.float64],
-    deviation_out: wp.array[wp.float64],
-):
-    """Sweep over the vertices: s_i = Σ w_ij x_j, its tangential part (force), α_i = s_i·x_i (tension) and the
-    distance from x_i to s_i / |s_i| (deviation: zero where x_i is the normalised mean of its neighbours)."""
-    i = wp.tid()
-    s = wp.vec3d()
-    for k in range(offsets[i], offsets[i + 1]):
-        s += weights[k] * x[columns[k]]
-    tension_out[i] = wp.dot(s, x[i])
-    force_out[i] = tangential(s, x[i])
-    size = wp.length(s)
-    deviation = wp.float64(2.0)
-    if size > ZERO:
-        deviation = wp.length(x[i] - s / size)
-    deviation_out[i] = deviation
-
-
-@wp.kernel
-def newton_blocks(
-    # Weights as compressed rows; row of every stored entry:
-    rows: wp.array[wp.int32],
-    columns: wp.array[wp.int32],
-    weights: wp.array[wp.float64],
-    # Tangent frames:
-    frame_u: wp.array[wp.vec3d],
-    frame_v: wp.array[wp.vec3d],
-    # Data out:
-    blocks_out: wp.array[wp.mat22d],
-):
-    """Compute -w_ij times the 2 x 2 matrix that takes tangent coordinates at x_j to those at x_i."""
-    k = wp.tid()
-    i = rows[k]
-    j = columns[k]
-    w = weights[k]
-    blocks_out[k] = wp.mat22d(
-        -w * wp.dot(frame_u[i], frame_u[j]),
-        -w * wp.dot(frame_u[i], frame_v[j]),
-        -w * wp.dot(frame_v[i], frame_u[j]),
-        -w * wp.dot(frame_v[i], frame_v[j]),
-    )
-
-
-@wp.kernel
-def tangent_frames(
-    x: wp.array[wp.vec3d],
-    # Data out:
-    frame_u_out: wp.array[wp.vec3d],
-    frame_v_out: wp.array[wp.vec3d],
-):
-    """Compute an orthonormal frame (u, v) with u × v = x at every point."""
-    i = wp.tid()
-    p = x[i]
-    axis = wp.vec3d(ONE, ZERO, ZERO)
-    if wp.abs(p[1]) < wp.abs(p[0]):
-        axis = wp.vec3d(ZERO, ONE, ZERO)
-    if wp.abs(p[2]) < wp.min(wp.abs(p[0]), wp.abs(p[1])):
-        axis = wp.vec3d(ZERO, ZERO, ONE)
-    u = wp.normalize(wp.cross(axis, p))
-    frame_u_out[i] = u
-    frame_v_out[i] = wp.cross(p, u)
-
-
-@wp.kernel
-def move_on_sphere(
-    x: wp.array[wp.vec3d],
-    direction: wp.array[wp.vec3d],
-    step: wp.float64,
-    # Data out:
-    x_out: wp.array[wp.vec3d],
-):
-    """Step along the tangential part of a direction and return to the sphere."""
-    i = wp.tid()
-    x_out[i] = wp.normalize(x[i] + step * tangential(direction[i], x[i]))
-
-
 Array = NDArray[np.float64]
 Weights = Literal["tutte", "mean-value"]
 Balance = Literal["centroid", "free"]
 Report = Callable[[str, int, float], None]
 
-RELAXATION_STEPS = 300  # at most: Newton's method does the rest
-NEWTON_STEPS = 40  # at most; it doubles its digits at each step once it is near
-MOST_STEPS = {"relax": RELAXATION_STEPS, "newton": NEWTON_STEPS}
-
-# Times a length: an angle of π, of a triangle folded flat, has tan(θ/2) = 1.6e16 in float64; more than this is that.
-MOST_WEIGHT = 1e15
-# Of the weights' sums: makes the Laplacian definite, which has constants for its kernel. It is a preconditioner alone.
-SUFFICIENT_DECREASE = 1e-4  # share of the decrease by the slope (Nocedal & Wright, Numerical Optimization, section 3.1)
+# Newton's method does what the relaxation leaves, and doubles its digits at each step once it is near.
+MOST_STEPS = {"relax": 300, "newton": 40}
 
 
 @dataclass(frozen=True)
@@ -208,7 +84,7 @@ def barycentric_map(
         surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes.
         weights: ``tutte`` (all 1) or ``mean-value`` (Floater 2003, made symmetric).
         balance: ``centroid`` or ``free``, see above.
-        device: where the sweeps over vertices run.
+        device: ``auto``, ``cpu`` or ``cuda:N``, as of other stages; SciPy does the work of this one on the CPU.
         progress: called as ``progress("relax" or "newton", iteration, most, {"residual": residual})``.
 
     Returns:
@@ -231,8 +107,8 @@ def barycentric_map(
     if balance not in ("centroid", "free"):
         raise OmtwarpError(f"unknown balance '{balance}': use centroid or free")
     surface = as_surface(surface)
-    matrix = barycentric_weights(surface, weights, device=device)
-    springs = _Springs(matrix, device)
+    resolve_device(device)
+    springs = _Springs(barycentric_weights(surface, weights))
     start, masses = _planar_start(surface, springs, weights)
     history: list[dict[str, str | float]] = []
 
@@ -262,9 +138,7 @@ def barycentric_map(
     )
 
 
-def barycentric_weights(
-    surface: Surface, weights: Weights = "tutte", *, device: str | None = "auto"
-) -> sparse.csr_matrix:
+def barycentric_weights(surface: Surface, weights: Weights = "tutte") -> sparse.csr_matrix:
     """Return the symmetric positive weights w_ij as a matrix, shape [V, V], zero diagonal.
 
     ``mean-value``: ½ (w_ij + w_ji) with w_ij = (tan(γ/2) + tan(δ/2)) / |x_i - x_j|, γ and δ the angles at i on both
@@ -277,14 +151,17 @@ def barycentric_weights(
     if weights == "tutte":
         per_edge = np.full((len(faces), 3), 0.5)
     else:
-        where = resolve_device(device)
-        vertices = wp.array(surface.scaled_vertices, dtype=wp.vec3d, device=where)
-        triangles = wp.array(faces, dtype=wp.int32, device=where)
-        out = wp.empty((len(faces), 3), dtype=wp.float64, device=where)
-        wp.launch(mean_value_edge_weights, dim=len(faces), inputs=[vertices, triangles, out], device=where)
-        per_edge = out.numpy()
-        # tan(θ/2) explodes at angles of π: a triangle folded flat.
-        bad = ~(np.isfinite(per_edge) & (per_edge > 0) & (per_edge < MOST_WEIGHT)).all(axis=1)
+        corners = surface.scaled_vertices[faces]
+        ahead = np.roll(corners, -1, axis=1) - corners
+        behind = np.roll(corners, 1, axis=1) - corners
+        lengths = np.linalg.norm(ahead, axis=2)
+        across = np.linalg.norm(np.cross(ahead, behind), axis=2)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            # tan(θ/2) = sin θ / (1 + cos θ), which stays accurate at both ends.
+            tangents = across / (lengths * np.roll(lengths, 1, axis=1) + (ahead * behind).sum(axis=2))
+            per_edge = 0.5 * (tangents + np.roll(tangents, -1, axis=1)) / lengths
+        # The tangent at an angle of π, of a triangle folded flat, is 1.6e16 in float64.
+        bad = ~(np.isfinite(per_edge) & (per_edge > 0) & (per_edge < 1e15)).all(axis=1)
         if bad.any():
             raise OmtwarpError(
                 f"mean-value weights need triangles with area: {int(bad.sum())} have none, first face "
@@ -308,43 +185,21 @@ class _State:
 
 
 class _Springs:
-    """The weights on a device, scaled so that the mean weight sum of a vertex is 1, and the sweeps over them."""
+    """The weights, scaled so that the mean weight sum of a vertex is 1, and what they do to points of the sphere."""
 
-    def __init__(self, matrix: sparse.csr_matrix, device: str | None):
+    def __init__(self, matrix: sparse.csr_matrix):
         self.matrix = sparse.csr_matrix(matrix / (matrix.sum() / matrix.shape[0]))
         self.degree = np.asarray(self.matrix.sum(axis=1)).ravel()
         self.count: int = self.matrix.shape[0]
-        self.device = resolve_device(device)
-        rows = np.repeat(np.arange(self.count), np.diff(self.matrix.indptr))
-        self._offsets = wp.array(self.matrix.indptr.astype(np.int32), dtype=wp.int32, device=self.device)
-        self._columns = wp.array(self.matrix.indices.astype(np.int32), dtype=wp.int32, device=self.device)
-        self._rows = wp.array(rows.astype(np.int32), dtype=wp.int32, device=self.device)
-        self._weights = wp.array(self.matrix.data, dtype=wp.float64, device=self.device)
-
-    def _upload(self, points: Array):
-        return wp.array(np.ascontiguousarray(points), dtype=wp.vec3d, device=self.device)
 
     def sweep(self, points: Array) -> _State:
-        force = wp.empty(self.count, dtype=wp.vec3d, device=self.device)
-        tension = wp.empty(self.count, dtype=wp.float64, device=self.device)
-        deviation = wp.empty_like(tension)
-        wp.launch(
-            sweep_vertices,
-            dim=self.count,
-            inputs=[self._offsets, self._columns, self._weights, self._upload(points), force, tension, deviation],
-            device=self.device,
-        )
-        stretch = tension.numpy()
+        sums = self.matrix @ points
+        tension = (sums * points).sum(axis=1)
+        size = np.linalg.norm(sums, axis=1)
+        deviation = np.linalg.norm(points - sums / np.maximum(size, TINY)[:, None], axis=1)
         # E = ½ Σ_ij w_ij (1 - x_i·x_j); the difference is taken per vertex, before anything large is summed.
-        energy = 0.5 * float((self.degree - stretch).sum())
-        return _State(force.numpy(), stretch, float(deviation.numpy().max()), energy)
-
-    def move(self, points: Array, direction: Array, step: float) -> Array:
-        """Step along the tangential part of a direction and return to the sphere."""
-        out = wp.empty(self.count, dtype=wp.vec3d, device=self.device)
-        inputs = [self._upload(points), self._upload(direction), wp.float64(step), out]
-        wp.launch(move_on_sphere, dim=self.count, inputs=inputs, device=self.device)
-        return out.numpy()
+        energy = 0.5 * float((self.degree - tension).sum())
+        return _State(_tangential(points, sums), tension, float(deviation.max()), energy)
 
     def newton_system(
         self, points: Array, tension: Array, aligned: int, axis: Array
@@ -353,19 +208,15 @@ class _Springs:
 
         The first vector of the frame of vertex ``aligned`` is ``axis``.
         """
-        u = wp.empty(self.count, dtype=wp.vec3d, device=self.device)
-        v = wp.empty_like(u)
-        blocks = wp.empty(len(self._rows), dtype=wp.mat22d, device=self.device)
-        wp.launch(tangent_frames, dim=self.count, inputs=[self._upload(points), u, v], device=self.device)
-        frames = np.stack([u.numpy(), v.numpy()], axis=1)
-        frames[aligned] = axis, np.cross(points[aligned], axis)
-        u, v = self._upload(frames[:, 0]), self._upload(frames[:, 1])
-        inputs = [self._rows, self._columns, self._weights, u, v, blocks]
-        wp.launch(newton_blocks, dim=len(self._rows), inputs=inputs, device=self.device)
-        size = 2 * self.count
-        off = sparse.bsr_matrix((blocks.numpy(), self.matrix.indices, self.matrix.indptr), shape=(size, size))
-        matrix = sparse.csc_matrix(off.tocsc() + sparse.diags(np.repeat(tension, 2)))
-        return matrix, frames
+        first = np.cross(np.eye(3)[np.abs(points).argmin(axis=1)], points)
+        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        first[aligned] = axis
+        frames = np.stack([first, np.cross(points, first)], axis=1)
+        rows = np.repeat(np.arange(self.count), np.diff(self.matrix.indptr))
+        products = np.einsum("kad,kbd->kab", frames[rows], frames[self.matrix.indices])
+        blocks = -self.matrix.data[:, None, None] * products
+        off = sparse.bsr_matrix((blocks, self.matrix.indices, self.matrix.indptr), shape=(2 * self.count,) * 2)
+        return sparse.csc_matrix(off.tocsc() + sparse.diags(np.repeat(tension, 2))), frames
 
 
 def _planar_start(surface: Surface, springs: _Springs, weights: str) -> tuple[Array, Array]:
@@ -414,10 +265,12 @@ def _relax(springs: _Springs, points: Array, masses: Array, report: Report) -> A
     # Of the weights' sums: makes the Laplacian definite, which has constants for its kernel. It is a preconditioner
     # alone.
     regularisation = 0.001
+    # Share of the decrease by the slope (Nocedal & Wright, Numerical Optimization, section 3.1)
+    sufficient = 1e-4
     solver = Factorization(sparse.diags((1.0 + regularisation) * springs.degree) - springs.matrix)
     state = springs.sweep(points)
     step = 1.0
-    for iteration in range(RELAXATION_STEPS):
+    for iteration in range(MOST_STEPS["relax"]):
         force = state.force - _tangential(points, masses[:, None] * _multiplier(points, masses, state.force))
         if np.sqrt((force**2).sum() / springs.count) <= relaxation_tolerance:
             break
@@ -429,9 +282,9 @@ def _relax(springs: _Springs, points: Array, masses: Array, report: Report) -> A
         slope = float((force * direction).sum())
         # Shortest step, of the preconditioned gradient: the energy falls by less than its round-off along a shorter one
         while step > 1e-6:
-            trial, _ = centre_points(springs.move(points, direction, step), masses)
+            trial, _ = centre_points(_moved(points, direction, step), masses)
             new = springs.sweep(trial)
-            if new.energy <= state.energy - SUFFICIENT_DECREASE * step * slope:
+            if new.energy <= state.energy - sufficient * step * slope:
                 break
             step *= 0.5
         else:
@@ -452,7 +305,7 @@ def _newton(springs: _Springs, points: Array, masses: Array | None, report: Repo
     # Newton's method ends at this force on any vertex; a vertex' mean weight sum is 1.
     newton_tolerance = 1e-12
     multiplier = np.zeros(3)
-    for iteration in range(NEWTON_STEPS + 1):
+    for iteration in range(MOST_STEPS["newton"] + 1):
         state = springs.sweep(points)
         if iteration:
             report("newton", iteration - 1, state.residual)
@@ -464,7 +317,7 @@ def _newton(springs: _Springs, points: Array, masses: Array | None, report: Repo
             force = force - _tangential(points, pull)
         if np.abs(force).max() <= newton_tolerance:
             return points, multiplier, True
-        if iteration == NEWTON_STEPS:
+        if iteration == MOST_STEPS["newton"]:
             break
         pinned, second, axis = _pins(points)
         matrix, frames = springs.newton_system(points, tension, second, axis)
@@ -487,7 +340,7 @@ def _newton(springs: _Springs, points: Array, masses: Array | None, report: Repo
         if not np.isfinite(longest):
             break
         # Longest step, radians: farther away a tangent plane does not approximate the sphere
-        points = springs.move(points, direction, min(1.0, 0.3 / max(longest, TINY)))
+        points = _moved(points, direction, min(1.0, 0.3 / max(longest, TINY)))
     return points, multiplier, False
 
 
@@ -509,3 +362,9 @@ def _pins(points: Array) -> tuple[int, int, Array]:
 
 def _tangential(points: Array, vectors: Array) -> Array:
     return np.asarray(vectors - (points * vectors).sum(axis=1)[:, None] * points)
+
+
+def _moved(points: Array, direction: Array, step: float) -> Array:
+    """Step along the tangential part of a direction and return to the sphere."""
+    moved = points + step * _tangential(points, direction)
+    return np.asarray(moved / np.linalg.norm(moved, axis=1, keepdims=True))
