@@ -296,7 +296,7 @@ class _Flow:
     def set_gradient(self) -> None:
         """Compute the derivative of the cost with respect to H at the nodes, in weak form."""
         self.grid.sampler.locate(self.centres)
-        self.grid.sampler.gradient_adjoint(self.turned, out=self.gradient, smooth=True)
+        self.grid.sampler.gradient_adjoint(self.turned, out=self.gradient)
 
     def set_steepest(self) -> None:
         """Compute H of equation 12, the curl, in the space that the mesh resolves: F A^-1 F^T of the weak one.

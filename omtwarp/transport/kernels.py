@@ -2,9 +2,9 @@
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import logarithm, triple_product
+from omtwarp.location import spherical_coordinates
 from omtwarp.transport.cost import area_error, centre
 from omtwarp.transport.descent_kernels import FlowState
-from omtwarp.wavelets.sampling_kernels import spherical_coordinates
 
 wp.set_module_options(KERNEL_OPTIONS)
 

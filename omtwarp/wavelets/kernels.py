@@ -1,11 +1,14 @@
-"""Warp kernels of the lifted wavelet transforms: one predict and one update per level, in place, and their adjoints.
+"""Warp kernels of the lifted wavelet transforms, and between the nodes and points anywhere on the sphere.
 
-The values of all levels share one array, coarse nodes first: node k of K(j) at ``k``, node m of M(j) at ``first + m``.
+A transform is one predict and one update per level, in place. The values of all levels share one array, coarse nodes
+first: node k of K(j) at ``k``, node m of M(j) at ``first + m``.
 A thread adds to its own element alone, spelt out: ``+=`` on an array is an atomic addition in Warp.
 """
 
 # mypy: ignore-errors
-from omtwarp.device.start import HALF, KERNEL_OPTIONS, ZERO, wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ZERO, wp
+from omtwarp.geometry.spherical import TINY, hat_gradient, tangential, triple_product
+from omtwarp.location import spherical_coordinates
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -115,3 +118,287 @@ def dense_product(
     for j in range(matrix.shape[1]):
         total += matrix[i, j] * values[j]
     product[i] = total
+
+
+@wp.func
+def child_of(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, p: wp.vec3d) -> wp.int32:
+    """Return the number, among a spherical triangle's four children, of the one that holds ``p``.
+
+    Points on the arcs between midpoints belong to the middle one.
+    """
+    ab, bc, ca = wp.normalize(a + b), wp.normalize(b + c), wp.normalize(c + a)
+    if triple_product(ab, ca, p) > ZERO:
+        return 0
+    if triple_product(bc, ab, p) > ZERO:
+        return 1
+    if triple_product(ca, bc, p) > ZERO:
+        return 2
+    return 3
+
+
+@wp.kernel
+def locate_points(
+    points: wp.array[wp.vec3d],
+    nodes: wp.array[wp.vec3d],
+    faces: wp.array2d[wp.int32],
+    level_starts: wp.array[wp.int32],
+    # Data in and out:
+    point_faces: wp.array[wp.int32],
+    # Data out:
+    coordinates: wp.array[wp.vec3d],
+):
+    i = wp.tid()
+    p = wp.normalize(points[i])
+    # Points seldom leave their triangle between two steps.
+    face = point_faces[i]
+    finest = level_starts[level_starts.shape[0] - 2]
+    w = spherical_coordinates(
+        nodes[faces[finest + face, 0]], nodes[faces[finest + face, 1]], nodes[faces[finest + face, 2]], p
+    )
+    if wp.min(w) <= ZERO:
+        face = int(0)
+        best = -LARGE
+        for f in range(level_starts[1]):
+            w = spherical_coordinates(nodes[faces[f, 0]], nodes[faces[f, 1]], nodes[faces[f, 2]], p)
+            inside = wp.min(w[0], wp.min(w[1], w[2]))
+            if inside > best:
+                best = inside
+                face = f
+            if best > ZERO:
+                break
+        for level in range(level_starts.shape[0] - 2):
+            g = level_starts[level] + face
+            face = 4 * face + child_of(nodes[faces[g, 0]], nodes[faces[g, 1]], nodes[faces[g, 2]], p)
+        g = finest + face
+        w = spherical_coordinates(nodes[faces[g, 0]], nodes[faces[g, 1]], nodes[faces[g, 2]], p)
+    # Round-off may put a point on an edge slightly outside: coordinates are clamped.
+    w = wp.vec3d(wp.max(w[0], ZERO), wp.max(w[1], ZERO), wp.max(w[2], ZERO))
+    point_faces[i] = face
+    coordinates[i] = w / (w[0] + w[1] + w[2])
+
+
+@wp.kernel
+def sort_keys(
+    point_faces: wp.array[wp.int32],
+    # Data out:
+    keys: wp.array[wp.int32],
+    order: wp.array[wp.int32],
+):
+    i = wp.tid()
+    keys[i] = point_faces[i]
+    order[i] = i
+
+
+@wp.kernel
+def face_rows(
+    keys: wp.array[wp.int32],
+    count: wp.int32,
+    first: wp.int32,
+    # Data out:
+    row_offsets: wp.array[wp.int32],
+):
+    """Compute the first place of each face, from a first one on, among the sorted keys, by bisection."""
+    f = first + wp.tid()
+    low = int(0)
+    high = int(count)
+    while low < high:
+        middle = (low + high) // 2
+        if keys[middle] < f:
+            low = middle + 1
+        else:
+            high = middle
+    row_offsets[f] = low
+
+
+@wp.kernel
+def interpolate_at_points(
+    faces: wp.array2d[wp.int32],
+    point_faces: wp.array[wp.int32],
+    coordinates: wp.array[wp.vec3d],
+    values: wp.array[wp.float64],
+    # Data out:
+    at_points: wp.array[wp.float64],
+):
+    i = wp.tid()
+    f, w = point_faces[i], coordinates[i]
+    at_points[i] = w[0] * values[faces[f, 0]] + w[1] * values[faces[f, 1]] + w[2] * values[faces[f, 2]]
+
+
+@wp.kernel
+def gather_scalars_to_faces(
+    row_offsets: wp.array[wp.int32],
+    order: wp.array[wp.int32],
+    coordinates: wp.array[wp.vec3d],
+    at_points: wp.array[wp.float64],
+    # Data out:
+    corner_sums: wp.array[wp.vec3d],
+):
+    f = wp.tid()
+    total = wp.vec3d(ZERO, ZERO, ZERO)
+    for n in range(row_offsets[f], row_offsets[f + 1]):
+        i = order[n]
+        total += at_points[i] * coordinates[i]
+    corner_sums[f] = total
+
+
+@wp.kernel
+def gather_corners_to_nodes(
+    corner_offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    corner_sums: wp.array[wp.vec3d],
+    # Data out:
+    at_nodes: wp.array[wp.float64],
+):
+    k = wp.tid()
+    total = wp.float64(0.0)
+    for n in range(corner_offsets[k], corner_offsets[k + 1]):
+        f = corners[n] // 3
+        total += corner_sums[f][corners[n] - 3 * f]
+    at_nodes[k] = total
+
+
+@wp.func
+def face_weight(nodes: wp.array[wp.vec3d], faces: wp.array2d[wp.int32], f: wp.int32) -> wp.float64:
+    a = nodes[faces[f, 0]]
+    return wp.length(wp.cross(nodes[faces[f, 1]] - a, nodes[faces[f, 2]] - a))
+
+
+@wp.func
+def corner_products(nodes: wp.array[wp.vec3d], faces: wp.array2d[wp.int32], f: wp.int32, v: wp.vec3d) -> wp.vec3d:
+    """Return the inner products of a vector with the gradients of the three corners' hat functions."""
+    a, b, c = nodes[faces[f, 0]], nodes[faces[f, 1]], nodes[faces[f, 2]]
+    n = wp.cross(b - a, c - a)
+    turned = wp.cross(v, n) / wp.max(wp.dot(n, n), TINY)  # v · (n × e) is (v × n) · e
+    return wp.vec3d(wp.dot(turned, c - b), wp.dot(turned, a - c), wp.dot(turned, b - a))
+
+
+@wp.kernel
+def level_face_gradients(
+    faces: wp.array2d[wp.int32],
+    nodes: wp.array[wp.vec3d],
+    values: wp.array[wp.float64],
+    # Data out:
+    face_gradients: wp.array[wp.vec3d],
+):
+    """Compute the gradient in each triangle, times twice its area."""
+    f = wp.tid()
+    i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+    a, b, c = nodes[i], nodes[j], nodes[k]
+    gradient = (values[j] - values[i]) * hat_gradient(b, c, a) + (values[k] - values[i]) * hat_gradient(c, a, b)
+    face_gradients[f] = face_weight(nodes, faces, f) * gradient
+
+
+@wp.kernel
+def mean_node_gradients(
+    corner_offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    nodes: wp.array[wp.vec3d],
+    weights: wp.array[wp.float64],
+    face_gradients: wp.array[wp.vec3d],
+    # Data out:
+    node_gradients: wp.array[wp.vec3d],
+):
+    """Compute the mean of the weighted gradients around each node, in its tangent plane."""
+    k = wp.tid()
+    total = wp.vec3d(ZERO, ZERO, ZERO)
+    for n in range(corner_offsets[k], corner_offsets[k + 1]):
+        total += face_gradients[corners[n] // 3]
+    node_gradients[k] = tangential(total / weights[k], nodes[k])
+
+
+@wp.kernel
+def gather_corner_vectors(
+    row_offsets: wp.array[wp.int32],
+    order: wp.array[wp.int32],
+    points: wp.array[wp.vec3d],
+    coordinates: wp.array[wp.vec3d],
+    field: wp.array[wp.vec3d],
+    # Data out:
+    corner_vectors: wp.array2d[wp.vec3d],
+):
+    f = wp.tid()
+    first = wp.vec3d(ZERO, ZERO, ZERO)
+    second = wp.vec3d(ZERO, ZERO, ZERO)
+    third = wp.vec3d(ZERO, ZERO, ZERO)
+    for n in range(row_offsets[f], row_offsets[f + 1]):
+        i = order[n]
+        v = tangential(field[i], points[i])
+        first += coordinates[i][0] * v
+        second += coordinates[i][1] * v
+        third += coordinates[i][2] * v
+    corner_vectors[f, 0] = first
+    corner_vectors[f, 1] = second
+    corner_vectors[f, 2] = third
+
+
+@wp.kernel
+def mean_node_vectors(
+    corner_offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    nodes: wp.array[wp.vec3d],
+    weights: wp.array[wp.float64],
+    corner_vectors: wp.array2d[wp.vec3d],
+    # Data out:
+    node_vectors: wp.array[wp.vec3d],
+):
+    k = wp.tid()
+    total = wp.vec3d(ZERO, ZERO, ZERO)
+    for n in range(corner_offsets[k], corner_offsets[k + 1]):
+        f = corners[n] // 3
+        total += corner_vectors[f, corners[n] - 3 * f]
+    node_vectors[k] = tangential(total, nodes[k]) / weights[k]
+
+
+@wp.kernel
+def spread_to_faces(
+    faces: wp.array2d[wp.int32],
+    nodes: wp.array[wp.vec3d],
+    node_vectors: wp.array[wp.vec3d],
+    # Data out:
+    face_products: wp.array[wp.vec3d],
+):
+    f = wp.tid()
+    total = node_vectors[faces[f, 0]] + node_vectors[faces[f, 1]] + node_vectors[faces[f, 2]]
+    face_products[f] = corner_products(nodes, faces, f, face_weight(nodes, faces, f) * total)
+
+
+@wp.kernel
+def coarsen_sums(
+    first: wp.int32,
+    offsets: wp.array[wp.int32],
+    entries: wp.array[wp.int32],
+    fine: wp.array[wp.float64],
+    # Data out:
+    coarse: wp.array[wp.float64],
+):
+    """Compute the sums of a level from those of the next: half of each midpoint's goes to each end of its edge."""
+    k = wp.tid()
+    total = wp.float64(0.0)
+    for n in range(offsets[k], offsets[k + 1]):
+        total += fine[first + entries[n] // 2]
+    coarse[k] = fine[k] + HALF * total
+
+
+@wp.kernel
+def mean_values(
+    sums: wp.array[wp.float64],
+    masses: wp.array[wp.float64],
+    smallest: wp.float64,
+    # Data in and out:
+    values: wp.array[wp.float64],
+):
+    """Compute the mean where there is mass; elsewhere ``values`` stays as it is."""
+    k = wp.tid()
+    if masses[k] > smallest:
+        values[k] = sums[k] / masses[k]
+
+
+@wp.kernel
+def refine_values(
+    first: wp.int32,
+    parents: wp.array2d[wp.int32],
+    # Data in and out:
+    values: wp.array[wp.float64],
+):
+    m = wp.tid()
+    values[first + m] = HALF * (values[parents[m, 0]] + values[parents[m, 1]])

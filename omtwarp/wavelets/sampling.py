@@ -9,18 +9,13 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import sparse
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import Arguments, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.sphere_hierarchy import SphereHierarchy
-from omtwarp.wavelets import sampling_kernels as kernels
-from omtwarp.wavelets.sampling_kernels import (
-    gather_corners_to_nodes,
-    level_face_gradients,
-)
+from omtwarp.wavelets import kernels
 from omtwarp.wavelets.transform import transposed_rows
 
 
@@ -38,7 +33,7 @@ class SphereSampler:
         points: unit vectors, shape [P, 3], NumPy or Warp.
         level: level whose nodes are used; the finest where not given.
         device: ``auto``, ``cpu`` or ``cuda:N``.
-        density: positive, at the nodes, shape [N]: smooth gradients, and their adjoint, are divided by it there, so
+        density: positive, at the nodes, shape [N]: gradients, and their adjoint, are divided by it there, so
             that the motion p × ∇H / ρ keeps the density ρ. Uniform where not given.
 
     Attributes:
@@ -149,16 +144,6 @@ class SphereSampler:
         launch_parts(kernels.face_rows, self.face_count + 1, rows, self.device)
         self._level_masses = []
 
-    def matrix(self) -> sparse.csr_matrix:
-        """Return the matrix of linear interpolation from nodes to points, [P, N], for the host.
-
-        Its transpose is :meth:`adjoint`.
-        """
-        faces = self.hierarchy.level_faces[self.level][self.point_faces.numpy()]
-        rows = np.repeat(np.arange(self.point_count), 3)
-        data = self.coordinates.numpy().ravel()
-        return sparse.csr_matrix((data, (rows, faces.ravel())), shape=(self.point_count, self.node_count))
-
     def interpolate(self, values: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
         """Interpolate a function at the nodes, [N], to points, [P]: linear in each triangle, exact for constants."""
         source, from_numpy = self._take(values, wp.float64)
@@ -226,70 +211,40 @@ class SphereSampler:
             self._launch(kernels.coarsen_sums, count, [count, *self._edge_rows[j], workspace[j + 1]], [workspace[j]])
         return workspace
 
-    def gradient(self, values: ArrayLike | wp.array, out: wp.array | None = None, *, smooth: bool = False) -> wp.array:
-        """Return the gradient at the points of a function of the nodes, [N] -> [P, 3], in the sphere's tangent plane.
-
-        Args:
-            values: one value per node.
-            out: Warp vec3d array to write into.
-            smooth: interpolate linearly between area-weighted means of the gradients around each node (continuous over
-                the sphere); else take the constant gradient of the triangle each point is in.
-        """
-        source, from_numpy = self._take(values, wp.float64)
-        out = self._output(out, self.point_count, wp.vec3d)
-        if smooth:
-            self.node_gradient(source)
-            inputs = [self.points, self._faces, self.point_faces, self.coordinates, self._node_vectors]
-            self._launch(kernels.node_gradients_at_points, self.point_count, inputs, [out])
-        else:
-            self._face_gradients(source, weighted=False)
-            inputs = [self.points, self.point_faces, self._face_vectors]
-            self._launch(kernels.face_gradients_at_points, self.point_count, inputs, [out])
-        return out.numpy() if from_numpy else out
-
-    def _face_gradients(self, values: wp.array, weighted: bool) -> None:
-        whole = [self._nodes, values, weighted]
-        self._launch_parts(level_face_gradients, self.face_count, [], [self._faces], whole, self._face_vectors)
-
     def _gather_corners(self, out: wp.array) -> None:
         """Sum at every node the numbers that its triangles hold for it."""
         rows, whole = self._corner_rows, [self._face_vectors]
-        self._launch_parts(gather_corners_to_nodes, self.node_count, rows, [], whole, out)
+        self._launch_parts(kernels.gather_corners_to_nodes, self.node_count, rows, [], whole, out)
 
     def node_gradient(self, values: ArrayLike | wp.array) -> wp.array:
-        """Return the area-weighted mean gradients around the nodes, Warp vec3d [N], which ``smooth`` interpolates.
+        """Return the area-weighted mean gradients around the nodes, Warp vec3d [N], in their tangent planes.
 
         The array is the sampler's own and valid until the next call.
         """
         source, _ = self._take(values, wp.float64)
-        self._face_gradients(source, weighted=True)
+        faces, whole = [self._faces], [self._nodes, source]
+        self._launch_parts(kernels.level_face_gradients, self.face_count, [], faces, whole, self._face_vectors)
         rows, sliced = self._corner_rows, [self._nodes, self._weights]
         gathered, out = [self._face_vectors], self._node_vectors
         self._launch_parts(kernels.mean_node_gradients, self.node_count, rows, sliced, gathered, out)
         return self._node_vectors
 
-    def gradient_adjoint(
-        self, field: ArrayLike | wp.array, out: wp.array | None = None, *, smooth: bool = False
-    ) -> wp.array:
-        """Apply the transpose of :meth:`gradient`, [P, 3] -> [N].
+    def gradient_adjoint(self, field: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
+        """Return the sums over the points of a field times the gradients of the nodes' hat functions, [P, 3] -> [N].
 
-        Entry k is the sum of field · grad phi(k) over the points.
+        Gradients are :meth:`node_gradient`, linear between the nodes, in the sphere's tangent plane.
 
         With field = c × y (c the derivative of a cost with respect to the point y) it is that cost's derivative with
         respect to the stream function of a motion dy/dt = y × grad H: the weak curl.
         """
         source, from_numpy = self._take(field, wp.vec3d)
         out = self._output(out, self.node_count, wp.float64)
-        rows, faces, nodes = [self._point_rows, self._order], [self._faces], self._nodes
-        if smooth:
-            whole, corners = [self.points, self.coordinates, source], self._corner_vectors
-            self._launch_parts(kernels.gather_corner_vectors, self.face_count, rows, [], whole, corners)
-            own, vectors = [nodes, self._weights], self._node_vectors
-            self._launch_parts(kernels.mean_node_vectors, self.node_count, self._corner_rows, own, [corners], vectors)
-            whole, kernel = [nodes, vectors], kernels.spread_to_faces
-            self._launch_parts(kernel, self.face_count, [], faces, whole, self._face_vectors)
-        else:
-            whole, kernel = [nodes, self.points, source], kernels.gather_vectors_to_faces
-            self._launch_parts(kernel, self.face_count, rows, faces, whole, self._face_vectors)
+        rows, corners = [self._point_rows, self._order], self._corner_vectors
+        whole = [self.points, self.coordinates, source]
+        self._launch_parts(kernels.gather_corner_vectors, self.face_count, rows, [], whole, corners)
+        own, vectors = [self._nodes, self._weights], self._node_vectors
+        self._launch_parts(kernels.mean_node_vectors, self.node_count, self._corner_rows, own, [corners], vectors)
+        faces, whole = [self._faces], [self._nodes, vectors]
+        self._launch_parts(kernels.spread_to_faces, self.face_count, [], faces, whole, self._face_vectors)
         self._gather_corners(out)
         return out.numpy() if from_numpy else out

@@ -169,7 +169,7 @@ def test_help_and_version_answer_without_anything_heavy():
 
 def test_a_map_reads_no_kernels_of_stages_that_it_does_not_have(tmp_path, blob):
     """Kernels of the flow, of baselines and of textures would be read for nothing."""
-    unused = ["omtwarp.transport.kernels", "omtwarp.wavelets.sampling_kernels", "omtwarp.baselines", "PIL"]
+    unused = ["omtwarp.transport.kernels", "omtwarp.wavelets.kernels", "omtwarp.baselines", "PIL"]
     unused += ["omtwarp.texturing.kernels", "trimesh", "rich"]
     code = "import sys\nfrom omtwarp.commands._cli import main\n"
     code += "try:\n    main(sys.argv[1:])\nexcept SystemExit:\n    pass\n"
