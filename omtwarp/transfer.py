@@ -17,13 +17,12 @@ from omtwarp.options import AtlasLike, CoordinatesLike
 from omtwarp.resampling import SpherePoints, as_points
 from omtwarp.spheres import mesh_grid
 from omtwarp.texturing.atlas import Atlas, make_atlas
-from omtwarp.texturing.baking import bake_to_uv, own_at_parts, picture_source, sphere_layout
+from omtwarp.texturing.baking import PADDING, bake_materials, bake_to_uv, own_at_parts, picture_source, sphere_layout
 from omtwarp.texturing.image import as_bytes
 from omtwarp.texturing.materials import Floats, Material
 from omtwarp.texturing.painted import PaintedMesh
 from omtwarp.texturing.painter import SIZE
 from omtwarp.texturing.seams import unwrap
-from omtwarp.texturing.sheets import PADDING, bake_materials
 from omtwarp.texturing.textured import SphereMap, as_map
 
 Map = SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike]

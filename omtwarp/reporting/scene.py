@@ -29,8 +29,7 @@ from omtwarp.reporting.stages import Stage
 from omtwarp.start.decimation import simplify
 from omtwarp.texturing.adaptive import bake_bytes
 from omtwarp.texturing.atlas import CUBE_FRAMES, Cube
-from omtwarp.texturing.baking import Source
-from omtwarp.texturing.bending import Look
+from omtwarp.texturing.baking import Look, Source
 
 COVERED = {"hemisphere": 0.5, "disk": 0.5}  # share of the sphere that has the surface's area; of caps nearly all
 

@@ -1,10 +1,13 @@
 """Baking of 8-bit pictures with more samples only where the picture needs them.
 
 A pattern says of every direction how far there is no edge. Blocks of texels without one are filled from their corners;
-only next to edges is every texel looked at, and only those that an edge crosses get more than one sample.
+only next to edges is every texel looked at, and only those that an edge crosses get more than one sample. Texels look
+in the directions of their atlas, as these are or moved from the linear map of a mesh to its smooth one.
 """
 
 from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,18 +15,32 @@ from numpy.typing import NDArray
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import launch_parts
+from omtwarp.mesh.surface import face_neighbours
 from omtwarp.texturing import kernels
-from omtwarp.texturing.atlas import Equirectangular, check_size
-from omtwarp.texturing.baking import SAMPLES_AT_ONCE, PatternSource, Source, ValueSource, source_of
-from omtwarp.texturing.bending import Look
+from omtwarp.texturing.atlas import Atlas, Equirectangular, check_size
+from omtwarp.texturing.baking import (
+    GROW,
+    NOBODY,
+    SAMPLES_AT_ONCE,
+    Look,
+    Source,
+    ValueSource,
+    claimed,
+    fill,
+    in_texels,
+    source_of,
+)
 from omtwarp.texturing.image import as_bytes
 from omtwarp.texturing.patterns import Pattern, pattern
 from omtwarp.texturing.projection import check_projection, direction_from_angles
+from omtwarp.texturing.seams import Unwrapped
+from omtwarp.texturing.smooth import SmoothCurves
 
 Bytes = NDArray[np.uint8]
+Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-PARTS = 4  # of a block along a side, one level finer
+PARTS = kernels.LATTICE - 1  # of a block along a side, one level finer
 
 
 def bake_bytes(source: Source, look: Look, *, projection: str = "equirectangular", supersample: int = 3) -> Bytes:
@@ -42,7 +59,7 @@ def bake_bytes(source: Source, look: Look, *, projection: str = "equirectangular
     """
     atlas, given = look.atlas, source_of(source, projection, look.where)
     baking = _Baking(given, look)
-    if isinstance(given, PatternSource):
+    if isinstance(given, Pattern):
         busy = baking.calm(given)
     else:
         busy = atlas.texels
@@ -57,13 +74,13 @@ def bake_bytes(source: Source, look: Look, *, projection: str = "equirectangular
 class _Baking:
     """A picture being filled."""
 
-    def __init__(self, given: ValueSource, look: Look):
+    def __init__(self, given: ValueSource | Pattern, look: Look):
         self._given, self._look, self._where = given, look, look.where
         self._width, self._height = look.atlas.width, look.atlas.height
         self._row_lengths = look.atlas.row_lengths
         self.picture = wp.zeros((self._width * self._height, given.channels), dtype=wp.uint8, device=look.where)
 
-    def calm(self, given: PatternSource) -> Ints:
+    def calm(self, given: Pattern) -> Ints:
         """Fill the parts without an edge; return the texels that remain."""
         steps = (16, 4)  # texels along the side of the blocks that are filled at once, coarse before fine
         side = steps[0] * PARTS
@@ -92,12 +109,12 @@ class _Baking:
         inside = columns[:, None, :] < lengths[:, :, None]
         return texels[inside].astype(np.int32)
 
-    def _fill_calm(self, given: PatternSource, corners: Ints, points: Ints, step: int) -> Bytes:
+    def _fill_calm(self, given: Pattern, corners: Ints, points: Ints, step: int) -> Bytes:
         """Fill the parts of blocks without an edge from their lattices' texels; return the remaining, [N PARTS²]."""
         where, lattice = self._where, (PARTS + 1) ** 2
         directions = self._look.directions(wp.array(points, dtype=wp.int32, device=where), 1)
         colours = wp.empty((len(points), given.channels), dtype=wp.float64, device=where)
-        reach = given.reach(directions, colours)
+        reach = given.launch(directions, colours)
         first = wp.array(corners, dtype=wp.int32, device=where)
         busy = wp.empty((len(corners), PARTS**2), dtype=wp.uint8, device=where)
 
@@ -110,24 +127,13 @@ class _Baking:
         launch_parts(kernels.fill_calm, len(corners), arguments, where)
         return busy.numpy().ravel()
 
+    def evaluate(self, texels: wp.array, samples: int, values: wp.array) -> None:
+        """Compute the values of the samples of texels."""
+        self._given.launch(self._look.directions(texels, samples), values)
+
     def fill(self, texels: Ints, samples: int) -> None:
-        """Write texels, some at a time, as the mean of their samples."""
-        step = max(SAMPLES_AT_ONCE // samples**2, 1)
-        for start in range(0, len(texels), step):
-            part = wp.array(texels[start : start + step], dtype=wp.int32, device=self._where)
-            directions = self._look.directions(part, samples)
-            values = wp.empty((len(directions), self._given.channels), dtype=wp.float64, device=self._where)
-            self._given.values(directions, values)
-            self._average(values, part, samples)
-
-    def _average(self, values: wp.array, texels: wp.array, samples: int) -> None:
-        """Write texels as the mean of their samples' values."""
-        count = samples**2
-
-        def arguments(some: slice) -> tuple[list[object], list[object]]:
-            return [values[some.start * count : some.stop * count], samples, texels[some]], [self.picture]
-
-        launch_parts(kernels.average_to_bytes, len(texels), arguments, self._where)
+        """Write texels as the mean of their samples."""
+        fill(texels, samples, self._given.channels, self.evaluate, self.picture)
 
     def changing(self, texels: Ints) -> Ints:
         """Return the texels, among some, that differ from a neighbour."""
@@ -189,3 +195,101 @@ def _rasterize_sinusoidal(
         blocks = colours.reshape(stop - start, supersample, width, supersample, 3)
         picture[start:stop] = blocks.mean(axis=(1, 3))
     return picture
+
+
+class Bending:
+    """A smooth map divided as finely as the texels of an atlas show.
+
+    Args:
+        curves: the mesh's smooth map.
+        atlas: the picture's layout.
+
+    Attributes:
+        atlas, curves: these.
+        first: where the points of every triangle begin in ``grid``, shape [F].
+        parts: into how many parts its edges are divided, 0 where the map is as good as linear, shape [F].
+        grid: the numbers of the points.
+        points: unit vectors, shape [N, 3].
+    """
+
+    def __init__(self, curves: SmoothCurves, atlas: Atlas):
+        least_moved = 0.2  # texels: triangles in which the smooth map stays nearer to the linear one are left linear
+        self.curves, self.atlas = curves, atlas
+        texel = atlas.texel_angle
+        away = np.linalg.norm(curves.sphere - curves.given, axis=1)[curves.faces].max(axis=1)
+        bend = curves.bend / texel
+        # Divided into n parts, a curve that leaves a straight one by b texels is followed to b / n² texels.
+        wanted = np.ceil(np.sqrt(bend / 0.1)).astype(np.int64)
+        divided = np.zeros(len(curves.faces), dtype=np.int32)
+        divided[(away > least_moved * texel) | (bend > least_moved)] = 1
+        least = 1
+        # Edges are divided into as many parts; 8 are 45 points in every triangle, and more would turn by less than 5
+        # degrees from one to the next.
+        divisions = (3, 8)
+        for parts in divisions:
+            divided[(divided > 0) & (wanted > least)] = parts
+            least = parts
+        first = np.zeros(len(divided), dtype=np.int32)
+        grids, points, rows, count = [], [curves.sphere], 0, len(curves.sphere)
+        sizes = np.unique(divided[divided > 0]).tolist()
+        # NumPy lets go of the interpreter in long operations.
+        with ThreadPoolExecutor(len(divisions)) as pool:
+            finer = {
+                parts: pool.submit(curves.divided, parts, np.flatnonzero(divided == parts))
+                for parts in sizes
+                if parts > 1
+            }
+        for parts in sizes:
+            which = np.flatnonzero(divided == parts)
+            if parts == 1:
+                grid = curves.faces[which][:, [0, 2, 1]]  # in the order of a grid's points
+            else:
+                made = finer[parts].result()
+                grid = np.where(made.grid < len(curves.sphere), made.grid, made.grid + count - len(curves.sphere))
+                points.append(made.sphere[len(curves.sphere) :])
+                count += len(points[-1])
+            first[which] = rows + np.arange(len(which)) * grid.shape[1]
+            rows += grid.size
+            grids.append(grid.ravel())
+        self.first, self.parts = first, divided
+        self.grid = np.concatenate([*grids, np.zeros(0, dtype=np.int32)])
+        self.points = np.concatenate(points)
+
+
+class BentLook(Look):
+    """The directions for the texels of a mesh's picture with which the mesh, linear in triangles, shows its smooth map.
+
+    Args:
+        bending: the smooth map, for the picture's layout.
+        cut: the mesh unwrapped onto it.
+        rotation: turns the function on the sphere, shape [3, 3].
+        where: the device.
+    """
+
+    def __init__(self, bending: Bending, cut: Unwrapped, rotation: Floats, where: wp.Device):
+        hint_block = 8  # texels along the side of a block that has a triangle of its own at which searches begin
+        atlas, curves = bending.atlas, bending.curves
+        super().__init__(atlas, where)
+        faces, given = curves.faces, curves.given @ rotation
+        across, down = -(-atlas.width // hint_block), -(-atlas.height // hint_block)
+        corner_uv = cut.uv[cut.faces]
+        corners = in_texels(corner_uv, atlas.width / hint_block, atlas.height / hint_block, where)
+        part = claimed(corners, across, down, GROW, where)
+        # Hint reach: blocks past the borders of charts to which the hints go, which is more than a gutter
+        part = np.where(part == NOBODY, claimed(corners, across, down, 1.0, where), part)
+        hints = np.where(part == NOBODY, -1, cut.source_face[np.minimum(part, len(cut.source_face) - 1)])
+        self._kernel = kernels.bent_sample_directions
+        self._tables = [hint_block, across]
+        self._tables += [
+            wp.array(np.ascontiguousarray(table), dtype=kind, device=where)
+            for table, kind in (
+                (hints, wp.int32),
+                (faces, wp.vec3i),
+                (face_neighbours(faces, len(given)), wp.vec3i),
+                (given, wp.vec3d),
+                (bending.first, wp.int32),
+                (bending.parts, wp.int32),
+                (bending.grid, wp.int32),
+                (bending.points @ rotation, wp.vec3d),
+            )
+        ]

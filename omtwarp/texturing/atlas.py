@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +59,16 @@ def _triple(values: Floats) -> tuple[float, float, float]:
     return float(values[0]), float(values[1]), float(values[2])
 
 
+class Kind(IntEnum):
+    """Kinds of picture; the first three are the atlases, the last is one that repeats both ways."""
+
+    EQUIRECTANGULAR = 0
+    CUBE = 1
+    OCTAHEDRAL = 2
+    SINUSOIDAL = 3
+    REPEATED = 4
+
+
 class Atlas(ABC):
     """The base class of the three atlases.
 
@@ -71,7 +82,7 @@ class Atlas(ABC):
     """
 
     name: str
-    kind: int
+    kind: Kind
     wraps = False
     gutter = 0
     corners: tuple[tuple[float, float, float], ...] = ()
@@ -156,7 +167,7 @@ class Equirectangular(Atlas):
         seam: longitude of the cut in radians; π is the customary place.
     """
 
-    name, kind, wraps = "equirectangular", 0, True
+    name, kind, wraps = "equirectangular", Kind.EQUIRECTANGULAR, True
     corners = (NORTH, SOUTH)
 
     def __init__(self, width: int, height: int, seam: float = np.pi):
@@ -219,7 +230,7 @@ class Cube(Atlas):
         size: width and height of the picture; by default those of three by two cells.
     """
 
-    name, kind, chart_count = "cube", 1, 6
+    name, kind, chart_count = "cube", Kind.CUBE, 6
     corners = tuple((x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0))
 
     def __init__(self, cell: int, gutter: int | None = None, size: tuple[int, int] | None = None):
@@ -288,7 +299,7 @@ class Cube(Atlas):
 class Octahedral(Atlas):
     """The octahedron |x| + |y| + |z| = 1 folded out into a square: the north pole in the middle."""
 
-    name, kind, chart_count = "octahedral", 2, 8
+    name, kind, chart_count = "octahedral", Kind.OCTAHEDRAL, 8
     arcs = (Arc((1.0, 0.0, 0.0)), Arc((0.0, 1.0, 0.0)), Arc((0.0, 0.0, 1.0)))
     corners = ((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), NORTH, SOUTH)
 

@@ -17,10 +17,10 @@ from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.data import read_data
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.surface import plane_areas, triangle_areas, vertex_normals
-from omtwarp.texturing import bake_kernels as kernels
+from omtwarp.texturing import kernels
+from omtwarp.texturing.baking import PADDING, bake_corners, covered
 from omtwarp.texturing.materials import Bytes, Floats, Ints
 from omtwarp.texturing.openness import open_shares
-from omtwarp.texturing.sheets import PADDING, bake_corners, covered
 
 BAKES = ("normal", "ao", "curvature", "area")
 RAYS = 8  # from a texel, which takes part in those of its eight neighbours: 72 in all

@@ -19,14 +19,17 @@ from typing import TypeAlias, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from omtwarp.colors import to_linear, to_srgb
 from omtwarp.device.policy import launch_parts_of, resolve_device
 from omtwarp.device.start import wp
-from omtwarp.device.threads import core_count, launch_parts, load, run_all
+from omtwarp.device.threads import Arguments, core_count, launch_parts, load, run_all
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.limits import LONGEST_SIDE
+from omtwarp.mesh.arrays import ROUND_OFF
 from omtwarp.texturing import kernels
 from omtwarp.texturing.atlas import Atlas, make_atlas
 from omtwarp.texturing.image import PictureLike, as_floats, read_image
+from omtwarp.texturing.materials import Ints, Material
 from omtwarp.texturing.patterns import Pattern, is_name, pattern
 from omtwarp.texturing.projection import check_projection
 from omtwarp.texturing.seams import Unwrapped, unwrap
@@ -37,7 +40,8 @@ Picture = NDArray[np.float32]
 NOBODY = 2**31 - 1  # the largest int32, in place of the number of a triangle: the least number owns a texel
 SAMPLES_AT_ONCE = 1 << 19  # bounds memory: about 25 MB of directions and values at a time
 GROW = 1e-6  # texels by which a triangle may claim a centre outside it
-RING = 1.5  # texels around the charts in which the function itself is continued, for filtering
+PADDING = 16
+"""Texels by which charts are continued beyond their borders: bilinear samples see them at the fifth mip level yet."""
 
 
 class ValueSource(ABC):
@@ -46,28 +50,12 @@ class ValueSource(ABC):
     channels: int
 
     @abstractmethod
-    def values(self, directions: wp.array, out: wp.array) -> None:
+    def launch(self, directions: wp.array, out: wp.array) -> object:
         """Write the values of directions, vec3d [N], to an array, float64 [N, channels]."""
 
 
 Source: TypeAlias = "ValueSource | Pattern | Callable[[Floats], ArrayLike] | PictureLike"
 """What can be baked: the name of a pattern, a pattern, a function of directions, or a picture."""
-
-
-class PatternSource(ValueSource):
-    """A pattern as a source, which also bounds the distance to its nearest edge."""
-
-    channels = 3
-
-    def __init__(self, given: Pattern):
-        self._pattern = given
-
-    def values(self, directions: wp.array, out: wp.array) -> None:
-        self.reach(directions, out)
-
-    def reach(self, directions: wp.array, out: wp.array) -> wp.array:
-        """Write the values of directions, and return the angles within which there is no edge, float64 [N]."""
-        return self._pattern.launch(directions, out)
 
 
 class _PictureSource(ValueSource):
@@ -78,7 +66,7 @@ class _PictureSource(ValueSource):
         self._kind, self._offset, self._gutter = kind, offset, gutter
         self._picture = wp.array(np.ascontiguousarray(as_floats(picture)), dtype=wp.float32, device=device)
 
-    def values(self, directions: wp.array, out: wp.array) -> None:
+    def launch(self, directions: wp.array, out: wp.array) -> None:
         numbers = [self._kind, wp.float64(self._offset), wp.float64(self._gutter), self._picture]
         launch_parts(
             kernels.sample_picture,
@@ -101,24 +89,22 @@ class _CallableSource(ValueSource):
             )
         return got.reshape(len(directions), -1)
 
-    def values(self, directions: wp.array, out: wp.array) -> None:
+    def launch(self, directions: wp.array, out: wp.array) -> None:
         got = self._call(directions.numpy())
         wp.copy(out, wp.array(np.ascontiguousarray(got), dtype=wp.float64, device=out.device), count=got.size)
 
 
-def source_of(given: Source, projection: str, device: wp.Device) -> ValueSource:
+def source_of(given: Source, projection: str, device: wp.Device) -> ValueSource | Pattern:
     """Convert anything that can be baked to a source of values for directions.
 
     Raises:
         OmtwarpError: an unknown projection, or a picture that cannot be read.
     """
     check_projection(projection)
-    if isinstance(given, ValueSource):
+    if isinstance(given, ValueSource | Pattern):
         return given
-    if isinstance(given, Pattern):
-        return PatternSource(given)
     if is_name(given):
-        return PatternSource(pattern(given))
+        return pattern(given)
     if callable(given) and not hasattr(given, "__array__"):
         return _CallableSource(given)
     return _PictureSource(
@@ -161,76 +147,96 @@ def bake(
     return _bake(source_of(source, projection, where), target, supersample, where)
 
 
-def _bake(given: ValueSource, target: Atlas, supersample: int, where: wp.Device) -> Picture:
+def _bake(given: ValueSource | Pattern, target: Atlas, supersample: int, where: wp.Device) -> Picture:
     picture = wp.zeros((target.width * target.height, given.channels), dtype=wp.float32, device=where)
+    look = Look(target, where)
+
+    def evaluate(texels: wp.array, samples: int, values: wp.array) -> None:
+        given.launch(look.directions(texels, samples), values)
+
     texels = target.texels
-    offset, gutter = target.parameters
-    numbers = [target.kind, target.width, target.height, wp.float64(offset), wp.float64(gutter)]
-
-    def fill(texels: NDArray[np.int32], samples: int) -> None:
-        def look(part: wp.array, directions: wp.array) -> wp.array:
-            launch_parts(
-                kernels.texel_sample_directions,
-                len(part),
-                lambda some: (
-                    [*numbers, part[some], samples],
-                    [directions[some.start * samples**2 : some.stop * samples**2]],
-                ),
-                where,
-            )
-            return directions
-
-        _fill(given, texels, samples, look, picture, where)
-
-    fill(texels, 1)
+    fill(texels, 1, given.channels, evaluate, picture)
     if supersample > 1:
         changing = _changing(picture, target.width, target.height)
         changing = changing if target.filled else np.intersect1d(changing, texels, assume_unique=True)
-        fill(changing, int(supersample))
+        fill(changing, int(supersample), given.channels, evaluate, picture)
     baked = picture.numpy().reshape(target.height, target.width, given.channels)
     target.fill_empty(baked)
     return baked
 
 
-def _fill(
-    given: ValueSource,
+class Look:
+    """The directions that the texels of an atlas show.
+
+    Args:
+        atlas: the picture's layout.
+        where: the device.
+    """
+
+    def __init__(self, atlas: Atlas, where: wp.Device):
+        offset, gutter = atlas.parameters
+        self.atlas, self.where = atlas, where
+        self._picture = [atlas.kind, atlas.width, atlas.height, wp.float64(offset), wp.float64(gutter)]
+        self._kernel: wp.Kernel = kernels.texel_sample_directions
+        self._tables: list[object] = []
+
+    def directions(self, texels: wp.array, samples: int) -> wp.array:
+        """Return the directions of texels' samples, a regular grid in each texel, vec3d [N samples²]."""
+        count = samples**2
+        out = wp.empty(len(texels) * count, dtype=wp.vec3d, device=self.where)
+        launch_parts(
+            self._kernel,
+            len(texels),
+            lambda some: (
+                [*self._picture, texels[some], samples, *self._tables],
+                [out[some.start * count : some.stop * count]],
+            ),
+            self.where,
+        )
+        return out
+
+
+def fill(
     texels: NDArray[np.int32],
     samples: int,
-    look: Callable[[wp.array, wp.array], wp.array],
+    channels: int,
+    evaluate: Callable[[wp.array, int, wp.array], None],
     picture: wp.array,
-    where: wp.Device,
 ) -> None:
-    """Evaluate a source in texels, some at a time; ``look`` writes the directions of their samples to an array."""
-    step = max(SAMPLES_AT_ONCE // samples**2, 1)
+    """Write texels, some at a time, as the mean of their samples.
+
+    Args:
+        texels: their numbers, row by row.
+        samples: side of the grid of samples in a texel.
+        channels: values of a sample.
+        evaluate: writes the values of the samples of some texels to an array, float64 [N samples², channels].
+        picture: float32 or uint8, [texels, channels].
+    """
+    where = picture.device
+    average = kernels.average_to_bytes if picture.dtype is wp.uint8 else kernels.average_samples
+    count, step = samples**2, max(SAMPLES_AT_ONCE // samples**2, 1)
     for start in range(0, len(texels), step):
         part = wp.array(texels[start : start + step], dtype=wp.int32, device=where)
-        count = len(part) * samples**2
-        directions = wp.empty(count, dtype=wp.vec3d, device=where)
-        values = wp.empty((count, given.channels), dtype=wp.float64, device=where)
-        given.values(look(part, directions), values)
-        _average(values, samples, part, picture, where)
+        values = wp.empty((len(part) * count, channels), dtype=wp.float64, device=where)
+        evaluate(part, samples, values)
 
+        def arguments(some: slice, part: wp.array = part, values: wp.array = values) -> Arguments:
+            return [values[some.start * count : some.stop * count], samples, part[some]], [picture]
 
-def _average(values: wp.array, samples: int, texels: wp.array, picture: wp.array, where: wp.Device) -> None:
-    """Write the mean of the samples of every texel to its place in the picture."""
-    launch_parts(
-        kernels.average_samples,
-        len(texels),
-        lambda some: ([values[some.start * samples**2 : some.stop * samples**2], samples, texels[some], picture], []),
-        where,
-    )
+        launch_parts(average, len(part), arguments, where)
 
 
 def _changing(picture: wp.array, width: int, height: int) -> NDArray[np.int32]:
-    flags = wp.zeros(width * height, dtype=wp.uint8, device=picture.device)
-    # Change: neighbouring texels that differ by more are worth more samples; a soft gradient is not
-    wp.launch(
-        kernels.flag_changes,
-        dim=width * height,
-        inputs=[picture, width, height, wp.float32(6.0 / 255.0), flags],
-        device=picture.device,
-    )
-    return np.flatnonzero(flags.numpy()).astype(np.int32)
+    """Return the texels that differ from one of their four neighbours; the first and the last column are neighbours."""
+    # Neighbours that differ by more are worth more samples; a soft gradient is not.
+    most = np.float32(6.0 / 255.0)
+    texels = picture.numpy().reshape(height, width, -1)
+    beside = (np.abs(np.roll(texels, -1, axis=1) - texels) > most).any(axis=2)
+    below = (np.abs(texels[1:] - texels[:-1]) > most).any(axis=2)
+    changing = beside | np.roll(beside, 1, axis=1)
+    changing[:-1] |= below
+    changing[1:] |= below
+    return np.flatnonzero(changing).astype(np.int32)
 
 
 def sample(
@@ -256,7 +262,7 @@ def sample(
     d = np.ascontiguousarray(np.asarray(directions, dtype=np.float64).reshape(-1, 3))
     out = wp.empty((len(d), source.channels), dtype=wp.float64, device=where)
     if len(d):
-        source.values(wp.array(d, dtype=wp.vec3d, device=where), out)
+        source.launch(wp.array(d, dtype=wp.vec3d, device=where), out)
     return out.numpy()
 
 
@@ -273,13 +279,19 @@ def picture_source(array: NDArray[np.generic], atlas: str | Atlas, where: wp.Dev
     return _PictureSource(array, target.kind, offset, gutter, where)
 
 
+def in_texels(uv: Floats, width: float, height: float, where: wp.Device) -> wp.array:
+    """Return coordinates of the corners of triangles, [F, 3, 2], in texels of a picture, y down, vec2d [F, 3]."""
+    texels = np.stack([uv[..., 0] * width, (1.0 - uv[..., 1]) * height], axis=-1)
+    return wp.array(np.ascontiguousarray(texels), dtype=wp.vec2d, device=where)
+
+
 def claimed(corners: wp.array, width: int, height: int, grow: float, where: wp.Device) -> NDArray[np.int32]:
     """Return the triangle that owns each texel of a picture, row by row, :data:`NOBODY` where there is none.
 
     Args:
         corners: of the triangles, in texels, y down, vec2d [F, 3].
         width, height: of the picture.
-        grow: texels outside of a triangle up to which it owns what no other does.
+        grow: texels outside of a triangle up to which it owns what no other does; below 0, inside of it.
         where: the device.
     """
     owner = wp.full(width * height, NOBODY, dtype=wp.int32, device=where)
@@ -304,12 +316,14 @@ class Layout:
 
     def __init__(self, corner_uv: Floats, width: int, height: int, where: wp.Device, padding: int = -1):
         self.width, self.height, self.where = width, height, where
-        self._atlas: Atlas | None = None
-        texels = np.stack([corner_uv[..., 0] * width, (1.0 - corner_uv[..., 1]) * height], axis=-1)
-        self.corners = wp.array(np.ascontiguousarray(texels), dtype=wp.vec2d, device=where)
+        self._picture: list[object] = [0, wp.float64(0.0), wp.float64(0.0)]
+        self._points = wp.empty((0, 3), dtype=wp.vec3d, device=where)
+        self.corners = in_texels(corner_uv, width, height, where)
+        # Texels around the charts in which the function itself is continued, for filtering
+        ring_width = 1.5 if padding < 0 else min(1.5, float(padding))
         owner = claimed(self.corners, width, height, GROW, where)
         if padding:
-            ring = claimed(self.corners, width, height, RING if padding < 0 else min(RING, float(padding)), where)
+            ring = claimed(self.corners, width, height, ring_width, where)
             owner = np.where(owner == NOBODY, ring, owner)
         self.owner = wp.array(owner, dtype=wp.int32, device=where)
         self.known = owner != NOBODY
@@ -319,27 +333,19 @@ class Layout:
 
     def interpolate(self, values: wp.array, texels: wp.array, samples: int, out: wp.array) -> None:
         """Interpolate values at corners [F, 3, C] at the samples of texels, into ``out`` [texels * samples², C]."""
-        if self._atlas is not None:
-            offset, gutter = self._atlas.parameters
-            picture = [self._atlas.kind, wp.float64(offset), wp.float64(gutter)]
-            wp.launch(
-                kernels.owner_values_on_sphere,
-                dim=len(texels) * samples**2,
-                inputs=[*picture, self._chords, values, self.owner, texels, self.width, self.height, samples, out],
-                device=self.where,
-            )
-            return
+        known = [*self._picture, self.corners, self._points, values, self.owner, texels]
         wp.launch(
             kernels.owner_values,
             dim=len(texels) * samples**2,
-            inputs=[self.corners, values, self.owner, texels, self.width, samples, out],
+            inputs=[*known, self.width, self.height, samples, out],
             device=self.where,
         )
 
     def show_sphere(self, atlas: Atlas, chords: Floats) -> None:
         """Locate samples by the directions of an atlas from now on; ``chords`` are the corners, [F, 3, 3]."""
-        self._atlas = atlas
-        self._chords = wp.array(np.ascontiguousarray(chords), dtype=wp.vec3d, device=self.where)
+        offset, gutter = atlas.parameters
+        self._picture = [atlas.kind, wp.float64(offset), wp.float64(gutter)]
+        self._points = wp.array(np.ascontiguousarray(chords), dtype=wp.vec3d, device=self.where)
 
     def dilate(self, picture: wp.array, rings: int) -> wp.array:
         """Fill texels around the owned ones, one ring after another; -1 fills all, those far away with the mean."""
@@ -430,19 +436,17 @@ def bake_to_uv(
     points = wp.array(np.ascontiguousarray(turned[faces]), dtype=wp.float64, device=where)
     picture = wp.zeros((width * height, given.channels), dtype=wp.float32, device=where)
 
-    def fill(texels: NDArray[np.int32], samples: int) -> None:
-        def look(part: wp.array, directions: wp.array) -> wp.array:
-            chords = wp.empty((len(directions), 3), dtype=wp.float64, device=where)
-            layout.interpolate(points, part, samples, chords)
-            wp.launch(kernels.unit_vectors, dim=len(directions), inputs=[chords, directions], device=where)
-            return directions
+    def evaluate(texels: wp.array, samples: int, values: wp.array) -> None:
+        chords = wp.empty((len(values), 3), dtype=wp.float64, device=where)
+        directions = wp.empty(len(values), dtype=wp.vec3d, device=where)
+        layout.interpolate(points, texels, samples, chords)
+        wp.launch(kernels.unit_vectors, dim=len(values), inputs=[chords, directions], device=where)
+        given.launch(directions, values)
 
-        _fill(given, texels, samples, look, picture, where)
-
-    fill(layout.owned(), 1)
+    fill(layout.owned(), 1, given.channels, evaluate, picture)
     if supersample > 1:
         changing = _changing(picture, width, height)
-        fill(changing[layout.known[changing]], int(supersample))
+        fill(changing[layout.known[changing]], int(supersample), given.channels, evaluate, picture)
     return layout.dilate(picture, padding).numpy().reshape(height, width, given.channels)
 
 
@@ -472,13 +476,10 @@ def _bake_linear(layout: Layout, corner_values: Floats, supersample: int, paddin
     channels = corner_values.shape[2]
     picture = wp.zeros((layout.width * layout.height, channels), dtype=wp.float32, device=where)
 
-    texels, samples = layout.owned(), max(int(supersample), 1)
-    step = max(SAMPLES_AT_ONCE // samples**2, 1)
-    for start in range(0, len(texels), step):
-        part = wp.array(texels[start : start + step], dtype=wp.int32, device=where)
-        out = wp.empty((len(part) * samples**2, channels), dtype=wp.float64, device=where)
-        layout.interpolate(values, part, samples, out)
-        wp.launch(kernels.average_samples, dim=len(part), inputs=[out, samples, part, picture], device=where)
+    def evaluate(texels: wp.array, samples: int, out: wp.array) -> None:
+        layout.interpolate(values, texels, samples, out)
+
+    fill(layout.owned(), max(int(supersample), 1), channels, evaluate, picture)
     return layout.dilate(picture, padding).numpy().reshape(layout.height, layout.width, channels)
 
 
@@ -549,3 +550,160 @@ def own_at_parts(cut: Unwrapped, faces: NDArray, own: Floats) -> Floats:
     rows, corner_face = cut.faces.ravel(), np.repeat(cut.source_face, 3)
     share = np.stack([np.asarray(cut.weights[rows, faces[corner_face, k]]).ravel() for k in range(3)], axis=1)
     return np.einsum("ik,ikj->ij", share, own[corner_face]).reshape(-1, 3, 2)
+
+
+def tiled_copies(uv: Floats) -> tuple[NDArray[np.int64], Floats]:
+    """Copy triangles so that each copy covers its part of the unit square, for pictures that repeat.
+
+    Args:
+        uv: coordinates of the corners, shape [F, 3, 2].
+
+    Returns:
+        Which triangle each copy is of, shape [T], and its coordinates, shape [T, 3, 2]; a copy may reach over the
+        square's border, and another one then reaches over the opposite border.
+
+    Raises:
+        OmtwarpError: a triangle reaches over more than :data:`MOST_TILES` pictures along a side.
+    """
+    # Copies of the picture that one triangle may reach over, along either side.
+    most_tiles = 16
+    low = np.floor(uv.min(axis=1) + ROUND_OFF).astype(np.int64)
+    high = np.maximum(np.ceil(uv.max(axis=1) - ROUND_OFF).astype(np.int64), low + 1)
+    count = high - low
+    if len(count) and count.max() > most_tiles:
+        face = int(np.argmax(count.max(axis=1)))
+        raise OmtwarpError(
+            f"texture coordinates: face {face} reaches over {count[face].max()} copies of the picture, and "
+            f"{most_tiles} is the most"
+        )
+    number = count.prod(axis=1)
+    which = np.repeat(np.arange(len(uv)), number)
+    step = np.arange(len(which)) - np.repeat(np.cumsum(number) - number, number)
+    shift = low[which] + np.stack([step % count[which, 0], step // count[which, 0]], axis=1)
+    return which, uv[which] - shift[:, None, :]
+
+
+def overlap(uv: Floats, width: int, height: int, where: wp.Device) -> float:
+    """Return the share of the covered texels that lie in more than one triangle, from 0 to 1."""
+    # Texels by which a centre lies inside a triangle for certain: neighbours share their sides to round-off.
+    inside = 0.02
+    first, last = (
+        claimed(in_texels(some, width, height, where), width, height, -inside, where) for some in (uv, uv[::-1])
+    )
+    covered_texels = first != NOBODY
+    several = covered_texels & (first != len(uv) - 1 - last)
+    return float(several.sum() / max(covered_texels.sum(), 1))
+
+
+def bake_corners(
+    uv: Floats,
+    values: Floats,
+    size: tuple[int, int],
+    *,
+    padding: int = PADDING,
+    samples: int = 2,
+    device: wp.Device,
+) -> Picture:
+    """Bake values at corners, linear over every triangle, to a picture; texels outside of all triangles are 0.
+
+    Args:
+        uv: coordinates of the corners, shape [F, 3, 2].
+        values: shape [F, 3, C].
+        size: width and height in texels.
+        padding: texels by which charts are continued, -1 for all.
+        samples: side of the grid of samples in a texel.
+        device: where to compute.
+
+    Returns:
+        float32, shape [H, W, C].
+    """
+    flat = np.arange(3 * len(uv)).reshape(-1, 3)
+    source = VertexValues(values.reshape(3 * len(uv), -1))
+    no_sphere = np.zeros((3 * len(uv), 3))
+    return bake_to_uv(source, no_sphere, flat, uv, size=size, padding=padding, supersample=samples, device=device)
+
+
+def covered(uv: Floats, size: tuple[int, int], *, padding: int = PADDING, device: wp.Device) -> NDArray[np.bool_]:
+    """Return a mask of the texels that triangles and the padding around them cover, shape [H, W]."""
+    ones = np.ones((len(uv), 3, 1))
+    return bake_corners(uv, ones, size, padding=padding, samples=1, device=device)[..., 0] > 0.5
+
+
+def bake_materials(
+    layout: Layout, own: Floats | None, which: Ints, materials: tuple[Material, ...], colors: Floats | None, rings: int
+) -> Picture:
+    """Bake the colours of materials to the texels of a layout, through the triangles' own coordinates.
+
+    Args:
+        layout: the triangles on the picture to be made.
+        own: coordinates of the layout's corners on the materials' own pictures, shape [K, 3, 2]; None without any.
+        which: number of the material of every triangle, shape [K].
+        materials: whose colours are taken; pictures repeat.
+        colors: sRGB and opacity at the corners from 0 to 1, shape [K, 3, 4], for materials without a picture.
+        rings: texels by which charts are continued, -1 for all.
+
+    Returns:
+        sRGB and opacity from 0 to 1, float32, shape [H, W, 4]; opaque black where nothing is.
+    """
+    where = layout.where
+    out = wp.zeros((layout.width * layout.height, 4), dtype=wp.float32, device=where)
+    texels = layout.owned()
+    number = which[layout.owner.numpy()[texels]]
+    for k, material in enumerate(materials):
+        mine = texels[number == k]
+        if not len(mine):
+            continue
+        factor = np.array(material.color, dtype=np.float32)
+        white = np.ones((1, 1, 4), dtype=np.float32)
+        picture = white if material.picture is None else as_floats(material.picture)
+        if picture.shape[2] == 3:
+            picture = np.concatenate([picture, np.ones((*picture.shape[:2], 1), np.float32)], axis=2)
+        picture = tinted(picture, factor)
+        at_corners = own if own is not None else np.zeros((len(which), 3, 2))
+        by_color = colors is not None and material.picture is None
+        values = wp.array(np.ascontiguousarray(colors if by_color else at_corners), dtype=wp.float64, device=where)
+        source = wp.array(np.ascontiguousarray(picture), dtype=wp.float32, device=where)
+
+        def evaluate(
+            some: wp.array, samples: int, sampled: wp.array, by_color=by_color, values=values, source=source
+        ) -> None:
+            if by_color:
+                return layout.interpolate(values, some, samples, sampled)
+            points = wp.empty((len(sampled), 2), dtype=wp.float64, device=where)
+            layout.interpolate(values, some, samples, points)
+            wp.launch(kernels.sample_repeated, dim=len(sampled), inputs=[source, points, sampled], device=where)
+
+        fill(mine, 2, 4, evaluate, out)
+    sampled = layout.dilate(out, rings).numpy()
+    # Texels outside of all triangles make no material transparent.
+    sampled[~layout.known & (sampled[:, 3] == 0), 3] = 1.0
+    return sampled.reshape(layout.height, layout.width, 4)
+
+
+def tinted(picture: NDArray[np.float32], factor: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Multiply a picture by a colour as light; both are sRGB with opacity from 0 to 1, shape [H, W, 4]."""
+    if (factor == 1.0).all():
+        return picture
+    rgb = to_srgb(to_linear(picture[..., :3]) * to_linear(factor[:3]))
+    return np.concatenate([rgb, picture[..., 3:] * factor[3]], axis=2).astype(np.float32)
+
+
+def over(top: NDArray[np.float32], bottom: NDArray[np.float32], opacity: float) -> NDArray[np.float32]:
+    """Lay one picture over another by Porter and Duff's "over" [1]_, in linear light.
+
+    Args:
+        top: sRGB and opacity from 0 to 1, shape [H, W, 4].
+        bottom: the same.
+        opacity: factor on the opacity of the top, from 0 to 1.
+
+    Returns:
+        sRGB and opacity, shape [H, W, 4].
+
+    .. [1] T. Porter, T. Duff, "Compositing Digital Images", SIGGRAPH 1984.
+    """
+    above = top[..., 3:] * np.float32(opacity)
+    below = bottom[..., 3:] * (1.0 - above)
+    total = above + below
+    # Least cover, of opacity: what is more transparent has no colour; eight bits resolve 4e-3
+    light = (to_linear(top[..., :3]) * above + to_linear(bottom[..., :3]) * below) / np.maximum(total, np.float32(1e-6))
+    return np.concatenate([to_srgb(light), total], axis=2).astype(np.float32)

@@ -1,20 +1,15 @@
 # mypy: ignore-errors
-"""Kernels between texels and directions: directions of texels, values of pictures, owners of texels, calm blocks."""
+"""Kernels between texels and directions: directions of texels, values of pictures, owners of texels, calm blocks.
+
+And the normals of a detailed mesh.
+"""
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, PI, TWO, ZERO, wp
 from omtwarp.geometry.spherical import TINY
 from omtwarp.location import clamped, spherical_coordinates
+from omtwarp.texturing.atlas import Kind
 
 wp.set_module_options(KERNEL_OPTIONS)
-
-
-FOUR = wp.constant(wp.float64(4.0))
-
-# Kinds of picture; the first three are the atlases of omtwarp.texturing.atlas.
-EQUIRECTANGULAR = wp.constant(0)
-CUBE = wp.constant(1)
-OCTAHEDRAL = wp.constant(2)
-SINUSOIDAL = wp.constant(3)
 
 
 @wp.func
@@ -23,6 +18,27 @@ def sign_of(x: wp.float64):
     if x < ZERO:
         s = -ONE
     return s
+
+
+@wp.func
+def cube_face(d: wp.vec3d):
+    """Return the face of the cube that a direction passes through: +x, +y, -x, -y, +z, -z."""
+    ax = wp.abs(d[0])
+    ay = wp.abs(d[1])
+    az = wp.abs(d[2])
+    face = int(0)
+    if ax >= ay and ax >= az:
+        if d[0] < ZERO:
+            face = int(2)
+    elif ay >= az:
+        face = int(1)
+        if d[1] < ZERO:
+            face = int(3)
+    else:
+        face = int(4)
+        if d[2] < ZERO:
+            face = int(5)
+    return face
 
 
 @wp.func
@@ -63,7 +79,7 @@ def picture_direction(
     w = wp.float64(width)
     h = wp.float64(height)
     d = wp.vec3d(ONE, ZERO, ZERO)
-    if kind == CUBE:
+    if kind == Kind.CUBE:
         cell = offset
         columns = cube_columns(width, height)
         column = wp.clamp(int(wp.floor(x / cell)), 0, columns - 1)
@@ -71,9 +87,9 @@ def picture_direction(
         half = HALF * (cell - TWO * gutter)
         right = (x - wp.float64(column) * cell - gutter) / half - ONE
         up = ONE - (y - wp.float64(row) * cell - gutter) / half
-        quarter = PI / FOUR
+        quarter = wp.float64(0.25) * PI
         d = cube_direction(row * columns + column, wp.tan(right * quarter), wp.tan(up * quarter))
-    elif kind == OCTAHEDRAL:
+    elif kind == Kind.OCTAHEDRAL:
         half = HALF * (w - TWO * gutter)
         a = (x - gutter) / half - ONE
         b = ONE - (y - gutter) / half
@@ -103,38 +119,30 @@ def picture_point(kind: int, d: wp.vec3d, width: int, height: int, offset: wp.fl
     h = wp.float64(height)
     x = ZERO
     y = ZERO
-    if kind == CUBE:
+    if kind == Kind.CUBE:
         cell = offset
         half = HALF * (cell - TWO * gutter)
-        ax = wp.abs(d[0])
-        ay = wp.abs(d[1])
-        az = wp.abs(d[2])
-        face = int(4)
+        face = cube_face(d)
         a = d[1]
-        b = -d[0]
-        if ax >= ay and ax >= az:
-            face = int(0)
-            b = d[2]
-            if d[0] < ZERO:
-                face = int(2)
-                a = -d[1]
-        elif ay >= az:
-            face = int(1)
+        b = d[2]
+        if face == 1:
             a = -d[0]
-            b = d[2]
-            if d[1] < ZERO:
-                face = int(3)
-                a = d[0]
-        elif d[2] < ZERO:
-            face = int(5)
+        elif face == 2:
+            a = -d[1]
+        elif face == 3:
+            a = d[0]
+        elif face == 4:
+            b = -d[0]
+        elif face == 5:
             b = d[0]
-        largest = wp.max(wp.max(ax, ay), wp.max(az, TINY))
+        largest = wp.max(wp.max(wp.max(wp.abs(d[0]), wp.abs(d[1])), wp.abs(d[2])), TINY)
         columns = cube_columns(width, height)
         column = face % columns
         row = face // columns
-        x = wp.float64(column) * cell + gutter + (wp.atan2(a, largest) * FOUR / PI + ONE) * half
-        y = wp.float64(row) * cell + gutter + (ONE - wp.atan2(b, largest) * FOUR / PI) * half
-    elif kind == OCTAHEDRAL:
+        quarter = wp.float64(0.25) * PI
+        x = wp.float64(column) * cell + gutter + (wp.atan2(a, largest) / quarter + ONE) * half
+        y = wp.float64(row) * cell + gutter + (ONE - wp.atan2(b, largest) / quarter) * half
+    elif kind == Kind.OCTAHEDRAL:
         half = HALF * (w - TWO * gutter)
         total = wp.max(wp.abs(d[0]) + wp.abs(d[1]) + wp.abs(d[2]), TINY)
         a = d[0] / total
@@ -148,11 +156,11 @@ def picture_point(kind: int, d: wp.vec3d, width: int, height: int, offset: wp.fl
     else:
         lat = wp.atan2(d[2], wp.sqrt(d[0] * d[0] + d[1] * d[1]))
         lon = wp.atan2(d[1], d[0]) - offset
-        if kind == SINUSOIDAL:
+        if kind == Kind.SINUSOIDAL:
             lon = lon * wp.cos(lat)
         u = HALF + lon / (TWO * PI)
         x = (u - wp.floor(u)) * w
-        if kind == SINUSOIDAL:
+        if kind == Kind.SINUSOIDAL:
             x = u * w
         y = (HALF - lat / PI) * h
     return wp.vec2d(x, y)
@@ -160,12 +168,15 @@ def picture_point(kind: int, d: wp.vec3d, width: int, height: int, offset: wp.fl
 
 @wp.func
 def texel(picture: wp.array3d[wp.float32], kind: int, row: int, column: int, c: int):
-    """Return a texel's value; an equirectangular picture is continued around the sphere and over the poles."""
+    """Return a texel's value; an equirectangular picture is continued around the sphere and over the poles.
+
+    Other pictures are continued by themselves where they repeat, and by their borders where not.
+    """
     height = picture.shape[0]
     width = picture.shape[1]
     r = row
     q = column
-    if kind == EQUIRECTANGULAR:
+    if kind == Kind.EQUIRECTANGULAR:
         if r < 0:
             r = -1 - r
             q = q + width // 2
@@ -175,6 +186,9 @@ def texel(picture: wp.array3d[wp.float32], kind: int, row: int, column: int, c: 
         if q < 0:
             q = q + width
         q = q % width
+    elif kind == Kind.REPEATED:
+        r = (r % height + height) % height
+        q = (q % width + width) % width
     else:
         r = wp.clamp(r, 0, height - 1)
         q = wp.clamp(q, 0, width - 1)
@@ -239,6 +253,23 @@ def sample_picture(
         out[i, c] = bilinear(picture, kind, p[0], p[1], c)
 
 
+@wp.kernel
+def sample_repeated(
+    picture: wp.array3d[wp.float32],
+    points: wp.array2d[wp.float64],
+    # Data out:
+    out: wp.array2d[wp.float64],
+):
+    """Compute the bilinear samples of a picture that repeats both ways, at texture coordinates (v up)."""
+    i = wp.tid()
+    u = points[i, 0]
+    v = points[i, 1]
+    x = (u - wp.floor(u)) * wp.float64(picture.shape[1])
+    y = (wp.ceil(v) - v) * wp.float64(picture.shape[0])
+    for c in range(picture.shape[2]):
+        out[i, c] = bilinear(picture, Kind.REPEATED, x, y, c)
+
+
 @wp.func
 def mean_sample(values: wp.array2d[wp.float64], first: int, count: int, channel: int):
     """Return the mean of a channel over the samples of a texel, which are rows of ``values`` next to one another."""
@@ -261,37 +292,6 @@ def average_samples(
     per_texel = samples * samples
     for c in range(values.shape[1]):
         out[texels[i], c] = wp.float32(mean_sample(values, i * per_texel, per_texel, c))
-
-
-@wp.kernel
-def flag_changes(
-    picture: wp.array2d[wp.float32],
-    width: int,
-    height: int,
-    threshold: wp.float32,
-    # Data out:
-    flags: wp.array[wp.uint8],
-):
-    """Mark texels that differ from one of their four neighbours by more than a threshold; ``flags`` starts at 0.
-
-    Each thread looks to the right and down and flags both texels: threads may write the same place, but only ever a 1.
-    """
-    i = wp.tid()
-    row = i // width
-    right = i + 1
-    if right % width == 0:
-        right = i + 1 - width
-    below = i
-    if row + 1 < height:
-        below = i + width
-    for c in range(picture.shape[1]):
-        here = picture[i, c]
-        if wp.abs(picture[right, c] - here) > threshold:
-            flags[i] = wp.uint8(1)
-            flags[right] = wp.uint8(1)
-        if wp.abs(picture[below, c] - here) > threshold:
-            flags[i] = wp.uint8(1)
-            flags[below] = wp.uint8(1)
 
 
 @wp.func
@@ -348,15 +348,6 @@ def own_texels(
 
 
 @wp.func
-def barycentric(a: wp.vec2d, b: wp.vec2d, c: wp.vec2d, x: wp.float64, y: wp.float64, slack: wp.float64):
-    """Return a point's barycentric coordinates, moved back where it lies outside the triangle by more than a slack."""
-    area = edge_side(a[0], a[1], b[0], b[1], c[0], c[1])
-    u = edge_side(b[0], b[1], c[0], c[1], x, y) / area
-    v = edge_side(c[0], c[1], a[0], a[1], x, y) / area
-    return drawn_back(u, v, slack)
-
-
-@wp.func
 def drawn_back(u: wp.float64, v: wp.float64, slack: wp.float64):
     """Move barycentric coordinates towards the triangle's middle until none is below the slack."""
     w = ONE - u - v
@@ -372,35 +363,10 @@ def drawn_back(u: wp.float64, v: wp.float64, slack: wp.float64):
 
 @wp.kernel
 def owner_values(
-    corners: wp.array2d[wp.vec2d],
-    values: wp.array3d[wp.float64],
-    owner: wp.array[wp.int32],
-    texels: wp.array[wp.int32],
-    width: int,
-    samples: int,
-    # Data out:
-    out: wp.array2d[wp.float64],
-):
-    """Interpolate values at corners linearly over the owning triangle, at the samples of texels that have an owner.
-
-    Samples next to a border may lie up to half a texel outside the triangle; extrapolation is limited.
-    """
-    i = wp.tid()
-    per_texel = samples * samples
-    number = texels[i // per_texel]
-    k = i % per_texel
-    x, y = sample_place(number, width, k, samples)
-    f = owner[number]
-    bary = barycentric(corners[f, 0], corners[f, 1], corners[f, 2], x, y, HALF)
-    for c in range(values.shape[2]):
-        out[i, c] = bary[0] * values[f, 0, c] + bary[1] * values[f, 1, c] + bary[2] * values[f, 2, c]
-
-
-@wp.kernel
-def owner_values_on_sphere(
     kind: int,
     offset: wp.float64,
     gutter: wp.float64,
+    corners: wp.array2d[wp.vec2d],
     points: wp.array2d[wp.vec3d],
     values: wp.array3d[wp.float64],
     owner: wp.array[wp.int32],
@@ -411,29 +377,34 @@ def owner_values_on_sphere(
     # Data out:
     out: wp.array2d[wp.float64],
 ):
-    """Interpolate values of corners at samples, located in their owning triangle by the sample's direction.
+    """Interpolate values at corners linearly over the owning triangle, at the samples of texels that have an owner.
 
-    ``points`` are the triangles' corners on the sphere. Which triangle owns a texel is known from texture coordinates,
-    which are linear only to a fraction of a texel; where in it the sample lies is exact.
+    Where a sample lies in its triangle is known from the ``corners`` on the picture or, with the triangles' ``points``
+    on the sphere, from the direction that the sample shows: coordinates on an atlas are linear only to a fraction of a
+    texel. Samples next to a border may lie up to half a texel outside the triangle; extrapolation is limited.
     """
     i = wp.tid()
     per_texel = samples * samples
     number = texels[i // per_texel]
-    k = i % per_texel
-    x, y = sample_place(number, width, k, samples)
-    d = picture_direction(kind, x, y, width, height, offset, gutter)
+    x, y = sample_place(number, width, i % per_texel, samples)
     f = owner[number]
-    p = points[f, 0]
-    q = points[f, 1]
-    r = points[f, 2]
-    u = wp.dot(d, wp.cross(q, r))
-    v = wp.dot(d, wp.cross(r, p))
-    total = u + v + wp.dot(d, wp.cross(p, q))
+    if points.shape[0] > 0:
+        d = picture_direction(kind, x, y, width, height, offset, gutter)
+        u = wp.dot(d, wp.cross(points[f, 1], points[f, 2]))
+        v = wp.dot(d, wp.cross(points[f, 2], points[f, 0]))
+        total = u + v + wp.dot(d, wp.cross(points[f, 0], points[f, 1]))
+    else:
+        a = corners[f, 0]
+        b = corners[f, 1]
+        c = corners[f, 2]
+        u = edge_side(b[0], b[1], c[0], c[1], x, y)
+        v = edge_side(c[0], c[1], a[0], a[1], x, y)
+        total = edge_side(a[0], a[1], b[0], b[1], c[0], c[1])
     bary = wp.vec3d(ONE / wp.float64(3.0), ONE / wp.float64(3.0), ONE / wp.float64(3.0))
     if total != ZERO:
         bary = drawn_back(u / total, v / total, HALF)
-    for c in range(values.shape[2]):
-        out[i, c] = bary[0] * values[f, 0, c] + bary[1] * values[f, 1, c] + bary[2] * values[f, 2, c]
+    for k in range(values.shape[2]):
+        out[i, k] = bary[0] * values[f, 0, k] + bary[1] * values[f, 1, k] + bary[2] * values[f, 2, k]
 
 
 @wp.kernel
@@ -597,14 +568,6 @@ def flag_edges(
     flags[i] = flag
 
 
-# From the triangle that holds the middle of a block of texels to that of a sample: the meshes of most surfaces have
-# fewer triangles across a block than this.
-MOST_STEPS = wp.constant(64)
-# How far outside of its triangle, in shares of it, a point may lie where the walk ends: ten times round-off's part of
-# the least triangle that a texel shows.
-SLACK = wp.constant(wp.float64(-1.0e-9))
-
-
 @wp.func
 def grid_place(bary: wp.vec3d, parts: int, first: int, grid: wp.array[wp.int32], points: wp.array[wp.vec3d]):
     """Return the point of a divided triangle at barycentric coordinates."""
@@ -667,7 +630,9 @@ def bent_sample_directions(
     weights = wp.vec3d()
     inside = bool(False)
     steps = int(0)
-    while f >= 0 and steps < MOST_STEPS and not inside:
+    # The meshes of most surfaces have fewer triangles across a block of texels than this.
+    most_steps = int(64)
+    while f >= 0 and steps < most_steps and not inside:
         face = faces[f]
         weights = spherical_coordinates(sphere[face[0]], sphere[face[1]], sphere[face[2]], d)
         total = weights[0] + weights[1] + weights[2]
@@ -676,7 +641,8 @@ def bent_sample_directions(
             worst = int(1)
         if weights[2] < weights[worst]:
             worst = int(2)
-        if weights[worst] >= SLACK * total and total > ZERO:
+        # In shares of the triangle: ten times round-off's part of the least one that a texel shows
+        if weights[worst] >= wp.float64(-1.0e-9) * total and total > ZERO:
             inside = True
         else:
             f = neighbours[f][(worst + 1) % 3]  # corner k is opposite to the edge from corner k + 1
@@ -697,3 +663,42 @@ def bent_sample_directions(
         x, y = sample_place(number, width, k, samples)
         sample = picture_direction(kind, x, y, width, height, offset, gutter)
         directions[i * samples * samples + k] = wp.normalize(sample + move)
+
+
+@wp.kernel
+def tangent_normals(
+    detail: wp.uint64,
+    detail_faces: wp.array2d[wp.int32],
+    detail_normals: wp.array[wp.vec3d],
+    points: wp.array[wp.vec3d],
+    normals: wp.array[wp.vec3d],
+    tangents: wp.array[wp.vec4d],
+    # Data out:
+    out: wp.array[wp.vec3d],
+):
+    """Compute the normals of a detailed surface, nearest to points, in the frames of tangents and normals there.
+
+    The frame is glTF 2.0's: x along the tangent, y along sign * cross(normal, tangent), z along the normal.
+    """
+    i = wp.tid()
+    n = wp.normalize(normals[i])
+    t = wp.normalize(wp.vec3d(tangents[i][0], tangents[i][1], tangents[i][2]))
+    b = wp.cross(n, t) * tangents[i][3]
+    # Single precision suffices to find the triangle: nothing else is taken from the query.
+    p = wp.vec3(wp.float32(points[i][0]), wp.float32(points[i][1]), wp.float32(points[i][2]))
+    hit = wp.mesh_query_point_no_sign(detail, p, 10.0)
+    out[i] = wp.vec3d(ZERO, ZERO, ONE)
+    if hit.result:
+        u = wp.float64(hit.u)
+        v = wp.float64(hit.v)
+        n0 = detail_normals[detail_faces[hit.face, 0]]
+        n1 = detail_normals[detail_faces[hit.face, 1]]
+        n2 = detail_normals[detail_faces[hit.face, 2]]
+        fine = u * n0 + v * n1 + (ONE - u - v) * n2
+        # The frame need not be orthogonal after interpolation: solve for the coordinates.
+        frame = wp.mat33d(t[0], b[0], n[0], t[1], b[1], n[1], t[2], b[2], n[2])
+        local = fine
+        # Of tangent, bitangent and normal: below, single precision's normals give no frame.
+        if wp.abs(wp.determinant(frame)) > wp.float64(1.0e-6):
+            local = wp.inverse(frame) * fine
+        out[i] = wp.normalize(local)

@@ -20,28 +20,24 @@ from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.surface import plane_areas, triangle_areas, vertex_normals
 from omtwarp.options import AtlasLike, CoordinatesLike, KeepLike, PatternLike, ProjectionLike
 from omtwarp.texturing import bakes
-from omtwarp.texturing.baking import Layout, Picture, bake_to_uv
+from omtwarp.texturing.baking import (
+    PADDING,
+    Layout,
+    Picture,
+    bake_materials,
+    bake_to_uv,
+    covered,
+    over,
+    overlap,
+    tiled_copies,
+    tinted,
+)
 from omtwarp.texturing.image import PictureLike, as_bytes, as_floats, read_image
 from omtwarp.texturing.materials import WHITE, Bytes, Floats, Ints, Material, corner_tangents
 from omtwarp.texturing.painted import PaintedMesh
 from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.projection import rotation_matrix
-from omtwarp.texturing.sheets import (
-    PADDING,
-    SIZE,
-    Look,
-    Sheet,
-    bake_materials,
-    covered,
-    over,
-    overlap,
-    sheet_of_parts,
-    sphere_sheet,
-    tiled_copies,
-    tinted,
-    torus_picture,
-    torus_sheet,
-)
+from omtwarp.texturing.sheets import SIZE, Look, Sheet, sheet_of_parts, sphere_sheet, torus_picture, torus_sheet
 from omtwarp.texturing.smooth import SmoothMap, grid_points, grid_triangles, smooth_map
 from omtwarp.texturing.textured import SphereMap, as_map, spheres_of
 

@@ -21,7 +21,7 @@ from omtwarp.mesh.checks import as_faces, as_unit_vectors
 from omtwarp.mesh.surface import unit_normals, vertex_normals
 from omtwarp.mesh.write import write_mesh
 from omtwarp.options import AtlasLike, PatternLike, ProjectionLike, TextureFormat
-from omtwarp.texturing.adaptive import bake_bytes
+from omtwarp.texturing.adaptive import Bending, BentLook, bake_bytes
 from omtwarp.texturing.atlas import (
     LARGEST_SIZE,
     LARGEST_UNASKED,
@@ -31,8 +31,7 @@ from omtwarp.texturing.atlas import (
     picture_size,
     sharp_size,
 )
-from omtwarp.texturing.baking import sample
-from omtwarp.texturing.bending import Bending, BentLook, Look
+from omtwarp.texturing.baking import Look, sample
 from omtwarp.texturing.export import Part, export, format_for, split_corners
 from omtwarp.texturing.image import PictureLike, as_bytes, read_image
 from omtwarp.texturing.materials import Material

@@ -14,9 +14,9 @@ from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.mesh.surface import triangle_areas, vertex_normals
 from omtwarp.texturing import Material, PaintedMesh, paint, read_painted_mesh, unwrap_uv
 from omtwarp.texturing.bakes import Target, area_ratio, mean_curvature, occlusion
+from omtwarp.texturing.baking import over, tiled_copies
 from omtwarp.texturing.materials import corner_tangents
 from omtwarp.texturing.patterns.checker import Checker
-from omtwarp.texturing.sheets import over, tiled_copies
 from omtwarp.texturing.textured import texture
 from tests.hostile.hostile_meshes import bipyramid
 
@@ -377,7 +377,7 @@ def test_unwrapped_triangles_lie_apart_on_the_picture(seed, faces):
 def apart(mesh, result, aspect):
     """Assert what the test above promises of coordinates, on a picture of this aspect."""
     from omtwarp.device.start import wp
-    from omtwarp.texturing.sheets import covered, overlap
+    from omtwarp.texturing.baking import covered, overlap
 
     assert np.array_equal(mesh.faces, result.faces) and np.array_equal(mesh.vertices, result.vertices)
     assert mesh.uv.min() > 0 and mesh.uv.max() < 1

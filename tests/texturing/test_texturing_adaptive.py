@@ -11,8 +11,7 @@ from omtwarp.device.start import wp
 from omtwarp.options import PatternName
 from omtwarp.texturing.adaptive import bake_bytes
 from omtwarp.texturing.atlas import make_atlas
-from omtwarp.texturing.baking import bake
-from omtwarp.texturing.bending import Look
+from omtwarp.texturing.baking import Look, bake
 from omtwarp.texturing.image import MOST_FOR_ONE_CORE, as_bytes, png_bytes
 from omtwarp.texturing.patterns import pattern
 

@@ -8,7 +8,7 @@ import omtwarp
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import plane_areas, triangle_areas
-from omtwarp.texturing.sheets import covered, overlap
+from omtwarp.texturing.baking import covered, overlap
 from omtwarp.texturing.unwrap import MARGIN, laid_out, pack_rows, unwrap_uv
 
 

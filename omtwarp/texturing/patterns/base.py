@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.policy import resolve_device
-from omtwarp.device.start import HALF, KERNEL_OPTIONS, ZERO, wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, wp
 from omtwarp.device.threads import launch_parts
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -41,27 +41,6 @@ def near_multiple(value: wp.float64, step: wp.float64):
     return wp.abs(value - step * wp.floor(value / step + HALF))
 
 
-@wp.func
-def cube_face(d: wp.vec3d):
-    """Return the face of the cube that a direction passes through: +x, +y, -x, -y, +z, -z."""
-    ax = wp.abs(d[0])
-    ay = wp.abs(d[1])
-    az = wp.abs(d[2])
-    face = int(0)
-    if ax >= ay and ax >= az:
-        if d[0] < ZERO:
-            face = int(2)
-    elif ay >= az:
-        face = int(1)
-        if d[1] < ZERO:
-            face = int(3)
-    else:
-        face = int(4)
-        if d[2] < ZERO:
-            face = int(5)
-    return face
-
-
 def srgb_colours(*names: str) -> Floats:
     """Return colours like ``#1f6f78`` as numbers from 0 to 1, shape [N, 3]."""
     return np.array([[int(name[k : k + 2], 16) for k in (1, 3, 5)] for name in names]) / 255.0
@@ -77,6 +56,7 @@ class Pattern(ABC):
 
     name: str
     title = "The pattern"
+    channels = 3
 
     def __call__(self, directions: ArrayLike, device: str | wp.Device = "cpu") -> Floats:
         """Return the colours of directions of any length, shape [N, 3], as float64 from 0 to 1, shape [N, 3]."""
