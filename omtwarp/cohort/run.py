@@ -110,7 +110,7 @@ def run_cohort(
 
     on = asked
     if register not in (None, GROUP):
-        from omtwarp.registration.register import target_points
+        from omtwarp.registration.sides import target_points
 
         found, own = target_points(register)
         if found.vertices is None and own is None:

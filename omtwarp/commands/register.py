@@ -91,7 +91,7 @@ def register_map(
     ] = None,
     stiffness: Annotated[
         float, typer.Option(metavar="NUMBER", help="Weight of distortion against differences of features.")
-    ] = 0.4,
+    ] = 0.38,
     max_strain: Annotated[
         float,
         typer.Option(metavar="NUMBER", help="Bound of |log2| of ratios of areas, and of stretches, of every triangle."),
@@ -263,7 +263,7 @@ def _show(
 ) -> None:
     """Write the page and the film that are asked for."""
     from omtwarp.maps.result import MapResult
-    from omtwarp.registration.register import target_points
+    from omtwarp.registration.sides import target_points
     from omtwarp.shape_analysis.registration_report import film_warp, write_registration_page
 
     if report is not None:

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from omtwarp.geometry.edge_weights import cotangent_edge_weights
 from omtwarp.mesh.surface import Surface, triangle_areas, vertex_normals
-from omtwarp.solvers.mesh_factor import surface_factor
+from omtwarp.solvers.cholesky.dissection import Dissection, dissect
+from omtwarp.solvers.mesh_factor import mesh_factor
 from omtwarp.solvers.poisson import edge_laplacian
 
 Floats = NDArray[np.float64]
@@ -40,13 +41,18 @@ class HeatFlow:
         self._masses = np.maximum(areas, LEAST_AREA * areas.mean())
         weights = np.clip(cotangent_edge_weights(surface, points), 0.0, LARGEST_COTANGENT)
         laplacian = edge_laplacian(surface.edges, weights, surface.vertex_count)
-        self._factor = surface_factor(surface)
+        self._factor = mesh_factor(surface.vertex_count, surface.edges, lambda: _order(surface))
         self._factor.factorise(self._masses + time * laplacian.diagonal(), -time * weights)
 
     def step(self, values: Floats) -> Floats:
         """Return values at the vertices, shape [V] or [V, K], after one step."""
         masses = self._masses if values.ndim == 1 else self._masses[:, None]
         return self._factor.solve(masses * values)
+
+
+def _order(surface: Surface) -> Dissection:
+    """Return an order of elimination for a surface's own edges, which is kept with it."""
+    return surface.cached("order of heat", lambda: dissect(surface.scaled_vertices, surface.edges))
 
 
 def smoothed(surface: Surface, points: Floats, values: Floats, fwhm: float) -> Floats:

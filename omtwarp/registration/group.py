@@ -23,13 +23,14 @@ from omtwarp.location import Locator
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.arrays import normalised, whole_number
 from omtwarp.options import Progress
-from omtwarp.registration.folding import folding_features
+from omtwarp.registration.folding import FOLDING_WEIGHTS
 from omtwarp.registration.group_template import Template
 from omtwarp.registration.register import Registration, register
+from omtwarp.registration.sides import Side, folds
 from omtwarp.registration.steps import STEPS, Kept, by_name, key_of, write_facts
 from omtwarp.registration.strain import kept_within
 from omtwarp.registration.warp import feature_grid
-from omtwarp.resampling import SpherePoints, as_points, resample
+from omtwarp.resampling import SpherePoints, as_points
 
 Floats = NDArray[np.float64]
 
@@ -54,7 +55,7 @@ def register_group(
     folder: str | os.PathLike[str],
     *,
     rounds: int = ROUNDS,
-    stiffness: float = 0.4,
+    stiffness: float = 0.38,
     max_strain: float = 1.1,
     keep_areas: float | str = 0.0,
     progress: Progress | None = None,
@@ -142,41 +143,35 @@ def _most_usual(files: Mapping[str, Path]) -> Template:
     degree = 16
     powers = []
     for path in files.values():
-        here, features = _folds(MapResult.load(path), str(path))
-        coefficients = feature_coefficients(features, here, degree)
+        here = _folds(path)
+        coefficients = feature_coefficients(here.features, here.points, degree)
         powers.append(np.concatenate([power_per_degree(column)[1:] for column in coefficients.T]))
     apart = np.linalg.norm(np.array(powers) - np.mean(powers, axis=0), axis=1)
     chosen = list(files.values())[int(np.argmin(apart))]
-    here, features = _folds(MapResult.load(chosen), str(chosen))
-    values, _ = _on_grid(here, features)
-    grid = feature_grid()
-    return Template(grid.vertices, grid.faces, values, tuple(features))
+    here, grid = _folds(chosen), feature_grid()
+    return Template(grid.vertices, grid.faces, here.on_grid()[0], tuple(here.features))
 
 
-def _folds(result: MapResult, name: str) -> tuple[SpherePoints, dict[str, Floats]]:
+def _folds(path: Path) -> Side:
     """Return the points of a map, with what fills its holes, and the folds of its surface."""
-    here = as_points(result, name)
-    if here.vertices is None:
-        raise OmtwarpError(f"'{name}' has no surface, and so no folds")
-    return here, folding_features(here.vertices, here.grid.triangles)
-
-
-def _on_grid(points: SpherePoints, features: Mapping[str, Floats]) -> tuple[Floats, Floats]:
-    """Return features on the grid, shape [N, K], 0 in filled holes, and 1 where they are known, shape [N]."""
-    grid = feature_grid()
-    carried = resample(points, (grid.vertices, grid.faces), device="cpu")
-    columns = np.column_stack(list(features.values()))
-    return np.asarray(carried.matrix @ columns[: carried.matrix.shape[1]]), (~carried.empty).astype(np.float64)
+    here = as_points(MapResult.load(path), str(path))
+    return Side(here, folds(here, str(path)))
 
 
 def _step(path: Path, template: Template, options: Mapping[str, object]) -> dict[str, Floats]:
     """Register a map to a template; return its folds there, and where the template's points are on its own sphere."""
-    here, features = _folds(MapResult.load(path), str(path))
+    here = _folds(path)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", OmtwarpWarning)  # those of the last round are said
-        found = register(here, template, **options)  # type: ignore[arg-type]
-    values, known = _on_grid(here.moved(found.closed_sphere), features)
-    return {"values": known[:, None] * values, "known": known, "back": way_back(here, found)}
+        found = register(
+            here.points,
+            template,
+            features=here.features,
+            feature_weights=FOLDING_WEIGHTS,
+            **options,  # type: ignore[arg-type]
+        )
+    values, known = here.moved(found.closed_sphere).on_grid()
+    return {"values": known[:, None] * values, "known": known, "back": way_back(here.points, found)}
 
 
 def way_back(here: SpherePoints, found: Registration) -> Floats:

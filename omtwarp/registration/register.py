@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -11,10 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.alignment import Alignment
-from omtwarp.alignment.align import feature_rotations
-from omtwarp.alignment.features import checked_features, sphere_weights
+from omtwarp.alignment.rotation_search import Best
 from omtwarp.device.threads import blas_threads
-from omtwarp.errors import OmtwarpError, OmtwarpWarning
+from omtwarp.errors import OmtwarpWarning
 from omtwarp.location import Locator
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.arrays import real_number
@@ -22,18 +20,15 @@ from omtwarp.mesh.surface import Surface
 from omtwarp.metrics.certificate import Certificate, certify_triangles
 from omtwarp.options import Progress, Record
 from omtwarp.registration.areas import area_changes, with_areas
-from omtwarp.registration.folding import FOLDING_WEIGHTS, folding_features
-from omtwarp.registration.group_template import Template, is_template
+from omtwarp.registration.folding import FOLDING_WEIGHTS
+from omtwarp.registration.group_template import Template
 from omtwarp.registration.landmarks import LandmarksLike, Pairs, pairs_of
+from omtwarp.registration.sides import Side, feature_weights_of, two_sides
 from omtwarp.registration.strain import kept_within, octaves
-from omtwarp.registration.warp import AREA_WEIGHT, COARSE, FINE, Warping, feature_grid
-from omtwarp.resampling import Resampling, SpherePoints, as_points, resample
-from omtwarp.resampling.averages import average_surface, is_average, with_side
+from omtwarp.registration.warp import AREA_WEIGHT, COARSE, FINE, Warp, Warping
 from omtwarp.resampling.resample import PointsLike
 
 Floats = NDArray[np.float64]
-
-STARTS = 3  # rotations of each degree that a doubtful start is tried from
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +141,7 @@ def register(
     features: Mapping[str, ArrayLike] | None = None,
     to_features: Mapping[str, ArrayLike] | None = None,
     feature_weights: Mapping[str, float] | None = None,
-    stiffness: float = 0.4,
+    stiffness: float = 0.38,
     max_strain: float = 1.1,
     landmarks: LandmarksLike | None = None,
     keep_areas: float | str = 0.0,
@@ -205,64 +200,88 @@ def register(
     stiffness = real_number(stiffness, "the stiffness", above=0.0)
     max_strain = real_number(max_strain, "max_strain", above=0.0)
     weight_of_areas = area_penalty(keep_areas)
-    here = as_points(moving, "the map")
-    if isinstance(target, str) and features is None:
-        target = with_side(target, moving.report.get("structure") if isinstance(moving, MapResult) else None)
-    there, own = target_points(target)
-    ours, theirs = _features_of(here, there, features, to_features, own)
+    here, there = two_sides(moving, target, features, to_features)
     usual = {} if features else FOLDING_WEIGHTS
-    weights = _weights_of(ours, {**usual, **(feature_weights or {})})
-    counts = here.grid.own_points, there.grid.own_points
-    pairs = None if landmarks is None else pairs_of(landmarks, here.grid.points, there.grid.points, counts)
-    steps = 3
+    weights = feature_weights_of(here.features, {**usual, **(feature_weights or {})})
+    grids = here.points.grid, there.points.grid
+    counts = grids[0].own_points, grids[1].own_points
+    pairs = None if landmarks is None else pairs_of(landmarks, grids[0].points, grids[1].points, counts)
     notify = progress or (lambda *_: None)
-    rotations = feature_rotations(here, there, ours, theirs, most=STARTS)
-    # A best rotation whose correlation is not this much above the next best one's may be the wrong one.
-    doubtful = rotations[0].score - rotations[0].runner_up < 0.1
-    if doubtful:
-        # Then the best rotations of the lower degree are tried too: features that a warp moves by up to 30 degrees
-        # still agree in their longest waves. Of two made cortices at 20 and 40 degrees degree 6 has the nearest
-        # rotation among its two best each time, degree 16 once.
-        rotations += feature_rotations(here, there, ours, theirs, 6, most=STARTS)
-    notify("register", 1, steps, {})
-    grid = feature_grid()
-    to_grid = resample(there, (grid.vertices, grid.faces), device="cpu")
-    coarser = min(len(one.grid.points) for one in (here, there))
-    warping = Warping(_carried(to_grid, theirs), weights, stiffness, max_strain, coarser, weight_of_areas)
-    tried = []
-    for best in rotations if doubtful else rotations[:1]:
-        turned = here.moved(here.grid.points @ best.rotation.T)
-        on_grid = resample(turned, (grid.vertices, grid.faces), device="cpu")
-        given = _carried(on_grid, ours)
-        known = (~on_grid.empty).astype(np.float64)
-        marks = pairs and pairs.turned(best.rotation)
-        tried.append((warping.run(given, known, COARSE, landmarks=marks), best, turned, given, known, marks))
-    coarse, best, turned, given, known, marks = min(tried, key=lambda entry: entry[0].energy)
-    notify("register", 2, steps, {})
-    warp = warping.run(given, known, FINE, coarse, marks)
-    before = turned.grid.points
-    surface = Surface(before, turned.grid.triangles)
-    found = None if marks is None else Locator(before, surface.faces, device="cpu").find(marks.points)
-    held = None if marks is None or found is None else surface.faces[found.faces[marks.exact]]
-    sphere = settled(surface, warp.carry(before), max_strain, weight_of_areas, held)
-    distances: dict[str, dict[str, float]] = {}
-    if marks is not None and found is not None:
-        distances = _distances(marks, *(found.on_sphere(surface.faces, points) for points in (before, sphere)))
-        _warn_of_distant(marks, distances, max_strain)
-    notify("register", 3, steps, {})
-    agreement = [_agreement(points, there, ours, theirs) for points in (turned, turned.moved(sphere))]
-    correlations = {name: {"before": agreement[0][name], "after": agreement[1][name]} for name in ours}
-    count = here.grid.own_points
-    by_area, by_stretch = octaves(before, sphere, here.grid.own_triangles)
-    basis = ", ".join(ours)
-    start = Alignment(best.rotation, before[:count], "features", best.score, best.runner_up, False, basis=basis)
-    starts: list[Record] = [{"score": one.score, "energy": found.energy} for found, one, *_ in tried]
-    certificate = certify_triangles(here.grid.triangles, sphere, device="cpu")
+    rotations, doubtful = here.rotations(there)
+    notify("register", 1, 3, {})
+    coarser = min(len(grid.points) for grid in grids)
+    warping = Warping(there.on_grid()[0], weights, stiffness, max_strain, coarser, weight_of_areas)
+    tried = [_Try.of(warping, here, rotation, pairs) for rotation in rotations]
+    best = min(tried, key=lambda one: one.warp.energy)
+    notify("register", 2, 3, {})
+    warp = warping.run(*best.given, FINE, best.warp, best.marks)
+    before = best.turned.points.grid.points
+    surface = Surface(before, grids[0].triangles)
+    sphere, distances = _arrived(surface, warp, best.marks, max_strain, weight_of_areas)
+    notify("register", 3, 3, {})
+    by_area, by_stretch = octaves(before, sphere, grids[0].own_triangles)
     _warn_of_strain(np.maximum(np.abs(by_area), by_stretch), max_strain)
+    agreement = [side.agreement(there) for side in (best.turned, best.turned.moved(sphere))]
+    start, basis = best.rotation, ", ".join(here.features)
     return Registration(
-        sphere[:count], start, doubtful, starts, correlations, by_area, by_stretch, max_strain, certificate,
-        area_changes(before, sphere, surface.faces), distances, warp.levels, sphere, (ours, theirs),
-    )  # fmt: skip
+        sphere=sphere[: counts[0]],
+        start=Alignment(
+            start.rotation, before[: counts[0]], "features", start.score, start.runner_up, False, basis=basis
+        ),
+        doubtful=doubtful,
+        starts=[{"score": one.rotation.score, "energy": one.warp.energy} for one in tried],
+        correlations={name: {"before": agreement[0][name], "after": agreement[1][name]} for name in here.features},
+        area_strain=by_area,
+        stretch_strain=by_stretch,
+        most_strain=max_strain,
+        certificate=certify_triangles(grids[0].triangles, sphere, device="cpu"),
+        area_changes=area_changes(before, sphere, surface.faces),
+        landmarks=distances,
+        levels=warp.levels,
+        closed_sphere=sphere,
+        features=(here.features, there.features),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Try:
+    """A warp at the coarse levels from one rotation.
+
+    Attributes:
+        rotation: the start.
+        turned: what moves, after it.
+        given: its features on the feature grid, and where they are known.
+        marks: landmarks after it.
+        warp: of the last coarse level.
+    """
+
+    rotation: Best
+    turned: Side
+    given: tuple[Floats, Floats]
+    marks: Pairs | None
+    warp: Warp
+
+    @classmethod
+    def of(cls, warping: Warping, here: Side, rotation: Best, pairs: Pairs | None) -> _Try:
+        """Run the coarse levels from a rotation."""
+        turned = here.moved(here.points.grid.points @ rotation.rotation.T)
+        marks, given = pairs and pairs.turned(rotation.rotation), turned.on_grid()
+        return cls(rotation, turned, given, marks, warping.run(*given, COARSE, landmarks=marks))
+
+
+def _arrived(
+    surface: Surface, warp: Warp, marks: Pairs | None, max_strain: float, penalty: float
+) -> tuple[Floats, dict[str, dict[str, float]]]:
+    """Carry a warp to a map's own vertices, and return their places, [V, 3], and how far landmarks are from theirs."""
+    if marks is None:
+        return settled(surface, warp.carry(surface.vertices), max_strain, penalty), {}
+    found = Locator(surface.vertices, surface.faces, device="cpu").find(marks.points)
+    held = surface.faces[found.faces[marks.exact]]
+    sphere = settled(surface, warp.carry(surface.vertices), max_strain, penalty, held)
+    ends = [marks.distances(found.on_sphere(surface.faces, points)) for points in (surface.vertices, sphere)]
+    distances = {label: {"before": ends[0][label], "after": ends[1][label]} for label in marks.labels}
+    _warn_of_distant(marks, distances, max_strain)
+    return sphere, distances
 
 
 def settled(
@@ -285,27 +304,6 @@ def area_penalty(keep_areas: object) -> float:
     return np.inf if keep_areas == "exact" else real_number(keep_areas, "keep_areas, unless 'exact',", least=0.0)
 
 
-def target_points(target: PointsLike | Template) -> tuple[SpherePoints, dict[str, Floats] | None]:
-    """Return the points of a target, which may be a template, the name of one or its file, and features it has.
-
-    Raises:
-        OmtwarpError: it is no target of these kinds.
-    """
-    if isinstance(target, str | os.PathLike) and is_template(target):
-        target = Template.load(target)
-    if isinstance(target, Template):
-        return target.sphere(), target.by_name()
-    if isinstance(target, str) and is_average(target):
-        return replace(as_points(target), vertices=average_surface(target)), None
-    return as_points(target, "the target"), None
-
-
-def _distances(marks: Pairs, before: Floats, after: Floats) -> dict[str, dict[str, float]]:
-    """Return how far landmarks are apart before the warp and after it, in degrees, from where they are then."""
-    ends = [marks.distances(points) for points in (before, after)]
-    return {label: {"before": ends[0][label], "after": ends[1][label]} for label in marks.labels}
-
-
 def _warn_of_distant(marks: Pairs, distances: dict[str, dict[str, float]], max_strain: float) -> None:
     """Warn of exact landmarks that are not at their places."""
     apart = 0.1  # degrees that exact landmarks may be from their places, a tenth of an edge of 160,000 vertices
@@ -323,75 +321,3 @@ def _warn_of_strain(strain: Floats, max_strain: float) -> None:
     if over:
         text = f"{over} triangles are strained beyond {max_strain:g}: the mesh has slivers there, or too few triangles"
         warnings.warn(text, OmtwarpWarning, stacklevel=3)
-
-
-def _features_of(
-    moving: SpherePoints,
-    fixed: SpherePoints,
-    features: Mapping[str, ArrayLike] | None,
-    to_features: Mapping[str, ArrayLike] | None,
-    known: Mapping[str, Floats] | None,
-) -> tuple[dict[str, Floats], dict[str, Floats]]:
-    """Return the features of both sides, in the same order: those given, or the folding of the surfaces.
-
-    A template's own, ``known`` by name, take the place of the target's where these are not given.
-
-    Raises:
-        OmtwarpError: names or lengths that do not fit, or a sphere without its surface.
-    """
-    if features and not to_features:
-        to_features = known
-    if set(features or {}) != set(to_features or {}):
-        raise OmtwarpError("features have to be given for both sides, with the same names")
-    if features and to_features:
-        ours = checked_features(features, moving, "the map")
-        theirs = checked_features(to_features, fixed, "the target")
-        return ours, {name: theirs[name] for name in ours}
-    found = []
-    for points in (moving, *([] if known else [fixed])):
-        if points.vertices is None:
-            raise OmtwarpError(
-                f"{points.grid.name}: a sphere without its surface has no folds: give the surface, or features"
-            )
-        found.append(folding_features(points.vertices, points.grid.triangles))
-    if known is None:
-        return found[0], found[1]
-    if set(known) != set(found[0]):
-        raise OmtwarpError(f"the template has the features {', '.join(known)}: give the map's of these names")
-    return found[0], {name: known[name] for name in found[0]}
-
-
-def _weights_of(features: Mapping[str, Floats], given: Mapping[str, float]) -> Floats:
-    """Return the weights of the features in their order, shape [K].
-
-    Raises:
-        OmtwarpError: a name that is no feature's, or a weight that is no number from 0 on.
-    """
-    unknown = [name for name in given if name not in features]
-    if unknown:
-        raise OmtwarpError(f"there is no feature '{unknown[0]}' to weight: use {', '.join(features)}")
-    weights = [real_number(given.get(name, 1.0), f"the weight of '{name}'", least=0.0) for name in features]
-    if not any(weights):
-        raise OmtwarpError("all weights of features are 0: nothing determines the registration")
-    return np.array(weights)
-
-
-def _carried(resampling: Resampling, features: Mapping[str, Floats]) -> Floats:
-    """Return features at the target points of a resampling, shape [T, K]; 0 in filled holes."""
-    columns = np.column_stack(list(features.values()))
-    return np.asarray(resampling.matrix @ columns[: resampling.matrix.shape[1]])
-
-
-def _agreement(
-    moving: SpherePoints, fixed: SpherePoints, ours: Mapping[str, Floats], theirs: Mapping[str, Floats]
-) -> dict[str, float]:
-    """Return the correlation of every feature at the points of the fixed sphere, weighted by their cells."""
-    to_points = resample(moving, fixed, device="cpu")
-    count = fixed.grid.own_points
-    weights = np.where(to_points.empty, 0.0, sphere_weights(fixed)[:count])
-    weights /= weights.sum()
-    found = {}
-    for name, one in zip(ours, _carried(to_points, ours).T, strict=True):
-        a, b = (values - weights @ values for values in (one, theirs[name][:count]))
-        found[name] = float((weights * a) @ b / np.sqrt(((weights * a) @ a) * ((weights * b) @ b)))
-    return found

@@ -58,7 +58,7 @@ def register_sequence(
     maps: Sequence[str | os.PathLike[str]],
     folder: str | os.PathLike[str],
     *,
-    stiffness: float = 0.4,
+    stiffness: float = 0.38,
     max_strain: float = 1.1,
     keep_areas: float | str = 0.0,
     progress: Progress | None = None,

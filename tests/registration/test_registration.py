@@ -19,7 +19,7 @@ from omtwarp.mesh.data import read_data
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.registration.feature_term import FeatureField, FeatureTerm
 from omtwarp.registration.folding import HeatFlow, folding_features
-from omtwarp.registration.register import target_points
+from omtwarp.registration.sides import target_points
 from omtwarp.registration.strain import kept_within, octaves, strain_at_vertices
 from omtwarp.resampling import SpherePoints
 from omtwarp.spheres import mesh_grid

@@ -1,0 +1,171 @@
+"""The two sides of a registration: points on the sphere and the features at them, and how well these agree."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from omtwarp.alignment.align import feature_rotations
+from omtwarp.alignment.features import checked_features, sphere_weights
+from omtwarp.alignment.rotation_search import Best
+from omtwarp.errors import OmtwarpError
+from omtwarp.maps.result import MapResult
+from omtwarp.mesh.arrays import real_number
+from omtwarp.registration.folding import folding_features
+from omtwarp.registration.group_template import Template, is_template
+from omtwarp.registration.warp import feature_grid
+from omtwarp.resampling import SpherePoints, as_points, resample
+from omtwarp.resampling.averages import average_surface, is_average, with_side
+from omtwarp.resampling.resample import PointsLike
+from omtwarp.spheres import SphereGrid, mesh_grid
+
+Floats = NDArray[np.float64]
+
+STARTS = 3  # rotations of each degree that a doubtful start is tried from
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """Points on the sphere with features.
+
+    Attributes:
+        points: with what fills holes, N in all.
+        features: by name, shape [N] each, or shorter by what fills holes.
+    """
+
+    points: SpherePoints
+    features: dict[str, Floats]
+
+    def moved(self, sphere: Floats) -> Side:
+        """Return the same features at other places, unit vectors, shape [N, 3]."""
+        return Side(self.points.moved(sphere), self.features)
+
+    def at(self, places: SphereGrid) -> tuple[Floats, NDArray[np.bool_]]:
+        """Return the features at points, shape [P, K], 0 in filled holes, and which of the points are in none, [P]."""
+        found = resample(self.points, places, device="cpu")
+        columns = np.column_stack(list(self.features.values()))
+        return np.asarray(found.matrix @ columns[: found.matrix.shape[1]]), ~found.empty
+
+    def on_grid(self) -> tuple[Floats, Floats]:
+        """Return the features on the feature grid, shape [N, K], and 1 where they are known, 0 elsewhere, shape [N]."""
+        values, known = self.at(_grid())
+        return values, known.astype(np.float64)
+
+    def rotations(self, target: Side) -> tuple[list[Best], bool]:
+        """Return the rotations at which the features agree best with a target's, and whether the best is doubtful.
+
+        There are several where it is. They are found on the feature grid, which is finer than the harmonics.
+
+        Raises:
+            OmtwarpError: a feature is constant.
+        """
+        grid = SpherePoints(_grid())
+        columns: list[dict[str, Floats]] = []
+        for side in (self, target):
+            values, known = side.on_grid()
+            values = np.where(known[:, None] > 0.0, values, known @ values / max(known.sum(), 1.0))
+            columns.append(dict(zip(self.features, values.T, strict=True)))
+        ours, theirs = columns
+        found = feature_rotations(grid, grid, ours, theirs, most=STARTS)
+        # A best rotation whose correlation is not this much above the next best one's may be the wrong one.
+        if found[0].score - found[0].runner_up >= 0.1:
+            return found[:1], False
+        # Then the best rotations of the lower degree are tried too: features that a warp moves by up to 30 degrees
+        # still agree in their longest waves. Of two made cortices at 20 and 40 degrees degree 6 has the nearest
+        # rotation among its two best each time, degree 16 once.
+        return found + feature_rotations(grid, grid, ours, theirs, 6, most=STARTS), True
+
+    def agreement(self, target: Side) -> dict[str, float]:
+        """Return the correlation of every feature at the points of a target, weighted by their cells."""
+        there = target.points
+        values, known = self.at(there.grid)
+        count = there.grid.own_points
+        weights = np.where(known, sphere_weights(there), 0.0)[:count]
+        weights /= weights.sum()
+        found = {}
+        for name, one in zip(self.features, values[:count].T, strict=True):
+            a, b = (column - weights @ column for column in (one, target.features[name][:count]))
+            found[name] = float((weights * a) @ b / np.sqrt(((weights * a) @ a) * ((weights * b) @ b)))
+        return found
+
+
+def _grid() -> SphereGrid:
+    grid = feature_grid()
+    return mesh_grid(grid.vertices, grid.faces)
+
+
+def two_sides(
+    moving: PointsLike,
+    target: PointsLike | Template,
+    features: Mapping[str, ArrayLike] | None,
+    to_features: Mapping[str, ArrayLike] | None,
+) -> tuple[Side, Side]:
+    """Return both sides with the same features in the same order: those given, or the folding of the surfaces.
+
+    A template's own take the place of the target's where these are not given.
+
+    Raises:
+        OmtwarpError: something that is no map or sphere, names or lengths that do not fit, or a sphere without its
+            surface.
+    """
+    here = as_points(moving, "the map")
+    if isinstance(target, str) and features is None:
+        target = with_side(target, moving.report.get("structure") if isinstance(moving, MapResult) else None)
+    there, known = target_points(target)
+    if features and not to_features:
+        to_features = known
+    if set(features or {}) != set(to_features or {}):
+        raise OmtwarpError("features have to be given for both sides, with the same names")
+    if features and to_features:
+        ours, theirs = checked_features(features, here, "the map"), checked_features(to_features, there, "the target")
+    else:
+        ours = folds(here, here.grid.name)
+        theirs = folds(there, there.grid.name) if known is None else dict(known)
+        if set(theirs) != set(ours):
+            raise OmtwarpError(f"the template has the features {', '.join(theirs)}: give the map's of these names")
+    return Side(here, ours), Side(there, {name: theirs[name] for name in ours})
+
+
+def folds(points: SpherePoints, name: str) -> dict[str, Floats]:
+    """Return sulcal depth and curvature of a surface by :func:`omtwarp.registration.folding_features`.
+
+    Raises:
+        OmtwarpError: there is a sphere alone.
+    """
+    if points.vertices is None:
+        raise OmtwarpError(f"{name}: a sphere without its surface has no folds: give the surface, or features")
+    return folding_features(points.vertices, points.grid.triangles)
+
+
+def target_points(target: PointsLike | Template) -> tuple[SpherePoints, dict[str, Floats] | None]:
+    """Return the points of a target, which may be a template, the name of one or its file, and features it has.
+
+    Raises:
+        OmtwarpError: it is no target of these kinds.
+    """
+    if isinstance(target, str | os.PathLike) and is_template(target):
+        target = Template.load(target)
+    if isinstance(target, Template):
+        return target.sphere(), target.by_name()
+    if isinstance(target, str) and is_average(target):
+        return replace(as_points(target), vertices=average_surface(target)), None
+    return as_points(target, "the target"), None
+
+
+def feature_weights_of(features: Mapping[str, Floats], given: Mapping[str, float]) -> Floats:
+    """Return the weights of the features in their order, shape [K]; 1 where none is given.
+
+    Raises:
+        OmtwarpError: a name that is no feature's, or a weight that is no number from 0 on.
+    """
+    unknown = [name for name in given if name not in features]
+    if unknown:
+        raise OmtwarpError(f"there is no feature '{unknown[0]}' to weight: use {', '.join(features)}")
+    weights = [real_number(given.get(name, 1.0), f"the weight of '{name}'", least=0.0) for name in features]
+    if not any(weights):
+        raise OmtwarpError("all weights of features are 0: nothing determines the registration")
+    return np.array(weights)
