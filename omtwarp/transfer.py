@@ -18,7 +18,7 @@ from omtwarp.resampling import SpherePoints, as_points
 from omtwarp.spheres import mesh_grid
 from omtwarp.texturing.atlas import Atlas, make_atlas
 from omtwarp.texturing.baking import PADDING, bake_materials, bake_to_uv, own_at_parts, picture_source, sphere_layout
-from omtwarp.texturing.image import as_bytes
+from omtwarp.texturing.image import as_bytes, without_full_opacity
 from omtwarp.texturing.materials import Floats, Material
 from omtwarp.texturing.painted import PaintedMesh
 from omtwarp.texturing.painter import SIZE
@@ -148,7 +148,5 @@ def _on_sphere(mesh: PaintedMesh, sphere: Floats, atlas: Atlas, where: wp.Device
 def _material(mesh: PaintedMesh, picture: NDArray[np.float32]) -> Material:
     """Make a material of the transferred picture, as rough and metallic as the mesh's most common material."""
     common = mesh.materials[int(np.bincount(mesh.material_of).argmax())]
-    texels = as_bytes(picture)
-    if texels[..., 3].min() == 255:
-        texels = np.ascontiguousarray(texels[..., :3])
+    texels = without_full_opacity(as_bytes(picture))
     return Material("transferred", picture=texels, metallic=common.metallic, roughness=common.roughness)

@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from omtwarp.texturing.baking import bake_to_uv as bake_to_uv
     from omtwarp.texturing.baking import bake_vertex_values as bake_vertex_values
     from omtwarp.texturing.baking import sample as sample
+    from omtwarp.texturing.image import direction_to_image as direction_to_image
     from omtwarp.texturing.image import read_image as read_image
+    from omtwarp.texturing.image import rotation_matrix as rotation_matrix
     from omtwarp.texturing.materials import Material as Material
     from omtwarp.texturing.painted import PaintedMesh as PaintedMesh
     from omtwarp.texturing.painter import paint as paint
     from omtwarp.texturing.patterns import Pattern as Pattern
     from omtwarp.texturing.patterns import pattern as pattern
-    from omtwarp.texturing.projection import direction_to_image as direction_to_image
-    from omtwarp.texturing.projection import rotation_matrix as rotation_matrix
     from omtwarp.texturing.read import read_painted_mesh as read_painted_mesh
     from omtwarp.texturing.seams import unwrap as unwrap
     from omtwarp.texturing.textured import TexturedSurface as TexturedSurface
@@ -49,8 +49,8 @@ _HOMES = {
     "VertexValues": "baking",
     "sample": "baking",
     "read_image": "image",
-    "direction_to_image": "projection",
-    "rotation_matrix": "projection",
+    "direction_to_image": "image",
+    "rotation_matrix": "image",
     "BAKES": "bakes",
     "paint": "painter",
     "unwrap_uv": "unwrap",

@@ -30,9 +30,8 @@ from omtwarp.texturing.baking import (
     in_texels,
     source_of,
 )
-from omtwarp.texturing.image import as_bytes
+from omtwarp.texturing.image import as_bytes, check_projection, direction_from_angles
 from omtwarp.texturing.patterns import Pattern, pattern
-from omtwarp.texturing.projection import check_projection, direction_from_angles
 from omtwarp.texturing.seams import Unwrapped
 from omtwarp.texturing.smooth import SmoothCurves
 

@@ -31,7 +31,6 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files.limits import LONGEST_SIDE, MOST_TEXELS
 from omtwarp.mesh.arrays import TINY
 from omtwarp.options import AtlasName
-from omtwarp.texturing.cutting import ON_CUT, Arc, normalised
 
 Floats = NDArray[np.float64]
 
@@ -57,6 +56,31 @@ SIZE = 2048  # texels across a picture where no size is given
 
 def _triple(values: Floats) -> tuple[float, float, float]:
     return float(values[0]), float(values[1]), float(values[2])
+
+
+# Sine of the angle below which a point counts as lying on a cut: far below any texel, far above round-off.
+ON_CUT = 1e-9
+
+
+@dataclass(frozen=True)
+class Arc:
+    """A piece of a great circle: the points with ``normal · p = 0`` and ``h · p > 0`` for every half-space h."""
+
+    normal: tuple[float, float, float]
+    half_spaces: tuple[tuple[float, float, float], ...] = ()
+
+
+def normalised(vectors: Floats) -> Floats:
+    """Scale vectors to unit length, shape [..., 3]; zero stays zero."""
+    length = lengths(vectors)[..., None]
+    return vectors / np.where(length > 0, length, 1.0)
+
+
+def lengths(vectors: Floats) -> Floats:
+    """Return the lengths of vectors, shape [...]; NumPy's own function takes three times as long for three numbers."""
+    x, y, z = (vectors[..., k] for k in range(3))
+    norms: Floats = np.sqrt(x * x + y * y + z * z)
+    return norms
 
 
 class Kind(IntEnum):

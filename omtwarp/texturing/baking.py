@@ -28,10 +28,9 @@ from omtwarp.files.limits import LONGEST_SIDE
 from omtwarp.mesh.arrays import ROUND_OFF
 from omtwarp.texturing import kernels
 from omtwarp.texturing.atlas import Atlas, make_atlas
-from omtwarp.texturing.image import PictureLike, as_floats, read_image
+from omtwarp.texturing.image import PictureLike, as_floats, check_projection, read_image, with_opacity
 from omtwarp.texturing.materials import Ints, Material
 from omtwarp.texturing.patterns import Pattern, is_name, pattern
-from omtwarp.texturing.projection import check_projection
 from omtwarp.texturing.seams import Unwrapped, unwrap
 
 Floats = NDArray[np.float64]
@@ -656,9 +655,7 @@ def bake_materials(
         factor = np.array(material.color, dtype=np.float32)
         white = np.ones((1, 1, 4), dtype=np.float32)
         picture = white if material.picture is None else as_floats(material.picture)
-        if picture.shape[2] == 3:
-            picture = np.concatenate([picture, np.ones((*picture.shape[:2], 1), np.float32)], axis=2)
-        picture = tinted(picture, factor)
+        picture = tinted(with_opacity(picture), factor)
         at_corners = own if own is not None else np.zeros((len(which), 3, 2))
         by_color = colors is not None and material.picture is None
         values = wp.array(np.ascontiguousarray(colors if by_color else at_corners), dtype=wp.float64, device=where)

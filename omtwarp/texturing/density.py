@@ -13,8 +13,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.location import Locator
 from omtwarp.measures import TargetDensity
 from omtwarp.mesh.arrays import real_numbers, whole_numbers
-from omtwarp.texturing.image import PictureLike, as_floats, read_image
-from omtwarp.texturing.projection import direction_to_image
+from omtwarp.texturing.image import PictureLike, as_floats, direction_to_image, read_image
 
 GREY = (0.2126, 0.7152, 0.0722)  # ITU-R BT.709
 

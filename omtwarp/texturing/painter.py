@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -16,14 +16,17 @@ from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.maps.result import StoredMap
 from omtwarp.maps.torus_map import TorusMap
+from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.surface import plane_areas, triangle_areas, vertex_normals
 from omtwarp.options import AtlasLike, CoordinatesLike, KeepLike, PatternLike, ProjectionLike
 from omtwarp.texturing import bakes
+from omtwarp.texturing.atlas import check_size, make_atlas
 from omtwarp.texturing.baking import (
     PADDING,
     Layout,
     Picture,
+    Source,
     bake_materials,
     bake_to_uv,
     covered,
@@ -32,20 +35,27 @@ from omtwarp.texturing.baking import (
     tiled_copies,
     tinted,
 )
-from omtwarp.texturing.image import PictureLike, as_bytes, as_floats, read_image
+from omtwarp.texturing.image import (
+    PictureLike,
+    as_bytes,
+    as_floats,
+    read_image,
+    rotation_matrix,
+    with_opacity,
+    without_full_opacity,
+)
 from omtwarp.texturing.materials import WHITE, Bytes, Floats, Ints, Material, corner_tangents
 from omtwarp.texturing.painted import PaintedMesh
 from omtwarp.texturing.patterns import Pattern
-from omtwarp.texturing.projection import rotation_matrix
-from omtwarp.texturing.sheets import SIZE, Look, Sheet, sheet_of_parts, sphere_sheet, torus_picture, torus_sheet
 from omtwarp.texturing.smooth import SmoothMap, grid_points, grid_triangles, smooth_map
-from omtwarp.texturing.textured import SphereMap, as_map, spheres_of
+from omtwarp.texturing.textured import SphereMap, TexturedSurface, as_map, spheres_of, texture
+from omtwarp.texturing.unwrap import pack_rows
 
 OPACITY = 0.5
 """Of the upper layer where a pattern and a material are laid over one another: half of each shows."""
 
-OVERLAP = 0.002
-"""Part of the covered texels in more than one triangle above which a warning says so; rounding gives less."""
+SIZE = 2048
+"""Texels of a side of a picture for own coordinates where the material has none whose size could be taken."""
 
 
 def paint(
@@ -123,19 +133,22 @@ def paint(
     else:
         vertices, faces, sphere = as_map(result)
         parts, on_map = spheres_of(result), triangle_areas(sphere, faces)
-    wanted = _Wanted.of(bake, detail, image is not None or pattern is not None or keep is not None)
-    own = None if mesh is None else mesh.on(vertices, faces)
+    names = tuple(os.fspath(name) for name in bake)
+    if image is None and pattern is None and (keep is not None or not names):
+        pattern = "circles"
+    drawn = image is not None or pattern is not None
+    fine = None
+    if detail is not None:
+        fine = (np.asarray(detail[0], dtype=np.float64), np.ascontiguousarray(detail[1], dtype=np.int32))
     stored = result if isinstance(result, StoredMap) else None
     origins, structure = (None, None) if stored is None else (stored.origins, stored.report.get("structure"))
-    job = _Job(
-        vertices, faces, sphere, torus, parts, on_map, origins, structure, own, wanted, keep, opacity,
-        resolve_device(device),
+    painting = _Painting(
+        vertices, faces, sphere, torus, parts, on_map, origins, structure,
+        None if mesh is None else mesh.on(vertices, faces), keep, opacity,
+        names, _color_among(names, fine is not None, drawn), fine,
+        image, pattern, projection, atlas, rotate, size, resolve_device(device),
     )  # fmt: skip
-    source = image if image is not None else pattern
-    if source is None and (keep is not None or not wanted.names):
-        source = "circles"
-    look = Look(source, projection, atlas, rotate, size, job.where)
-    return job.on_own_coordinates(look) if uv == "own" else job.on_atlas(look)
+    return painting.on_own_coordinates() if uv == "own" else painting.on_atlas()
 
 
 def _check_options(uv: str, keep: str | None, opacity: float, mesh: PaintedMesh | None) -> None:
@@ -154,40 +167,89 @@ def _check_options(uv: str, keep: str | None, opacity: float, mesh: PaintedMesh 
         raise OmtwarpError("own texture coordinates and materials are kept from a mesh: give the one that was mapped")
 
 
+def _color_among(names: Sequence[str], detailed: bool, drawn: bool) -> str | None:
+    """Return the bake that becomes the colour, if any.
+
+    Args:
+        names: of the bakes that were asked for.
+        detailed: whether normals are those of a finer mesh.
+        drawn: whether a pattern or picture becomes the colour.
+
+    Raises:
+        OmtwarpError: the bakes do not go together.
+    """
+    if detailed and "normal" not in names:
+        raise OmtwarpError("a detailed mesh is given, and no normals are baked: add bake=['normal']")
+    colors = [name for name in names if name != "ao" and not (name == "normal" and detailed)]
+    if len(colors) > 1:
+        raise OmtwarpError(f"{' and '.join(colors)} would both be the colour: bake one at a time")
+    if colors and drawn:
+        raise OmtwarpError(f"{colors[0]} and the pattern or picture would both be the colour: leave one out")
+    return colors[0] if colors else None
+
+
 @dataclass(frozen=True)
-class _Wanted:
-    """The bakes that were asked for.
+class _Sheet:
+    """A surface on one picture.
 
     Attributes:
-        names: all of them.
-        color: the one that becomes the colour, if any.
-        detail: vertices and faces of the finer mesh.
+        vertices: shape [N, 3]; those of copies along seams are joined.
+        faces: shape [K, 3].
+        uv: coordinates of the corners, shape [K, 3, 2].
+        normals: unit normals at the corners, shape [K, 3, 3].
+        source_face: triangle of the surface that each is, or is a part of, shape [K].
+        weights: the corners as combinations of that triangle's corners, shape [K, 3, 3].
+        picture: uint8, shape [H, W, 3 or 4].
+        repeats: whether coordinates leave [0, 1], and the picture closes up both ways.
     """
 
-    names: tuple[str, ...]
-    color: str | None
-    detail: tuple[Floats, Ints] | None
+    vertices: Floats
+    faces: Ints
+    uv: Floats
+    normals: Floats
+    source_face: NDArray
+    weights: Floats
+    picture: Bytes
+    repeats: bool = False
 
-    @staticmethod
-    def of(
-        bake: Iterable[str | os.PathLike[str]], detail: tuple[ArrayLike, ArrayLike] | None, colored: bool
-    ) -> _Wanted:
-        names = tuple(os.fspath(name) for name in bake)
-        fine = None
-        if detail is not None:
-            fine = (np.asarray(detail[0], dtype=np.float64), np.ascontiguousarray(detail[1], dtype=np.int32))
-        if fine is not None and "normal" not in names:
-            raise OmtwarpError("a detailed mesh is given, and no normals are baked: add bake=['normal']")
-        colors = [name for name in names if name != "ao" and not (name == "normal" and fine is not None)]
-        if len(colors) > 1:
-            raise OmtwarpError(f"{' and '.join(colors)} would both be the colour: bake one at a time")
-        if colors and colored:
-            raise OmtwarpError(f"{colors[0]} and the pattern or picture would both be the colour: leave one out")
-        return _Wanted(names, colors[0] if colors else None, fine)
+
+def _sheet(made: TexturedSurface, vertices: Floats, faces: Ints) -> _Sheet:
+    """Return a textured surface with its copies of vertices along seams joined; ``vertices`` and ``faces`` as given."""
+    first = np.zeros(int(made.welded.max()) + 1, dtype=np.int64)
+    first[made.welded[::-1]] = np.arange(len(made.welded))[::-1]
+    return _Sheet(
+        vertices=made.vertices[first],
+        faces=made.welded[made.faces].astype(np.int32),
+        uv=made.uv[made.faces],
+        normals=made.normals[made.faces],
+        source_face=made.source_face,
+        weights=_combinations(made.vertices[made.faces], vertices[faces[made.source_face]]),
+        picture=made.image,
+    )
+
+
+def _combinations(points: Floats, corners: Floats) -> Floats:
+    """Return the matrix of points in triangles as combinations of their corners.
+
+    Args:
+        points: shape [T, 3, 3], three points for each triangle.
+        corners: shape [T, 3, 3].
+
+    Returns:
+        Shape [T, 3, 3]: a row for each point, which sums to 1.
+    """
+    e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(e1, e2)
+    square = np.maximum((normal * normal).sum(axis=1), TINY)[:, None]
+    to = points - corners[:, None, 0]
+    v = np.einsum("tij,tj->ti", np.cross(to, e2[:, None, :]), normal) / square
+    w = np.einsum("tij,tj->ti", np.cross(e1[:, None, :], to), normal) / square
+    v, w = np.clip(v, 0.0, 1.0), np.clip(w, 0.0, 1.0)
+    return np.stack([1.0 - v - w, v, w], axis=2)
 
 
 @dataclass
-class _Job:
+class _Painting:
     """The surface that is painted, with its map, and how.
 
     Attributes:
@@ -199,8 +261,12 @@ class _Job:
         origins: what the surface's vertices are in the input, where they are not its own.
         structure: the part of the brain that the surface is, where its file said it.
         own: the mesh with the coordinates and materials that it has, or None.
-        wanted: the bakes.
         keep, opacity: how the materials are kept.
+        names: of the bakes.
+        color: the bake that becomes the colour, if any.
+        detail: vertices and faces of a finer mesh.
+        image, pattern: what is drawn; None for bakes alone.
+        projection, atlas, rotate, size: of the texture, as :func:`omtwarp.texture` takes them.
         where: the device.
     """
 
@@ -213,21 +279,34 @@ class _Job:
     origins: Origins | None
     structure: str | None
     own: PaintedMesh | None
-    wanted: _Wanted
     keep: str | None
     opacity: float
+    names: tuple[str, ...]
+    color: str | None
+    detail: tuple[Floats, Ints] | None
+    image: PictureLike | None
+    pattern: PatternLike | Pattern | None
+    projection: ProjectionLike
+    atlas: AtlasLike
+    rotate: ArrayLike | str | None
+    size: int | None
     where: wp.Device
 
-    def on_own_coordinates(self, look: Look) -> PaintedMesh:
+    @property
+    def drawn(self) -> bool:
+        """Whether there is a picture or a pattern."""
+        return self.image is not None or self.pattern is not None
+
+    def on_own_coordinates(self) -> PaintedMesh:
         """Paint the mesh's materials in the coordinates that it has."""
         assert self.own is not None  # checked before
         mesh = self.own
         uv = mesh.require_uv()
         which, tiled = tiled_copies(uv)
-        if isinstance(look.rotate, str):
-            raise OmtwarpError(f"rotate '{look.rotate}': give degrees or a matrix for own texture coordinates")
+        if isinstance(self.rotate, str):
+            raise OmtwarpError(f"rotate '{self.rotate}': give degrees or a matrix for own texture coordinates")
         tangents = self._tangents(mesh)
-        draw = None if look.source is None else self._drawn(look)
+        draw = self._drawn() if self.drawn else None
         materials = []
         doubled = 0.0
         for number, material in enumerate(mesh.materials):
@@ -235,8 +314,8 @@ class _Job:
             if not len(mine):
                 materials.append(material)
                 continue
-            extent = _extent(material, look.size)
-            layers = None if draw is None else _with_opacity(draw(which[mine], tiled[mine], extent))
+            extent = _extent(material, self.size)
+            layers = None if draw is None else with_opacity(draw(which[mine], tiled[mine], extent))
             doubled = max(doubled, overlap(tiled[mine], *extent, self.where))
             target = self._target(tiled[mine], which[mine], extent)
             at = None if tangents is None else tangents[which[mine]]
@@ -248,7 +327,7 @@ class _Job:
                     base = self._base(layers, mesh, which[mine], tiled[mine], material, extent)
                     color = np.where(inside, self._together(layers, base), base)
             materials.append(self._finish(material, color, target, at))
-        if doubled > OVERLAP:
+        if doubled > 0.002:  # rounding gives less
             text = (
                 f"texture coordinates overlap: {100 * doubled:.1f} % of the texels lie in more than one triangle "
                 "(mirrored parts?), and show what the first one has there"
@@ -256,12 +335,12 @@ class _Job:
             warnings.warn(text, OmtwarpWarning, stacklevel=3)
         return replace(mesh, materials=tuple(materials))
 
-    def _drawn(self, look: Look) -> Callable[[NDArray, Floats, tuple[int, int]], Picture]:
+    def _drawn(self) -> Callable[[NDArray, Floats, tuple[int, int]], Picture]:
         """Return what draws the pattern on triangles, shape [T], with coordinates [T, 3, 2], on a picture of a size."""
         # Triangles up to which a mesh is divided for smooth lines; those of larger meshes are small on the picture.
         most_divided = 400_000
         if self.torus is not None:
-            own, shown = self.torus.corners, Material(picture=torus_picture(self.torus, replace(look, size=None)))
+            own, shown = self.torus.corners, Material(picture=self._textured(self.torus, None).image)
 
             def on_torus(which: NDArray, uv: Floats, size: tuple[int, int]) -> Picture:
                 layout = Layout(uv, *size, self.where, PADDING)
@@ -269,15 +348,15 @@ class _Job:
                 return bake_materials(layout, own[which], one, (shown,), None, PADDING)
 
             return on_torus
-        turn = rotation_matrix(cast(ArrayLike | None, look.rotate))
+        turn = rotation_matrix(cast(ArrayLike | None, self.rotate))
         parts = next((n for n in (4, 2) if n * n * len(self.faces) <= most_divided), 1)
         smooth = smooth_map(self.vertices, self.faces, self.sphere, parts)
 
         def on_sphere(which: NDArray, uv: Floats, size: tuple[int, int]) -> Picture:
             faces, finer = _divided(smooth, which, uv)
-            assert look.source is not None
+            source = cast("Source", self.pattern if self.image is None else self.image)
             return bake_to_uv(
-                look.source, smooth.sphere, faces, finer, size=size, rotation=turn, projection=look.projection,
+                source, smooth.sphere, faces, finer, size=size, rotation=turn, projection=self.projection,
                 padding=PADDING, device=self.where,
             )  # fmt: skip
 
@@ -310,7 +389,7 @@ class _Job:
 
     def _tangents(self, mesh: PaintedMesh) -> Floats | None:
         """Return the tangents at a mesh's corners where a normal map is asked for, shape [F, 3, 4]."""
-        if self.wanted.detail is None:
+        if self.detail is None:
             return None
         assert mesh.uv is not None
         return corner_tangents(mesh.vertices, mesh.faces, mesh.uv, vertex_normals(mesh.vertices, mesh.faces))
@@ -319,60 +398,114 @@ class _Job:
         self, material: Material, color: NDArray[np.float32] | None, target: bakes.Target, tangents: Floats | None
     ) -> Material:
         """Complete a material by its new colour and the bakes that were asked for."""
-        wanted = self.wanted
         if color is not None:
-            finished = replace(material, picture=_opaque_if_it_is(as_bytes(color)), color=WHITE)
-        elif wanted.color == "normal":
+            finished = replace(material, picture=without_full_opacity(as_bytes(color)), color=WHITE)
+        elif self.color == "normal":
             finished = replace(material, picture=bakes.object_normals(target), color=WHITE)
-        elif wanted.color is not None:
+        elif self.color is not None:
             where = self.on_map, self.parts, self.origins, self.structure
-            number = bakes.scalar(wanted.color, self.vertices, self.faces, *where)
+            number = bakes.scalar(self.color, self.vertices, self.faces, *where)
             finished = replace(material, picture=number.picture(target, self.faces), color=WHITE)
         else:
             finished = material
-        if "ao" in wanted.names:
+        if "ao" in self.names:
             finished = replace(finished, occlusion_picture=bakes.occlusion(target, self.vertices, self.faces))
-        if wanted.detail is not None and tangents is not None:
-            normals = bakes.detail_normals(target, tangents, wanted.detail)
+        if self.detail is not None and tangents is not None:
+            normals = bakes.detail_normals(target, tangents, self.detail)
             finished = replace(finished, normal_picture=normals, own_tangents=True)
         return finished
 
-    def on_atlas(self, look: Look) -> PaintedMesh:
+    def on_atlas(self) -> PaintedMesh:
         """Lay the surface out on one picture, which all of its materials share."""
         if self.torus is not None:
-            sheet = torus_sheet(self.torus, look)
+            sheet = replace(_sheet(self._textured(self.torus, self.size), self.vertices, self.faces), repeats=True)
         elif self.parts is not None:
-            sheet = sheet_of_parts(self.vertices, self.faces, self.sphere, self.parts, look)
+            sheet = self._parts_side_by_side(self.parts)
         else:
-            sheet = sphere_sheet(self.vertices, self.faces, self.sphere, look)
+            made = self._textured((self.vertices, self.faces, self.sphere), self.size)
+            sheet = _sheet(made, self.vertices, self.faces)
         mesh = self._mesh_of(sheet)
         which, uv = tiled_copies(sheet.uv) if sheet.repeats else (np.arange(len(sheet.faces)), sheet.uv)
-        points = sheet.vertices[sheet.faces[which]]
+        height, width = sheet.picture.shape[:2]
         face, weights = sheet.source_face[which], sheet.weights[which]
-        target = bakes.Target(uv, points, sheet.normals[which], face, weights, sheet.size, self.where)
-        color = None if sheet.picture is None else _with_opacity(as_floats(sheet.picture))
+        points = sheet.vertices[sheet.faces[which]]
+        target = bakes.Target(uv, points, sheet.normals[which], face, weights, (width, height), self.where)
+        color = with_opacity(as_floats(sheet.picture)) if self.drawn else None
         if color is not None and self.keep is not None and self.own is not None:
             color = self._together(color, self._atlas_base(self.own, target))
         tangents = self._tangents(mesh)
         shared = self._finish(mesh.materials[0], color, target, None if tangents is None else tangents[which])
-        return replace(
-            mesh,
-            materials=tuple(
-                replace(
-                    material,
-                    color=shared.color,
-                    picture=shared.picture,
-                    occlusion_picture=shared.occlusion_picture,
-                    normal_picture=shared.normal_picture,
-                    own_tangents=shared.own_tangents,
-                    roughness_picture=None,
-                    emission_picture=None,
-                )
-                for material in mesh.materials
-            ),
-        )
+        common = ("color", "picture", "occlusion_picture", "normal_picture", "own_tangents")
+        look = {name: getattr(shared, name) for name in common} | {"roughness_picture": None, "emission_picture": None}
+        return replace(mesh, materials=tuple(replace(material, **look) for material in mesh.materials))
 
-    def _mesh_of(self, sheet: Sheet) -> PaintedMesh:
+    def _textured(self, result: TorusMap | tuple[ArrayLike, ArrayLike, ArrayLike], size: int | None) -> TexturedSurface:
+        """Return the texture of a map, with a picture of one colour where there are bakes alone."""
+        if isinstance(self.pattern, Pattern) and isinstance(result, TorusMap):
+            raise OmtwarpError("a Pattern is for the sphere: a torus takes circles, checker or a picture that repeats")
+        plain = None if self.drawn or isinstance(result, TorusMap) else np.zeros((16, 32, 3), dtype=np.uint8)
+        return texture(
+            result, self.image if plain is None else plain, pattern=self.pattern, projection=self.projection,
+            atlas=self.atlas, rotate=self.rotate, size=SIZE if size is None and plain is not None else size,
+            smooth=plain is None, device=str(self.where),
+        )  # fmt: skip
+
+    def _parts_side_by_side(self, parts: NDArray[np.intp]) -> _Sheet:
+        """Lay out parts, each on the atlas of its own sphere, on a square picture in proportion to their areas.
+
+        Args:
+            parts: the sphere of every triangle, shape [F].
+
+        Raises:
+            OmtwarpError: the picture is too small for so many parts.
+        """
+        # Texels around the atlas of a part: bilinear samples see them at the third mip level yet, as the least gutters.
+        gap = 8
+        # Widths of atlases of parts are multiples of so many texels, which every atlas takes, and at least two of them.
+        step, fewest = 48, 2
+        (side,) = check_size(SIZE if self.size is None else self.size)
+        one = make_atlas(self.atlas, fewest * step)
+        height = one.height / one.width
+        least = np.array([one.width, one.height])
+        sizes = np.sqrt(np.bincount(parts, triangle_areas(self.vertices, self.faces)))[:, None] * [1.0, height]
+        try:
+            corner, scale = pack_rows(sizes, 1.0, gap / side, least / side)
+        except OmtwarpError:
+            raise OmtwarpError(f"a picture of {side} x {side} texels has no room for {len(sizes)} parts") from None
+        wide = np.maximum((sizes[:, 0] * (scale * side / step)).astype(np.int64), fewest) * step
+        left, bottom = np.rint(corner * side).astype(np.int64).T
+        picture = None
+        drawn_parts = []
+        for part, width in enumerate(wide.tolist()):
+            mine = np.flatnonzero(parts == part)
+            used, own = np.unique(self.faces[mine], return_inverse=True)
+            numbers = np.asarray(own.reshape(-1, 3), dtype=np.int32)
+            own_vertices = self.vertices[used]
+            sheet = _sheet(self._textured((own_vertices, numbers, self.sphere[used]), width), own_vertices, numbers)
+            high, across = sheet.picture.shape[:2]
+            if picture is None:
+                picture = np.zeros((side, side, sheet.picture.shape[2]), dtype=np.uint8)
+                picture[:] = np.rint(sheet.picture.mean(axis=(0, 1)))
+            aside = (0, 0), (gap - 1, gap - 1), (0, 0)
+            drawn = np.pad(sheet.picture, aside, "wrap") if one.wraps else np.pad(sheet.picture, aside, "edge")
+            drawn = np.pad(drawn, ((gap - 1, gap - 1), (0, 0), (0, 0)), "edge")
+            row, column = side - int(bottom[part]) - high - gap + 1, int(left[part]) - gap + 1
+            picture[row : row + drawn.shape[0], column : column + drawn.shape[1]] = drawn
+            uv = (sheet.uv * (across, high) + (left[part], bottom[part])) / side
+            drawn_parts.append(replace(sheet, uv=uv, source_face=mine[sheet.source_face]))
+        before = np.cumsum([0, *(len(sheet.vertices) for sheet in drawn_parts)])
+        faces = [sheet.faces + at for sheet, at in zip(drawn_parts, before[:-1], strict=True)]
+        assert picture is not None  # there is a part
+
+        def joined(name: str) -> NDArray:
+            return np.concatenate([getattr(sheet, name) for sheet in drawn_parts])
+
+        return _Sheet(
+            joined("vertices"), np.concatenate(faces).astype(np.int32), joined("uv"), joined("normals"),
+            joined("source_face"), joined("weights"), picture,
+        )  # fmt: skip
+
+    def _mesh_of(self, sheet: _Sheet) -> PaintedMesh:
         """Return the mesh of a sheet, with the materials that are kept."""
         own, source = self.own, sheet.source_face
         # A light grey, on which ambient occlusion shows
@@ -412,26 +545,13 @@ def _extent(material: Material, size: int | None) -> tuple[int, int]:
     return (size, max(round(size * height / width), 1))
 
 
-def _with_opacity(picture: NDArray[np.generic]) -> NDArray[np.float32]:
-    """Add an opacity of 1 to a picture that has none."""
-    values = picture.astype(np.float32, copy=False)
-    if values.shape[2] == 4:
-        return values
-    return np.concatenate([values[..., :3], np.ones((*values.shape[:2], 1), np.float32)], axis=2)
-
-
-def _opaque_if_it_is(picture: Bytes) -> Bytes:
-    """Drop the opacity of a picture that is opaque."""
-    return np.ascontiguousarray(picture[..., :3]) if picture[..., 3].min() == 255 else picture
-
-
 def _resized(picture: Bytes, size: tuple[int, int]) -> NDArray[np.float32]:
     """Return a picture in another size with an opacity channel, values from 0 to 1."""
     from PIL import Image
 
     if picture.shape[1::-1] != size:
         picture = np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.LANCZOS))
-    return _with_opacity(as_floats(read_image(picture)))
+    return with_opacity(as_floats(read_image(picture)))
 
 
 def _divided(smooth: SmoothMap, which: NDArray, uv: Floats) -> tuple[Ints, Floats]:

@@ -23,7 +23,7 @@ from omtwarp.mesh.ply import Column, ply_columns, polygons_of
 from omtwarp.mesh.polygons import fans
 from omtwarp.mesh.read import mesh_content, read_mesh, require_counted_from_one, utf8
 from omtwarp.mesh.scenes import gltf_header, gltf_pictures, load_scene, placed_meshes, scene_formats
-from omtwarp.texturing.image import decoded, read_image
+from omtwarp.texturing.image import as_bytes, decoded, read_image, with_opacity
 from omtwarp.texturing.materials import Bytes, Floats, Ints, Material
 from omtwarp.texturing.painted import PaintedMesh, corners_of, joined_seams
 
@@ -284,7 +284,7 @@ def _from_obj(data: bytes, file: Path) -> PaintedMesh:
             notes.append(f"the picture '{name}' is not there")
             return None
         named.append(there)
-        return _as_bytes(read_image(there))
+        return as_bytes(read_image(there))
 
     known: dict[str, Material] = {}
     for library in statements.libraries:
@@ -300,7 +300,7 @@ def _from_obj(data: bytes, file: Path) -> PaintedMesh:
     if statements.points and all(len(row) >= 6 for row in statements.points):
         given_colors = np.array([row[3:6] for row in statements.points], dtype=np.float64)
         scaled = given_colors * (255.0 if given_colors.max() <= 1.0 else 1.0)
-        colors = _opaque(np.rint(np.clip(scaled, 0, 255)).astype(np.uint8))
+        colors = with_opacity(np.rint(np.clip(scaled, 0, 255)).astype(np.uint8))
     used = np.array(statements.used, dtype=np.int32)[face]
     faces = corners_of(corners, len(points))
     return PaintedMesh(
@@ -358,7 +358,7 @@ def _ply_pictures(data: bytes, file: Path) -> tuple[list[Bytes | None], list[Pat
                 pictures.append(None)
             else:
                 named.append(there)
-                pictures.append(_as_bytes(read_image(there)))
+                pictures.append(as_bytes(read_image(there)))
     return pictures, named, notes
 
 
@@ -390,7 +390,7 @@ def _ply_colors(vertex: dict[str, Column]) -> Bytes | None:
     channels = [name for name in ("red", "green", "blue", "alpha") if name in vertex]
     values = np.stack([_numbers(vertex[name]) for name in channels], axis=1)
     scale = 255.0 if np.asarray(vertex["red"]).dtype.kind == "f" and values.max(initial=0.0) <= 1.0 else 1.0
-    return _opaque(np.rint(np.clip(values * scale, 0, 255)).astype(np.uint8))
+    return with_opacity(np.rint(np.clip(values * scale, 0, 255)).astype(np.uint8))
 
 
 def _numbers(column: Column) -> Floats:
@@ -474,7 +474,7 @@ def gltf_materials(data: bytes, file: Path, suffix: str) -> list[GltfLook]:
 
     def picture(content: bytes) -> Bytes:
         if id(content) not in known:
-            known[id(content)] = _as_bytes(decoded(io.BytesIO(content), "a picture in it"))
+            known[id(content)] = as_bytes(decoded(io.BytesIO(content), "a picture in it"))
         return known[id(content)]
 
     materials = gltf_header(data, suffix).get("materials", [])
@@ -494,7 +494,7 @@ def _appearance(mesh: trimesh.Trimesh, looks: list[GltfLook] | None) -> tuple[Ma
     visual = mesh.visual
     kind = getattr(visual, "kind", None)
     if kind == "vertex" and isinstance(visual, ColorVisuals):
-        colors = _opaque(np.asarray(visual.vertex_colors, dtype=np.uint8))
+        colors = with_opacity(np.asarray(visual.vertex_colors, dtype=np.uint8))
         if looks is not None:
             colors[:, :3] = np.rint(255.0 * to_srgb(colors[:, :3] / 255.0))
         return Material(), None, colors
@@ -524,7 +524,7 @@ def _of_gltf(source: trimesh.visual.material.PBRMaterial, look: GltfLook) -> Mat
         color = _color(np.concatenate([to_srgb(scaled[:3]), scaled[3:4]]))
     picture = look.pictures.get("baseColorTexture")
     if picture is not None and picture.shape[:2] == (1, 1):  # one texel is a plain colour, which needs no coordinates
-        texel = _opaque(picture[0]) / 255.0
+        texel = with_opacity(picture[0]) / 255.0
         light = to_linear(np.array(color[:3])) * to_linear(texel[0, :3])
         color, picture = _color(np.append(to_srgb(light), color[3] * texel[0, 3])), None
     emission = np.zeros(3) if source.emissiveFactor is None else np.asarray(source.emissiveFactor, dtype=np.float64)
@@ -553,22 +553,9 @@ def _vertex_colors(mesh: trimesh.Trimesh) -> Bytes | None:
         return None
     most = np.iinfo(given.dtype).max if given.dtype.kind in "iu" else 1.0
     light = np.clip(np.asarray(given, dtype=np.float64) / most, 0.0, 1.0)
-    return _opaque(np.rint(255.0 * np.column_stack([to_srgb(light[:, :3]), light[:, 3:]])).astype(np.uint8))
+    return with_opacity(np.rint(255.0 * np.column_stack([to_srgb(light[:, :3]), light[:, 3:]])).astype(np.uint8))
 
 
 def _color(values: NDArray) -> tuple[float, float, float, float]:
     red, green, blue, *rest = np.clip(np.asarray(values, dtype=np.float64), 0.0, 1.0)
     return float(red), float(green), float(blue), float(rest[0]) if rest else 1.0
-
-
-def _as_bytes(picture: NDArray[np.generic]) -> Bytes:
-    if picture.dtype == np.uint8:
-        return picture.astype(np.uint8, copy=False)
-    return np.rint(np.clip(picture, 0.0, 1.0) * 255.0).astype(np.uint8)
-
-
-def _opaque(colors: Bytes) -> Bytes:
-    """Add full opacity to colours that have none, shape [N, 4]."""
-    if colors.shape[1] == 4:
-        return colors
-    return np.column_stack([colors, np.full(len(colors), 255, dtype=np.uint8)])

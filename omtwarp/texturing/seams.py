@@ -4,20 +4,26 @@ One pair of texture coordinates per mesh vertex cannot describe a sphere: longit
 and the six charts of a cube do not meet. So the mesh is cut along the borders of the charts (exactly: triangles that
 cross a border are divided there), the poles become vertices, and where the picture's coordinates are too far from
 linear over a triangle (always next to a pole) the triangle is divided until the error is a fraction of a texel.
+
+A map to the sphere is linear inside every triangle before normalisation to unit length: the point with
+barycentric coordinates b lies in the direction of ``b0 s0 + b1 s1 + b2 s2``. The point before normalisation is called
+the chord point here. Every vertex that is added is a fixed combination of the vertices of **one** original triangle,
+the same one for the surface and for the chord points; so neither the surface nor the map changes, and because edges are
+split (never faces alone) both triangles of an edge always agree.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
-from omtwarp.texturing.atlas import Atlas
-from omtwarp.texturing.cutting import CutMesh, lengths, normalised
+from omtwarp.mesh.arrays import ROUND_OFF
+from omtwarp.texturing.atlas import ON_CUT, Arc, Atlas, lengths, normalised
 from omtwarp.texturing.export import split_corners
-from omtwarp.texturing.openness import face_openness
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -127,38 +133,190 @@ def _refine(mesh: CutMesh, atlas: Atlas) -> None:
         fresh = mesh.split_half_edges(which[face], corner, np.full(len(face), 0.5))
 
 
-def least_visible_meridian(vertices: Floats, faces: Ints, sphere: Floats) -> float:
-    """Return the longitude of the meridian that shows least on the surface, in radians in (-π, π].
+class CutMesh:
+    """A spherical mesh under cutting.
 
-    The measure is the length of the meridian's image on the surface, weighted by the openness of the space around each
-    piece: short lines in folds are preferred to long lines on exposed parts.
-
-    Args:
-        vertices: shape [V, 3].
-        faces: shape [F, 3].
-        sphere: the map, in the frame in which longitude is meant, shape [V, 3].
+    Attributes:
+        points: chord points, float64, shape [N, 3]; the original vertices come first, in their order.
+        faces: int32, shape [M, 3], orientation kept.
+        source_face: the original face that every face is a part of, int32, shape [M].
+        weights: sparse, shape [N, V]: every vertex as a combination of original ones (at most three, of one face).
     """
-    meridians = 180  # compared for the seam, evenly spaced
-    # Least openness, added to every face's: where nothing is hidden the shortest seam wins; 0 lets it wander in folds
-    weight = 0.1 + face_openness(vertices, faces)
-    scale = np.ptp(vertices, axis=0).max()
-    x = (vertices - vertices.min(axis=0)) / scale
-    longitudes = (np.arange(meridians) + 1) / meridians * 2.0 * np.pi - np.pi
-    costs = np.empty(meridians)
-    for k, longitude in enumerate(longitudes):
-        c, s = np.cos(longitude), np.sin(longitude)
-        height = sphere[:, 1] * c - sphere[:, 0] * s
-        along = sphere[:, 0] * c + sphere[:, 1] * s
-        side = (height >= 0)[faces]
-        crossing = np.flatnonzero(side.any(axis=1) & ~side.all(axis=1))
-        crossing = crossing[along[faces[crossing]].sum(axis=1) > 0]
-        corner = faces[crossing]
-        lonely = np.where(side[crossing].sum(axis=1) == 1, np.argmax(side[crossing], 1), np.argmin(side[crossing], 1))
-        rows = np.arange(len(crossing))
-        tip, a, b = corner[rows, lonely], corner[rows, (lonely + 1) % 3], corner[rows, (lonely + 2) % 3]
-        ends = []
-        for other in (a, b):
-            t = (height[tip] / (height[tip] - height[other]))[:, None]
-            ends.append((1.0 - t) * x[tip] + t * x[other])
-        costs[k] = (np.linalg.norm(ends[0] - ends[1], axis=1) * weight[crossing]).sum()
-    return float(longitudes[np.argmin(costs)])
+
+    def __init__(self, sphere: Floats, faces: Ints):
+        self.points: Floats = np.array(sphere, dtype=np.float64)
+        self.faces: Ints = np.array(faces, dtype=np.int32)
+        self.source_face: Ints = np.arange(len(faces), dtype=np.int32)
+        self.weights = sparse.identity(len(sphere), dtype=np.float64, format="csr")
+
+    def directions(self) -> Floats:
+        """Return the unit vectors of the vertices, shape [N, 3]."""
+        return normalised(self.points)
+
+    def _add_vertices(self, combination: sparse.csr_matrix) -> int:
+        first = len(self.points)
+        self.points = np.concatenate([self.points, combination @ self.points])
+        self.weights = sparse.vstack([self.weights, combination @ self.weights], format="csr")
+        return first
+
+    def split_half_edges(self, face: NDArray, corner: NDArray, fraction: NDArray) -> NDArray[np.bool_]:
+        """Split edges at given fractions, in every face that has them.
+
+        Args:
+            face, corner: half-edges (corner, corner + 1) to split, shape [K]; both halves of an edge may be named, and
+                naming one is enough: the other face is found.
+            fraction: where, from the half-edge's tail (0) to its head (1), shape [K]. Of several for one edge the one
+                that comes first counts.
+
+        Returns:
+            Which of the new faces were not there before, bool, shape [M].
+        """
+        count = len(self.points)
+        tail = self.faces[face, corner].astype(np.int64)
+        head = self.faces[face, (corner + 1) % 3].astype(np.int64)
+        low, high = np.minimum(tail, head), np.maximum(tail, head)
+        keys, first = np.unique(low * count + high, return_index=True)
+        if len(keys) == 0:
+            return np.zeros(len(self.faces), dtype=bool)
+        t = np.where(tail[first] == low[first], fraction[first], 1.0 - fraction[first])
+        rows = np.repeat(np.arange(len(keys)), 2)
+        columns = np.stack([low[first], high[first]], axis=1).ravel()
+        values = np.stack([1.0 - t, t], axis=1).ravel()
+        start = self._add_vertices(sparse.csr_matrix((values, (rows, columns)), shape=(len(keys), count)))
+
+        # A face with such an edge has two of their ends at least: most faces are set aside by that.
+        ended = np.zeros(len(self.points), dtype=bool)
+        ended[columns] = True
+        met = np.flatnonzero(ended[self.faces] @ np.ones(3, dtype=np.int8) >= 2)
+        tails = self.faces[met].astype(np.int64)
+        heads = np.roll(tails, -1, axis=1)
+        found = np.minimum(tails, heads) * count + np.maximum(tails, heads)
+        position = np.minimum(np.searchsorted(keys, found), len(keys) - 1)
+        middle = np.full(self.faces.shape, -1, dtype=np.int32)
+        middle[met] = np.where(keys[position] == found, start + position, -1)
+        return self._replace(middle)
+
+    def _replace(self, middle: Ints) -> NDArray[np.bool_]:
+        """Cut every face along its split edges; ``middle`` [M, 3] is the new vertex of edge (k, k+1), or -1."""
+        marks = middle >= 0
+        number = marks @ np.ones(3, dtype=np.int8)
+        keep = number == 0
+        pieces = [self.faces[keep]]
+        sources = [self.source_face[keep]]
+
+        def corners(which: NDArray, first: NDArray) -> tuple[NDArray, ...]:
+            turn = (first[:, None] + np.arange(3)) % 3
+            v = np.take_along_axis(self.faces[which], turn, axis=1)
+            m = np.take_along_axis(middle[which], turn, axis=1)
+            return (*v.T, *m.T)
+
+        def emit(which: NDArray, *triangles: Sequence[NDArray]) -> None:
+            for triangle in triangles:
+                pieces.append(np.stack(list(triangle), axis=1))
+                sources.append(self.source_face[which])
+
+        one = np.flatnonzero(number == 1)
+        if len(one):
+            v0, v1, v2, a, _, _ = corners(one, np.argmax(marks[one], axis=1))
+            emit(one, (v0, a, v2), (a, v1, v2))
+        two = np.flatnonzero(number == 2)
+        if len(two):  # turned so that the edge left whole is the last one
+            v0, v1, v2, a, b, _ = corners(two, (np.argmin(marks[two], axis=1) + 1) % 3)
+            p = self.points
+            short = np.linalg.norm(p[v0] - p[b], axis=1) <= np.linalg.norm(p[a] - p[v2], axis=1)
+            emit(two, (a, v1, b), (v0, a, np.where(short, b, v2)), (np.where(short, v0, a), b, v2))
+        three = np.flatnonzero(number == 3)
+        if len(three):
+            v0, v1, v2, a, b, c = corners(three, np.zeros(len(three), dtype=np.int64))
+            emit(three, (v0, a, c), (a, v1, b), (c, b, v2), (a, b, c))
+
+        fresh = np.ones(sum(map(len, pieces)), dtype=bool)
+        fresh[: len(pieces[0])] = False
+        return self._set_faces(np.concatenate(pieces), np.concatenate(sources), fresh)
+
+    def _set_faces(self, faces: NDArray, source: NDArray, fresh: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        order = np.argsort(source, kind="stable")  # parts of a face stay where the face was
+        self.faces, self.source_face = faces[order].astype(np.int32), source[order].astype(np.int32)
+        return fresh[order]
+
+    def insert(self, direction: Sequence[float]) -> None:
+        """Make a direction a vertex: a vertex that is there already, a point of an edge, or a point inside a face.
+
+        Where the map is folded, several faces contain the direction; every one of them gets its vertex.
+        """
+        d = np.asarray(direction, dtype=np.float64)
+        along = self.points @ d
+        if np.any(_on_line(self.points[along > 0], d)):
+            return
+        bary = np.zeros((len(self.faces), 3))
+        inside = np.zeros(len(self.faces), dtype=bool)
+        # The triangle is sought near the direction first, and among all only where triangles are huge.
+        # Near, cosine of the angle around a direction in which its triangle is looked for first: 26 degrees
+        near = (along > 0.9)[self.faces] @ np.ones(3, dtype=np.int8) > 0
+        for which in (np.flatnonzero(near), np.flatnonzero(~near)):
+            p0, p1, p2 = (self.points[self.faces[which, k]] for k in range(3))
+            normals = np.cross(p1, p2), np.cross(p2, p0), np.cross(p0, p1)
+            share = np.stack([n @ d for n in normals], axis=1)
+            share *= np.sign(np.einsum("ij,ij->i", p0, normals[0]))[:, None]
+            total = share.sum(axis=1)
+            found = (total > 0) & np.all(share >= -ROUND_OFF * np.abs(total)[:, None], axis=1)
+            bary[which[found]] = share[found] / total[found, None]
+            inside[which[found]] = True
+            if found.any():
+                break
+        # Barycentric: a point nearer to an edge divides the edge, as parts of a triangle beside it would have no area.
+        on_edge = inside & (bary.min(axis=1) < 1e-10)
+        interior = np.flatnonzero(inside & ~on_edge)
+        if len(interior):
+            count, size = len(interior), len(self.points)
+            rows, columns = np.repeat(np.arange(count), 3), self.faces[interior].ravel()
+            combination = sparse.csr_matrix((bary[interior].ravel(), (rows, columns)), shape=(count, size))
+            new = self._add_vertices(combination) + np.arange(count)
+            v0, v1, v2 = self.faces[interior].T
+            fan = [np.stack(t, axis=1) for t in ((v0, v1, new), (v1, v2, new), (v2, v0, new))]
+            keep = np.ones(len(self.faces), dtype=bool)
+            keep[interior] = False
+            faces = np.concatenate([self.faces[keep], *fan])
+            source = np.concatenate([self.source_face[keep], *([self.source_face[interior]] * 3)])
+            edge_faces = self.faces[on_edge]
+            self._set_faces(faces, source, np.zeros(len(faces), dtype=bool))
+        else:
+            edge_faces = self.faces[on_edge]
+        if len(edge_faces):  # the half-edges are found again by their vertices: the faces may have moved
+            opposite = np.argmin(bary[on_edge], axis=1)
+            rows = np.arange(len(edge_faces))
+            tail, head = edge_faces[rows, (opposite + 1) % 3], edge_faces[rows, (opposite + 2) % 3]
+            at = bary[on_edge][rows, (opposite + 2) % 3]
+            fraction = at / (at + bary[on_edge][rows, (opposite + 1) % 3])
+            ring = np.roll(self.faces, -1, axis=1)
+            for k in range(len(edge_faces)):  # one or two, more only where the map is folded
+                face, corner = np.nonzero((self.faces == tail[k]) & (ring == head[k]))
+                self.split_half_edges(face, corner, np.full(len(face), fraction[k]))
+                ring = np.roll(self.faces, -1, axis=1)
+
+    def cut(self, arc: Arc) -> None:
+        """Split every edge that crosses an arc, exactly where it does."""
+        normal = np.asarray(arc.normal, dtype=np.float64)
+        height = self.points @ normal
+        height[_on_plane(self.points, normal)] = 0.0
+        side = np.sign(height).astype(np.int8)[self.faces]
+        face, corner = np.nonzero(side * np.roll(side, -1, axis=1) < 0)
+        tail, head = self.faces[face, corner], self.faces[face, (corner + 1) % 3]
+        forward = tail < head  # one formula per edge, not one per side: both faces get the same bits
+        low, high = np.where(forward, tail, head), np.where(forward, head, tail)
+        t = height[low] / (height[low] - height[high])
+        crossing = (1.0 - t)[:, None] * self.points[low] + t[:, None] * self.points[high]
+        active = np.ones(len(face), dtype=bool)
+        for h in arc.half_spaces:
+            active &= crossing @ np.asarray(h, dtype=np.float64) > 0
+        t = np.where(forward, t, 1.0 - t)
+        self.split_half_edges(face[active], corner[active], t[active])
+
+
+def _on_plane(points: Floats, normal: Floats) -> NDArray[np.bool_]:
+    return np.abs(points @ normal) <= ON_CUT * lengths(points)
+
+
+def _on_line(points: Floats, direction: Floats) -> NDArray[np.bool_]:
+    """Return a mask of the points that lie on the line of a direction, shape [N]."""
+    return lengths(np.cross(points, direction)) <= ON_CUT * lengths(points)

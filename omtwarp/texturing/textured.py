@@ -27,20 +27,28 @@ from omtwarp.texturing.atlas import (
     LARGEST_UNASKED,
     Atlas,
     Equirectangular,
+    check_size,
+    is_power_of_two,
     make_atlas,
     picture_size,
     sharp_size,
 )
+from omtwarp.texturing.bakes import least_visible_meridian
 from omtwarp.texturing.baking import Look, sample
 from omtwarp.texturing.export import Part, export, format_for, split_corners
-from omtwarp.texturing.image import PictureLike, as_bytes, read_image
+from omtwarp.texturing.image import (
+    PictureLike,
+    as_bytes,
+    check_projection,
+    read_image,
+    rotation_matrix,
+    without_full_opacity,
+)
 from omtwarp.texturing.materials import Material
 from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.patterns import pattern as by_name
-from omtwarp.texturing.projection import check_projection, rotation_matrix
-from omtwarp.texturing.seams import least_visible_meridian, unwrap
+from omtwarp.texturing.seams import unwrap
 from omtwarp.texturing.smooth import smooth_curves
-from omtwarp.texturing.torus import torus_pattern
 
 if TYPE_CHECKING:
     import trimesh
@@ -289,14 +297,12 @@ def texture(
                 look = BentLook(bending, cutting.result(), rotation, where)
             texels = bake_bytes(source, look, projection=projection)
         cut = cutting.result()
-    if texels.shape[2] == 4 and texels[..., 3].min() == 255:
-        texels = texels[..., :3]
     return TexturedSurface(
         vertices=cut.weights @ vertices,
         faces=cut.faces,
         uv=cut.uv,
         normals=unit_normals(cut.weights @ vertex_normals(vertices, faces)),
-        image=np.ascontiguousarray(texels),
+        image=np.ascontiguousarray(without_full_opacity(texels)),
         wraps=layout.wraps,
         wraps_rows=False,
         sphere=cut.sphere,
@@ -339,6 +345,81 @@ def texture_torus(
         wraps_rows=True,
         source_image=as_path(image) if isinstance(image, str | os.PathLike) else None,
     )
+
+
+def torus_pattern(name: str, lattice: Floats, size: int | None = None) -> NDArray[np.uint8]:
+    """Return a picture of a flat torus: u to the right along the first lattice vector, v upwards along the second.
+
+    Args:
+        name: ``circles``, all of one size and round on the torus, or ``checker``.
+        lattice: the two vectors, as rows, shape [2, 2].
+        size: width in texels; by default such that the picture has about two million. Where the width is a power of
+            two, as by default, the height is the nearest one too.
+
+    Returns:
+        uint8, shape [H, W, 3].
+
+    Raises:
+        OmtwarpError: another pattern, or a size that is too large.
+    """
+    if name not in ("circles", "checker"):
+        raise OmtwarpError(f"the pattern '{name}' is for the sphere: a torus takes circles or checker")
+    along = np.linalg.norm(lattice, axis=1)
+    ratio = float(along[1] / along[0])
+    # Texels, of a pattern, as many as a pattern 2048 wide has on the sphere
+    wide = _nearest_power(np.sqrt((1 << 21) / ratio)) if size is None else size
+    high = _nearest_power(wide * ratio) if is_power_of_two(wide) else round(wide * ratio)
+    width, height = check_size((max(wide, 16), max(high, 16)))
+    u = (np.arange(width) + 0.5) / width
+    v = 1.0 - (np.arange(height) + 0.5) / height
+    turn = 2.0 * np.pi * v[:, None]
+    tint = np.stack([0.33 + 0.22 * np.cos(turn + shift) for shift in (0.4, -1.9, 2.6)], axis=-1)
+    share = _checks(lattice, u, v) if name == "checker" else _circles(lattice, u, v)
+    light = np.array([0.96, 0.94, 0.90])  # sRGB between the circles, and of every other field
+    picture = light + share[..., None] * (tint - light)
+    return np.rint(255.0 * picture).astype(np.uint8)
+
+
+def _nearest_power(number: float) -> int:
+    """Return the power of two whose ratio to a positive number is nearest to 1."""
+    return 2 ** max(round(float(np.log2(number))), 0)
+
+
+def _checks(lattice: Floats, u: Floats, v: Floats) -> Floats:
+    """Draw a checker: 1 on its dark cells, which are as nearly square as even numbers allow, shape [H, W]."""
+    checks = 6  # fields along the shorter lattice vector, an even number so that the picture closes up
+    along = np.linalg.norm(lattice, axis=1)
+    columns, rows = (max(2, 2 * round(checks / 2 * float(side / along.min()))) for side in along)
+    return ((np.floor(rows * v)[:, None] + np.floor(columns * u)[None, :]) % 2.0).astype(np.float64)
+
+
+def _circles(lattice: Floats, u: Floats, v: Floats) -> Floats:
+    """Draw circles: 1 inside, 0 outside and between the two at their rims, shape [H, W]."""
+    area = abs(float(np.linalg.det(lattice)))
+    first = float(np.linalg.norm(lattice[0]))
+    # Circles, as many as the sphere's pattern has
+    apart = np.sqrt(2.0 / np.sqrt(3.0) * area / 162)
+    columns = max(1, round(first / apart))
+    rows = max(2, 2 * round(area / first / (apart * np.sqrt(3.0) / 2.0) / 2.0))
+    offsets = np.array([(j, i) for j in range(-2, 3) for i in np.arange(-2.0, 2.5, 0.5)])
+    offsets = offsets[(offsets[:, 1] % 1.0 == 0.5) == (offsets[:, 0] % 2.0 == 1.0)]
+    steps = np.stack([offsets[:, 1] / columns, offsets[:, 0] / rows], axis=1) @ lattice
+    lengths = np.linalg.norm(steps, axis=1)
+    least = float(lengths[lengths > 0.0].min())
+    # Coverage: the share of the torus that circles cover
+    radius = min(float(np.sqrt(0.56 * area / (columns * rows * np.pi))), 0.46 * least)
+    texel = np.sqrt(area / (len(u) * len(v)))
+    nearest = np.full((len(v), len(u)), np.inf)
+    row = np.round(v * rows)
+    for shift in range(-1, 2):
+        j = row + shift
+        half = 0.5 * (j % 2.0)
+        for more in range(-1, 2):
+            i = np.round(u[None, :] * columns - half[:, None]) + half[:, None] + more
+            du, dv = u[None, :] - i / columns, (v - j / rows)[:, None]
+            x, y = du * lattice[0, 0] + dv * lattice[1, 0], du * lattice[0, 1] + dv * lattice[1, 1]
+            np.minimum(nearest, np.hypot(x, y), out=nearest)
+    return np.clip(0.5 + (radius - nearest) / texel, 0.0, 1.0)
 
 
 def _check_for_torus(size: int | tuple[int, int] | str | None, on_sphere: tuple[object, ...]) -> int | None:

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from omtwarp.mesh import shapes
-from omtwarp.texturing.openness import MOST_STRIPS, without_slivers
+from omtwarp.texturing.bakes import MOST_STRIPS, without_slivers
 
 
 @settings(max_examples=40, deadline=None)

@@ -10,7 +10,7 @@ from omtwarp.measures import TargetDensity, mass_distortion
 from omtwarp.mesh.shapes import blob, icosphere
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.texturing.density import as_target, image_density, vertex_density
-from omtwarp.texturing.projection import direction_from_angles
+from omtwarp.texturing.image import direction_from_angles
 
 AMOUNT = 0.5
 

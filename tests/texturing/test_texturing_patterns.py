@@ -11,12 +11,12 @@ from texturing_shapes import ellipsoid, rotation, texel_directions, unit
 from omtwarp.errors import OmtwarpError
 from omtwarp.options import PatternName
 from omtwarp.texturing import pattern, patterns, rasterize
+from omtwarp.texturing.image import direction_from_angles
 from omtwarp.texturing.patterns.base import Pattern
 from omtwarp.texturing.patterns.checker import Checker
 from omtwarp.texturing.patterns.circles import STORED, Circles, stored_circles
 from omtwarp.texturing.patterns.globe import Globe, coastline_segments
 from omtwarp.texturing.patterns.puzzle import Puzzle
-from omtwarp.texturing.projection import direction_from_angles
 
 
 def directions(count=4000, seed=0):

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from texturing_shapes import texel_directions
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.texturing.projection import (
+from omtwarp.texturing.image import (
     direction_from_angles,
     direction_to_image,
     longitude_latitude,

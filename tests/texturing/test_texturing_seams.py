@@ -9,8 +9,8 @@ from texturing_shapes import ellipsoid, rotation, unit
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.texturing.atlas import ATLASES, CUBE_FRAMES, make_atlas
-from omtwarp.texturing.cutting import CutMesh
-from omtwarp.texturing.seams import least_visible_meridian, unwrap
+from omtwarp.texturing.bakes import least_visible_meridian
+from omtwarp.texturing.seams import CutMesh, unwrap
 
 
 def uv_error(cut, atlas, sphere, seed=0, turn=None):

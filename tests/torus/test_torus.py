@@ -19,7 +19,7 @@ from omtwarp.geometry.operators import corner_cotangents
 from omtwarp.maps.torus_map import ring_torus as on_ring_torus
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
-from omtwarp.texturing.torus import torus_pattern
+from omtwarp.texturing.textured import torus_pattern
 from omtwarp.torus.harmonic import FlatTorus, conformal_torus, quantised
 from omtwarp.torus.mapping import map_to_torus
 from omtwarp.torus.optimality import torus_optimality

@@ -6,8 +6,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, PI, wp
 from omtwarp.errors import OmtwarpError
+from omtwarp.texturing.image import longitude_latitude
 from omtwarp.texturing.patterns.base import Pattern, cell_of, latitude, longitude, near_multiple, srgb_colours
-from omtwarp.texturing.projection import longitude_latitude
 
 wp.set_module_options(KERNEL_OPTIONS)
 

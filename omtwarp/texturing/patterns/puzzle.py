@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, PI, ZERO, wp
 from omtwarp.errors import OmtwarpError
-from omtwarp.texturing.atlas import CUBE_FRAMES
-from omtwarp.texturing.cutting import normalised
+from omtwarp.texturing.atlas import CUBE_FRAMES, normalised
 from omtwarp.texturing.kernels import cube_face
 from omtwarp.texturing.patterns.base import Floats, Pattern, colour_groups, srgb_colours
 
