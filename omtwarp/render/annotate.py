@@ -9,8 +9,6 @@ from PIL import Image, ImageDraw, ImageFont
 from omtwarp.colors import backdrop, colormap_table
 from omtwarp.render.scene import ScalarField
 
-ROUND = 1e-9  # steps: a value that is so near to a tick, as a quotient of rounded numbers is, is the tick
-
 
 def compose(
     picture: NDArray[np.uint8],
@@ -88,18 +86,20 @@ def draw_color_bar(image: Image.Image, scalar: ScalarField, color: tuple[int, in
 
 def ticks(low: float, high: float, logarithmic: bool = False) -> list[float]:
     """Round values between two limits, about five of them: multiples of 1, 2 or 5 times a power of ten."""
+    # Steps: a value that is so near to a tick, as a quotient of rounded numbers is, is the tick.
+    near = 1e-9
     if logarithmic:
         first, last = int(np.floor(np.log10(low))), int(np.ceil(np.log10(high)))
         for mantissas in ((1,), (1, 3), (1, 2, 5), (1, 1.5, 2, 3, 5, 7)):
             values = [m * 10.0**power for power in range(first, last + 1) for m in mantissas]
-            inside = [value for value in values if low * (1 - ROUND) <= value <= high * (1 + ROUND)]
+            inside = [value for value in values if low * (1 - near) <= value <= high * (1 + near)]
             if len(inside) >= 4:
                 return inside[:: max(1, len(inside) // 6)]
         # Less than a factor of two or so: the logarithm is nearly straight.
     raw = (high - low) / 5.0
     power = 10.0 ** np.floor(np.log10(raw))
     step = next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= raw * 0.999)
-    first_step, last_step = int(np.ceil(low / step - ROUND)), int(np.floor(high / step + ROUND))
+    first_step, last_step = int(np.ceil(low / step - near)), int(np.floor(high / step + near))
     return [float(k * step) for k in range(first_step, last_step + 1)]
 
 

@@ -14,7 +14,6 @@ from omtwarp.render.subject import FinishedMap
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-LEAST_WEIGHT = 1e-9  # of the mean, of a vertex without area: turns the domain as little as that
 SPACING = 1.08  # distance of two domains over the sum of their radii, as seen
 
 
@@ -37,7 +36,7 @@ def domain_name(result: FinishedMap) -> str:
 def vertex_areas(surface: Floats, faces: Ints) -> Floats:
     """Return three times the area around every vertex, and a little for those without, shape [V]."""
     areas = np.bincount(faces.ravel(), np.repeat(triangle_areas(surface, faces), 3), minlength=len(surface))
-    return areas + areas.mean() * LEAST_WEIGHT
+    return areas + 1e-9 * areas.mean()  # which turns a domain as little as that
 
 
 def fits_of(

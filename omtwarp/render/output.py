@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 STILL_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP", ".tif": "TIFF", ".tiff": "TIFF"}
 FILM_FORMATS = (".gif", ".mp4", ".webp")
-WEBP = 60  # of Pillow's 100: a third of the size at 80, and edges of a pattern stay clean
 # Encoders of H.264 by what they are preferred for, each at a quality at which edges of a pattern stay clean: x264's
 # constant rate factor (0 to 51, smaller is better), for others a rate in bits per second.
 ENCODERS = {
@@ -40,13 +39,6 @@ BT709 = (
     "setparams=colorspace=bt709:color_primaries=bt709:color_trc=bt709:range=tv"
 )
 OPAQUE_FORMATS = (".jpg", ".jpeg", ".mp4")
-
-
-class _Alone(TypedDict, total=False):
-    """Options that keep an interruption of this process from another one, on Windows and elsewhere."""
-
-    creationflags: int
-    start_new_session: bool
 
 
 def check_target(path: str | os.PathLike[str], *, film: bool, transparent: bool) -> Path:
@@ -104,7 +96,8 @@ def save_film(frames: Iterable[Image], path: str | os.PathLike[str], fps: float)
         elif target.suffix.lower() == ".webp":
             first, *others = frames
             duration = max(1, round(1000 / fps))
-            first.save(file, "WEBP", save_all=True, append_images=others, duration=duration, loop=0, quality=WEBP)
+            # A third of the size at Pillow's 80, and edges of a pattern stay clean
+            first.save(file, "WEBP", save_all=True, append_images=others, duration=duration, loop=0, quality=60)
         else:
             _mp4(frames, file, fps)
 
@@ -179,14 +172,13 @@ def _mp4(frames: Iterable[Image], file: Path, fps: float) -> None:
         "-i", "-", "-vf", BT709, *_encoder(program), "-pix_fmt", "yuv420p", "-movflags", "+faststart",
         str(file),
     ]  # fmt: skip
-    # An interruption of this process ends the writing, not ffmpeg, which would print its own messages.
-    alone: _Alone = (
-        {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}  # type: ignore[attr-defined, unused-ignore]
-        if os.name == "nt"
-        else {"start_new_session": True}
-    )
     with tempfile.TemporaryFile() as words:
-        encoder = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=words, **alone)
+        # An interruption of this process ends the writing, not ffmpeg, which would print its own messages: elsewhere
+        # than on Windows by a session of its own, there by a group.
+        encoder = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=words, start_new_session=True,
+            creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
+        )  # fmt: skip
         try:
             assert encoder.stdin is not None
             for shown in itertools.chain([first], shown_in_turn):

@@ -1,43 +1,245 @@
-"""Pictures of surfaces, maps and fields, offscreen: the public functions ``preview``, ``sheet`` and ``comparison``."""
+"""Pictures of surfaces, maps and fields, offscreen: the public functions ``preview``, ``sheet`` and ``comparison``.
+
+Their options, with names, types and defaults, are read here alone; their meaning is in the docstring of
+:func:`preview`.
+"""
 
 from __future__ import annotations
 
+import inspect
 import logging
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar, Unpack
+from typing import TypeAlias, TypedDict, TypeVar, Unpack
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
-from omtwarp.errors import OmtwarpError
+from omtwarp.colors import backdrop
+from omtwarp.errors import OmtwarpError, choose
+from omtwarp.files.limits import FRAMES_PER_SECOND, LARGEST_VIEW, MOST_FILM_PIXELS, MOST_FRAMES
 from omtwarp.files.output import as_path
+from omtwarp.mesh.arrays import real_number, whole_number
+from omtwarp.options import BACKGROUND, FILM_RATE, PICTURE_SIZE, Backend, BackendLike
 from omtwarp.render import annotate, gl_client, output
-from omtwarp.render.arrows import arrow_part
-from omtwarp.render.camera import VIEWS, Camera, as_light, frame
-from omtwarp.render.options import (
-    PANEL_DEFAULTS,
-    PREVIEW_DEFAULTS,
-    SMALLEST_VIEW,
-    PanelOptions,
-    PreviewOptions,
-    cameras_of,
-    complete,
-    takes,
-    view_of,
+from omtwarp.render.camera import VIEWS, Camera, Light, as_light, as_views, frame, turntable
+from omtwarp.render.scene import (
+    Arrows,
+    RenderJob,
+    ScalarField,
+    SurfaceView,
+    Wireframe,
+    arrow_part,
+    build_parts,
+    normalised_points,
 )
-from omtwarp.render.scene import RenderJob, Wireframe, build_parts, normalised_points
-from omtwarp.render.subject import FinishedMap, Subject, map_view
+from omtwarp.render.subject import FinishedMap, Picture, Subject, as_surface_view, map_view
+from omtwarp.render.upright import posed
 
 Result = TypeVar("Result")
+Function = TypeVar("Function", bound=Callable[..., object])
 
 logger = logging.getLogger("omtwarp.render")
 PANEL_SIZE = (512, 512)  # pixels of a panel of a sheet, so that four are as large as one preview
 _told: set[str] = set()
+
+
+View: TypeAlias = str | tuple[float, float] | Camera
+
+SMALLEST_VIEW = 16  # pixels along a side, below which neither captions nor a colour bar can be drawn
+
+
+class PanelOptions(TypedDict, total=False):
+    """Options of one still picture."""
+
+    size: tuple[int, int]
+    views: View | Sequence[View] | None
+    camera: Camera | None
+    up: str | None
+    front: str | None
+    light: str | Light | None
+    background: str | ArrayLike
+    transparent: bool
+    wireframe: bool | Wireframe
+    image: Picture | None
+    scalar: ScalarField | ArrayLike | None
+    colormap: str
+    scalar_range: tuple[float, float] | None
+    scalar_label: str
+    color_bar: bool
+    arrows: Arrows | ArrayLike | None
+    samples: int | None
+    backend: BackendLike
+    device: str
+
+
+class PreviewOptions(PanelOptions, total=False):
+    """Options of :func:`omtwarp.preview`: one picture, a sheet of several views, or a film."""
+
+    frames: int | None
+    fps: float
+    captions: bool | Sequence[str]
+
+
+PANEL_DEFAULTS: PanelOptions = {
+    "size": PICTURE_SIZE,
+    "views": None,
+    "camera": None,
+    "up": None,
+    "front": None,
+    "light": None,
+    "background": BACKGROUND,
+    "transparent": False,
+    "wireframe": False,
+    "image": None,
+    "scalar": None,
+    "colormap": "viridis",
+    "scalar_range": None,
+    "scalar_label": "",
+    "color_bar": True,
+    "arrows": None,
+    "samples": None,
+    "backend": Backend.AUTO,
+    "device": "auto",
+}
+PREVIEW_DEFAULTS: PreviewOptions = {**PANEL_DEFAULTS, "frames": None, "fps": FILM_RATE, "captions": True}
+
+
+def takes(kind: type, defaults: PanelOptions | PreviewOptions) -> Callable[[Function], Function]:
+    """Give a function that ends in ``**options`` the signature with every option and its default, for ``help``.
+
+    Args:
+        kind: the TypedDict of the options.
+        defaults: a value for each of them.
+    """
+    types = {name: getattr(given, "__forward_arg__", given) for name, given in _annotations(kind).items()}
+
+    def signed(function: Function) -> Function:
+        signature = inspect.signature(function)
+        own = [given for given in signature.parameters.values() if given.kind is not inspect.Parameter.VAR_KEYWORD]
+        known = {given.name for given in own}
+        options = [
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=value, annotation=types[name])
+            for name, value in defaults.items()
+            if name not in known
+        ]
+        function.__signature__ = signature.replace(parameters=[*own, *options])  # type: ignore[attr-defined]
+        return function
+
+    return signed
+
+
+def _annotations(kind: type) -> dict[str, object]:
+    """Return the annotations of a TypedDict and of those that it extends, in their order."""
+    return {name: given for base in reversed(kind.__mro__) for name, given in inspect.get_annotations(base).items()}
+
+
+def complete(given: PreviewOptions, function: str) -> PreviewOptions:
+    """Add the defaults to the options that were given, and reject invalid values before any work is done.
+
+    Where OpenGL is to draw, the process that does so is started: the subject is read meanwhile.
+
+    Raises:
+        TypeError: there is no such option.
+        OmtwarpError: an option has an invalid value.
+    """
+    most_samples = 4  # along a pixel's side, in addition to the 4 to 8 samples of OpenGL itself
+    if unknown := [name for name in given if name not in PREVIEW_DEFAULTS]:
+        raise TypeError(f"{function}() got an unexpected keyword argument '{unknown[0]}'")
+    options: PreviewOptions = {**PREVIEW_DEFAULTS, **given}
+    options["backend"] = choose(Backend, options["backend"])
+    options["size"] = checked_size(options["size"])
+    _check_film(options)
+    samples = options["samples"]
+    if samples is not None and not 1 <= int(samples) <= most_samples:
+        raise OmtwarpError(f"{samples} samples along a pixel's side asked for: use 1 to {most_samples}")
+    if options["light"] is not None:
+        as_light(options["light"])
+    backdrop(options["background"], 1, 2)
+    if options["device"] != "auto":
+        from omtwarp.device.policy import resolve_device  # starts Warp
+
+        resolve_device(options["device"])
+    if options["backend"] != Backend.WARP:
+        gl_client.prepare()
+    return options
+
+
+def checked_size(given: tuple[int, int], what: str = "picture") -> tuple[int, int]:
+    """Return the width and the height of a picture or film, if it can be drawn.
+
+    Raises:
+        OmtwarpError: no size, or one that is too small or too large.
+    """
+    try:
+        width, height = (int(length) for length in given)
+    except (TypeError, ValueError):
+        raise OmtwarpError(f"{given!r} is not a size: use (width, height) in pixels") from None
+    if not (SMALLEST_VIEW <= width <= LARGEST_VIEW and SMALLEST_VIEW <= height <= LARGEST_VIEW):
+        raise OmtwarpError(
+            f"cannot draw a {what} of {width} x {height} pixels: use {SMALLEST_VIEW} to {LARGEST_VIEW} along each side"
+        )
+    return width, height
+
+
+def checked_rate(given: float) -> float:
+    """Return the frames per second of a film, if it can have so many.
+
+    Raises:
+        OmtwarpError: too few or too many, or no number.
+    """
+    slowest, fastest = FRAMES_PER_SECOND
+    if not slowest <= real_number(given, "frames per second") <= fastest:
+        raise OmtwarpError(f"{given} frames per second asked for: use {slowest:g} to {fastest:g}")
+    return float(given)
+
+
+def _check_film(options: PreviewOptions) -> None:
+    if options["frames"] is None:
+        return
+    checked_rate(options["fps"])
+    width, height = options["size"]
+    if whole_number(options["frames"], "frames", least=1) > min(MOST_FRAMES, MOST_FILM_PIXELS // (width * height)):
+        raise OmtwarpError(
+            f"a film of {options['frames']} frames of {width} x {height} pixels: {MOST_FRAMES} frames and "
+            f"{MOST_FILM_PIXELS / 1e6:.0f} million pixels in all is the most"
+        )
+
+
+def cameras_of(options: PreviewOptions) -> list[Camera]:
+    """Return one camera for each picture that the options ask for.
+
+    Raises:
+        OmtwarpError: an unknown view, or several for a film.
+    """
+    cameras = as_views(options["views"], options["camera"] or Camera())
+    if options["frames"] is None:
+        return cameras
+    if len(cameras) > 1:
+        raise OmtwarpError(f"a turntable starts from one view, but {len(cameras)} were given")
+    return turntable(cameras[0], int(options["frames"]))
+
+
+def view_of(subject: Subject, options: PreviewOptions) -> SurfaceView:
+    """Convert the subject to a view, with the changes that the options ask for.
+
+    Raises:
+        OmtwarpError: the subject cannot be read or drawn.
+    """
+    view = as_surface_view(subject, options["image"])
+    scalar, arrows = options["scalar"], options["arrows"]
+    view = posed(view, options["up"], options["front"])
+    if scalar is not None:
+        if not isinstance(scalar, ScalarField):
+            scalar = ScalarField(scalar, options["colormap"], options["scalar_range"], options["scalar_label"])
+        view = replace(view, scalar=scalar, image=None, uv=None, colors=None, materials=None)
+    if arrows is not None:
+        view = replace(view, arrows=arrows if isinstance(arrows, Arrows) else Arrows(arrows))
+    return view
 
 
 @takes(PreviewOptions, PREVIEW_DEFAULTS)

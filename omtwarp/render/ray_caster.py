@@ -16,9 +16,6 @@ from omtwarp.render import ray_kernels as kernels
 from omtwarp.render.camera import Shot
 from omtwarp.render.scene import Part, RenderJob
 
-# The footprint of the first pass, in pixels: only smooth areas keep its result, where a sharper filter cannot alias.
-_KINDS = {"color": 0, "uv": 1, "sphere": 2}
-
 
 def draw(job: RenderJob, device: str = "auto") -> list[NDArray[np.uint8]]:
     """Draw every shot.
@@ -90,7 +87,7 @@ def _geometry(parts: list[Part], where: wp.Device) -> tuple[kernels.Geometry, wp
     shape.normals = wp.array(np.concatenate([part.normals for part in parts]), dtype=wp.vec3, device=where)
     shape.values = wp.array(np.concatenate([part.value for part in parts]), dtype=wp.vec3, device=where)
     shape.faces = wp.array(faces.astype(np.int32), dtype=wp.int32, device=where)
-    kinds = np.concatenate([np.full(len(part.faces), _KINDS[part.kind], np.int32) for part in parts])
+    kinds = np.concatenate([np.full(len(part.faces), kernels.Kind[part.kind.upper()], np.int32) for part in parts])
     edges = np.concatenate([np.full(len(part.faces), int(part.edges), np.int32) for part in parts])
     having = np.cumsum([part.image is not None for part in parts]) - 1
     numbers = np.concatenate([np.full(len(p.faces), max(k, 0), np.int32) for p, k in zip(parts, having, strict=True)])

@@ -5,23 +5,22 @@ takes nothing else.
 """
 
 # mypy: ignore-errors
+import math
+from enum import IntEnum
+
 from omtwarp.device.start import KERNEL_OPTIONS, wp
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-PI_F = wp.constant(wp.float32(3.14159265358979))
-# What a part's corners hold: colours, texture coordinates, or directions on the sphere.
-KIND_COLOR = wp.constant(0)
-KIND_UV = wp.constant(1)
-KIND_SPHERE = wp.constant(2)
+PI_F = wp.constant(wp.float32(math.pi))
 
-POLE = wp.constant(wp.float32(1.0e-20))  # squared distance from the axis: the poles have no longitude
-# Squared slope of a weight over pixels: an edge seen so large is as if it lay nowhere.
-FLAT = wp.constant(wp.float32(1.0e-20))
-BESIDE_X, BESIDE_Y = (
-    wp.constant(wp.float32(1.1e-3)),
-    wp.constant(wp.float32(0.7e-3)),
-)  # pixels: beside a vertex, off its edges
+
+class Kind(IntEnum):
+    """What a part's corners hold: colours, texture coordinates, or directions on the sphere."""
+
+    COLOR = 0
+    UV = 1
+    SPHERE = 2
 
 
 @wp.struct
@@ -43,7 +42,7 @@ class Geometry:
     normals: wp.array[wp.vec3]
     values: wp.array[wp.vec3]
     faces: wp.array2d[wp.int32]
-    kinds: wp.array[wp.int32]  # per face, one of KIND_*
+    kinds: wp.array[wp.int32]  # per face, a Kind
     pictures: wp.array[wp.int32]  # per face, number of its picture
     edges: wp.array[wp.int32]  # per face, 1 where its edges are drawn
 
@@ -189,7 +188,8 @@ def sphere_color(picture: Picture, p: wp.vec3, px: wp.vec3, py: wp.vec3):
     """Return the equirectangular image at a point of the sphere; derivatives by the chain rule, hence no seam."""
     across = wp.max(wp.dot(px, px), wp.dot(py, py))
     flat2 = p[0] * p[0] + p[1] * p[1]
-    rho2 = wp.max(flat2, wp.max(0.0625 * across, POLE))
+    # Squared distance from the axis: the poles have no longitude.
+    rho2 = wp.max(flat2, wp.max(0.0625 * across, wp.float32(1.0e-20)))
     rho = wp.sqrt(rho2)
     r2 = rho2 + p[2] * p[2]
     longitude_x = (p[0] * px[1] - p[1] * px[0]) / rho2
@@ -275,7 +275,8 @@ def weights_on_plane(origin: wp.vec3, way: wp.vec3, p0: wp.vec3, e1: wp.vec3, e2
 
 @wp.func
 def line_strength(weight: float, gradient_x: float, gradient_y: float, width: float, ramp: float):
-    height = 1.0 / wp.sqrt(wp.max(gradient_x * gradient_x + gradient_y * gradient_y, FLAT))
+    # Squared slope of a weight over pixels: an edge seen so large is as if it lay nowhere.
+    height = 1.0 / wp.sqrt(wp.max(gradient_x * gradient_x + gradient_y * gradient_y, wp.float32(1.0e-20)))
     line = wp.clamp((0.5 * width - weight * height) / ramp + 0.5, 0.0, 1.0)
     return line * wp.clamp((height - width) / (5.0 * width), 0.12, 1.0)
 
@@ -288,8 +289,10 @@ def sample(view: View, shape: Geometry, pictures: wp.array[Picture], look: Look,
     hit = wp.mesh_query_ray(shape.mesh, origin, way, 1.0e6)
     if not hit.result:
         # Rays exactly at a vertex can miss; a thousandth of a pixel next to it they do not.
-        origin = ray_origin(view, x + BESIDE_X, y + BESIDE_Y)
-        way = ray_way(view, x + BESIDE_X, y + BESIDE_Y)
+        beside_x = x + wp.float32(1.1e-3)
+        beside_y = y + wp.float32(0.7e-3)
+        origin = ray_origin(view, beside_x, beside_y)
+        way = ray_way(view, beside_x, beside_y)
         hit = wp.mesh_query_ray(shape.mesh, origin, way, 1.0e6)
     color = wp.vec4(0.0, 0.0, 0.0, 0.0)
     if hit.result:
@@ -320,7 +323,7 @@ def sample(view: View, shape: Geometry, pictures: wp.array[Picture], look: Look,
         value = a0 + u * a1 + v * a2
         kind = shape.kinds[face]
         albedo = wp.vec3(to_linear(value[0]), to_linear(value[1]), to_linear(value[2]))
-        if kind == KIND_UV:
+        if kind == Kind.UV:
             if picture.levels == 1:
                 albedo = bilinear(picture, value[0], value[1], 0)
             else:
@@ -329,9 +332,10 @@ def sample(view: View, shape: Geometry, pictures: wp.array[Picture], look: Look,
                 along_x = wp.vec2(grad_x[0], grad_x[1])
                 along_y = wp.vec2(grad_y[0], grad_y[1])
                 albedo = filtered(picture, wp.vec2(value[0], value[1]), along_x, along_y)
+        if kind == Kind.SPHERE:
+            albedo = sphere_color(picture, value, ux * a1 + vx * a2, uy * a1 + vy * a2)
+        if kind != Kind.COLOR:
             albedo = wp.cw_mul(albedo, picture.tint)
-        if kind == KIND_SPHERE:
-            albedo = wp.cw_mul(sphere_color(picture, value, ux * a1 + vx * a2, uy * a1 + vy * a2), picture.tint)
         if look.unlit == 0:
             n = (1.0 - u - v) * shape.normals[i0] + u * shape.normals[i1] + v * shape.normals[i2]
             if wp.dot(wp.cross(e1, e2), way) > 0.0:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.colors import colormap_table, parse_color
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import real_numbers
+from omtwarp.mesh.arrays import TINY, real_numbers
 from omtwarp.render.camera import Light, Shot
 
 
@@ -247,34 +247,45 @@ class SurfaceView:
                 )
 
 
-@dataclass(eq=False)
-class Part:
-    """One set of triangles as both renderers take it; picklable, single precision (it only ever becomes pixels).
+@dataclass(eq=False, kw_only=True)
+class Appearance:
+    """What triangles look like, by values at vertices [V, C], faces [F, C] or corners [F, 3, C].
 
     Attributes:
-        positions: float32 [N, 3], normalised: centred at the origin, farthest point at distance 1.
-        normals: float32 [N, 3], unit.
-        faces: int32 [F, 3], indices into the N rows.
         kind: ``"color"``, ``"uv"`` or ``"sphere"``: what ``value`` means.
-        value: float32 [N, 3]: an sRGB colour, (u, v, 0), or a point of the sphere.
+        value: an sRGB colour, (u, v), or a point of the sphere.
         image: uint8 [H, W, 3] sRGB for the two looked-up kinds, row 0 on top.
         tint: sRGB factor on the image.
         repeat: the image repeats to the right (sphere, textures) or ends at its border (colour maps).
         repeat_rows: it repeats upwards too.
         mipmaps: average over the area of a pixel; off for colour maps, which hold no picture.
+    """
+
+    kind: str
+    value: NDArray
+    image: NDArray[np.uint8] | None = None
+    tint: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    repeat: bool = True
+    repeat_rows: bool = False
+    mipmaps: bool = True
+
+
+@dataclass(eq=False, kw_only=True)
+class Part(Appearance):
+    """One set of triangles as both renderers take it; picklable, single precision (it only ever becomes pixels).
+
+    Its ``value`` is float32 [N, 3], with 0 behind u and v.
+
+    Attributes:
+        positions: float32 [N, 3], normalised: centred at the origin, farthest point at distance 1.
+        normals: float32 [N, 3], unit.
+        faces: int32 [F, 3], indices into the N rows.
         edges: draw the triangles' edges; needs N = 3F, corner k of face f in row 3f + k.
     """
 
     positions: NDArray[np.float32]
     normals: NDArray[np.float32]
     faces: NDArray[np.int32]
-    kind: str
-    value: NDArray[np.float32]
-    image: NDArray[np.uint8] | None = None
-    tint: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    repeat: bool = True
-    repeat_rows: bool = False
-    mipmaps: bool = True
     edges: bool = False
 
 
@@ -446,31 +457,12 @@ def _build_part(view: SurfaceView, edges: bool = False, whole: SurfaceView | Non
         positions=np.ascontiguousarray(positions, dtype=np.float32),
         normals=np.ascontiguousarray(normals, dtype=np.float32),
         faces=np.ascontiguousarray(faces, dtype=np.int32),
-        kind=look.kind,
-        value=np.ascontiguousarray(value, dtype=np.float32),
-        image=look.image,
-        tint=look.tint,
-        repeat=look.repeat,
-        repeat_rows=look.repeat_rows,
-        mipmaps=look.mipmaps,
         edges=edges,
+        **vars(look) | {"value": np.ascontiguousarray(value, dtype=np.float32)},
     )
 
 
-@dataclass(frozen=True)
-class _Look:
-    """Appearance of a part, as of :class:`Part`; a value per vertex [V, C], face [F, C] or corner [F, 3, C]."""
-
-    kind: str
-    value: NDArray
-    image: NDArray[np.uint8] | None = None
-    tint: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    repeat: bool = True
-    repeat_rows: bool = False
-    mipmaps: bool = True
-
-
-def _look_of(view: SurfaceView) -> _Look:
+def _look_of(view: SurfaceView) -> Appearance:
     """Return the appearance of a surface without materials: its image, its scalar, its colours, or one colour."""
     clay = (0.80, 0.79, 0.77)  # sRGB of surfaces without any colour of their own
     outside = 1e-6  # of a picture's height: coordinates that exceed it by less are rounded, not repeated
@@ -481,18 +473,18 @@ def _look_of(view: SurfaceView) -> _Look:
             red, green, blue = (float(channel) for channel in parse_color(view.color))
             tint = (red, green, blue)
         if view.sphere is not None:
-            return _Look("sphere", np.asarray(view.sphere), picture, tint)
+            return Appearance(kind="sphere", value=np.asarray(view.sphere), image=picture, tint=tint)
         value = np.asarray(view.uv)
         # Tiling upwards is rare; without it the top row must not be filtered with the bottom one.
         repeat_rows = bool(value[..., 1].min() < -outside or value[..., 1].max() > 1.0 + outside)
-        return _Look("uv", value, picture, tint, repeat_rows=repeat_rows)
+        return Appearance(kind="uv", value=value, image=picture, tint=tint, repeat_rows=repeat_rows)
     if view.scalar is not None:
         image, value = _scalar_lookup(view.scalar)
-        return _Look("uv", value, image, repeat=False, mipmaps=False)
+        return Appearance(kind="uv", value=value, image=image, repeat=False, mipmaps=False)
     if view.colors is not None:
-        return _Look("color", np.asarray(view.colors))
+        return Appearance(kind="color", value=np.asarray(view.colors))
     color = parse_color(clay if view.color is None else view.color)
-    return _Look("color", np.broadcast_to(color, (len(_arrays(view)[0]), 3)))
+    return Appearance(kind="color", value=np.broadcast_to(color, (len(_arrays(view)[0]), 3)))
 
 
 def _corner_values(value: NDArray, vertex_count: int, face_count: int) -> NDArray | None:
@@ -560,3 +552,124 @@ def _scalar_lookup(scalar: ScalarField) -> tuple[NDArray[np.uint8], NDArray[np.f
     size = len(table)
     u = (np.where(missing, 0.5, t) * (size - 1) + 0.5) / size  # from the middle of the first texel to that of the last
     return image, np.column_stack([u, np.where(missing, 0.25, 0.75)])
+
+
+def arrow_part(view: SurfaceView, arrows: Arrows) -> Part | None:
+    """Convert a field's arrows to the renderers' form; None where the field is zero everywhere.
+
+    Raises:
+        OmtwarpError: the field has the wrong shape or a value that is not finite.
+    """
+    vertices, faces = np.asarray(view.vertices), np.asarray(view.faces)
+    vectors = numbers_of(arrows.vectors, "arrows")
+    if vectors.shape not in ((len(vertices), 3), (len(faces), 3)):
+        raise OmtwarpError(
+            f"arrows need a vector per vertex [{len(vertices)}, 3] or per face [{len(faces)}, 3], "
+            f"not {list(vectors.shape)}"
+        )
+    bad = np.flatnonzero(~np.isfinite(vectors).all(axis=1))
+    if bad.size:
+        raise OmtwarpError(f"arrows have NaN or infinite values in {bad.size} rows, the first is row {bad[0]}")
+    centre, radius = normalisation(view)
+    positions = (vertices - centre) / radius
+    normals = welded_normals(positions, faces)
+    if len(vectors) != len(vertices):
+        positions = positions[faces].mean(axis=1)
+        normals = normals[faces].mean(axis=1)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1), TINY)[:, None]
+    lengths = np.linalg.norm(vectors, axis=1)
+    longest = lengths.max(initial=0.0)
+    if longest == 0.0:
+        return None
+    chosen = _thin_out(positions, max(int(arrows.count), 1))
+    chosen = chosen[lengths[chosen] > 0.02 * longest]  # shorter ones would be dots
+    if chosen.size == 0:
+        chosen = np.array([int(np.argmax(lengths))])
+    way = vectors[chosen] / lengths[chosen][:, None]
+    size = np.full(len(chosen), arrows.length) if arrows.uniform else arrows.length * lengths[chosen] / longest
+    # Lifted off the surface by the shaft's thickness, so that they are not hidden in it.
+    feet = positions[chosen] + 0.012 * normals[chosen]
+    return _solid_arrows(feet, way, normals[chosen], size, arrows.length, parse_color(arrows.color))
+
+
+def _thin_out(points: NDArray[np.float64], count: int) -> NDArray[np.intp]:
+    """Return the indices of about ``count`` points spread evenly.
+
+    There is one for each occupied cell of a grid of suitable width.
+    """
+    base = 100_003  # a prime above the number of cells along an axis, which are 4000 at most
+    if len(points) <= count:
+        return np.arange(len(points))
+
+    def occupied(width: float) -> NDArray[np.intp]:
+        cells = np.floor((points + 2.0) / width).astype(np.int64)
+        keys = (cells[:, 0] * base + cells[:, 1]) * base + cells[:, 2]
+        # Of the points in a cell the one nearest its middle, so that neighbours keep their distance.
+        offset = np.abs((points + 2.0) / width - cells - 0.5).max(axis=1)
+        order = np.lexsort((offset, keys))
+        first = np.ones(len(order), dtype=bool)
+        first[1:] = keys[order][1:] != keys[order][:-1]
+        return order[first]
+
+    # Of the width of cells in radii: 2000 to 1 in powers of two, to 0.003 %
+    narrow, wide = 1e-3, 2.0
+    for _ in range(18):
+        middle = np.sqrt(narrow * wide)
+        narrow, wide = (middle, wide) if len(occupied(middle)) > count else (narrow, middle)
+    return np.sort(occupied(wide))
+
+
+def _solid_arrows(
+    feet: NDArray[np.float64],
+    way: NDArray[np.float64],
+    normal: NDArray[np.float64],
+    size: NDArray[np.float64],
+    longest: float,
+    color: NDArray[np.float64],
+) -> Part:
+    """Return a round shaft and a cone for every arrow, by broadcasting one template."""
+    sides = 8  # of an arrow's shaft and head: at the size of an arrow, corners are invisible
+    across = 1e-6  # sine: an arrow that stands on the surface at right angles to within this takes another side
+    side = np.cross(normal, way)
+    weak = np.linalg.norm(side, axis=1) < across
+    side[weak] = np.cross(way[weak], np.eye(3)[np.argmin(np.abs(way[weak]), axis=1)])
+    side /= np.linalg.norm(side, axis=1)[:, None]
+    over = np.cross(way, side)
+    # Thickness grows with the square root of the length: short arrows stay visible, long ones slim.
+    thick = 0.045 * longest * np.sqrt(size / longest)
+    head = np.minimum(0.45 * size, 5.5 * thick)
+    angle = 2.0 * np.pi * np.arange(sides) / sides
+    ring = np.cos(angle)[None, :, None] * side[:, None] + np.sin(angle)[None, :, None] * over[:, None]  # [N, S, 3]
+    base, neck, tip = feet, feet + (size - head)[:, None] * way, feet + size[:, None] * way
+    slim, broad = thick[:, None, None] * ring, 2.4 * thick[:, None, None] * ring
+    slope = (2.4 * thick / head)[:, None, None]
+    cone_normal = (ring + slope * way[:, None]) / np.sqrt(1.0 + slope**2)
+    back = np.broadcast_to(-way[:, None], ring.shape)
+    rows = [
+        (base[:, None] + slim, ring),  # shaft
+        (neck[:, None] + slim, ring),
+        (neck[:, None] + broad, cone_normal),  # cone
+        (np.broadcast_to(tip[:, None], ring.shape), cone_normal),
+        (neck[:, None] + broad, back),  # the cone's underside
+        (np.broadcast_to(neck[:, None], ring.shape), back),
+        (base[:, None] + slim, back),  # the shaft's end
+        (np.broadcast_to(base[:, None], ring.shape), back),
+    ]
+    positions = np.stack([place for place, _ in rows], axis=1).reshape(-1, 3)
+    normals = np.stack([facing for _, facing in rows], axis=1).reshape(-1, 3)
+    k = np.arange(sides)
+    after = (k + 1) % sides
+    template = []
+    for lower, upper in ((0, 1), (2, 3), (5, 4), (7, 6)):
+        low, high = lower * sides, upper * sides
+        template.append(np.column_stack([low + k, low + after, high + after]))
+        template.append(np.column_stack([low + k, high + after, high + k]))
+    stencil = np.concatenate(template)
+    faces = (stencil[None] + (len(rows) * sides) * np.arange(len(feet))[:, None, None]).reshape(-1, 3)
+    return Part(
+        positions=positions.astype(np.float32),
+        normals=normals.astype(np.float32),
+        faces=faces.astype(np.int32),
+        kind="color",
+        value=np.broadcast_to(color, positions.shape).astype(np.float32),
+    )

@@ -19,9 +19,6 @@ from omtwarp.texturing.image import PictureLike
 from omtwarp.texturing.image import read_image as read_picture
 from omtwarp.texturing.materials import WHITE
 
-# Of the checker for maps without a picture: fields around the equator, from pole to pole, and texels along each.
-COLUMNS, ROWS, CELL = 24, 12, 64
-
 if TYPE_CHECKING:  # a picture of triangles loads neither Warp nor SciPy, which these need
     import trimesh
 
@@ -172,8 +169,9 @@ def torus_view(
 
 def checker_image() -> NDArray[np.uint8]:
     """Return an equirectangular checker whose dark cells go around the colour wheel with longitude, uint8 [H, W, 3]."""
-    column, row = (np.arange(count * CELL) // CELL for count in (COLUMNS, ROWS))
-    turn = 2.0 * np.pi * column / COLUMNS
+    columns, rows, cell = 24, 12, 64  # fields around the equator and from pole to pole, and texels along each
+    column, row = (np.arange(count * cell) // cell for count in (columns, rows))
+    turn = 2.0 * np.pi * column / columns
     dark = np.stack([0.33 + 0.22 * np.cos(turn + shift) for shift in (0.4, -1.9, 2.6)], axis=-1)
     light = np.array([0.96, 0.94, 0.90])
     chosen = ((row[:, None] + column[None, :]) % 2)[..., None]

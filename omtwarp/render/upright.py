@@ -19,11 +19,6 @@ from omtwarp.render.scene import SurfaceView
 
 Floats = NDArray[np.float64]
 
-SAMPLES, DENSER = 3000, 13  # points by which symmetry is measured, and how many times as many stand for the surface
-# Mean distance between a surface and its mirror image, as a share of its extent, where it counts as symmetric, and that
-# of the best plane over the next one's. Of ten heads, figures and animals, scanned or modelled, eight have 0 to 0.011.
-SYMMETRIC, BETTER = 0.015, 0.55
-
 
 def posed(view: SurfaceView, up: str | None = None, front: str | None = None) -> SurfaceView:
     """Complete a view by the axes that point up and to the viewer, as given or guessed from the shape.
@@ -115,7 +110,10 @@ def _more_symmetric(off: Floats, one: int, other: int) -> int | None:
     """Return which of two axes the surface is symmetric along, where it is clearly less along the other."""
     sampled = 1e-3  # least distance, as a share of the extent, that is no error of the samples: a ball's is 6e-5
     better, worse = (one, other) if off[one] < off[other] else (other, one)
-    return better if off[better] < min(SYMMETRIC, BETTER * (off[worse] - sampled)) else None
+    # Mean distance between a surface and its mirror image, as a share of its extent, where it counts as symmetric, and
+    # that of the best plane over the next one's. Of ten heads, figures and animals, scanned or modelled, eight have 0
+    # to 0.011.
+    return better if off[better] < min(0.015, 0.55 * (off[worse] - sampled)) else None
 
 
 def _asymmetry(corner: Floats, area: Floats, centre: Floats) -> Floats:
@@ -132,7 +130,8 @@ def _asymmetry(corner: Floats, area: Floats, centre: Floats) -> Floats:
         share = rng.dirichlet((1.0, 1.0, 1.0), count)
         return np.einsum("nk,nkj->nj", share, corner[np.minimum(at, len(corner) - 1)])
 
-    tree, points = cKDTree(sampled(DENSER * SAMPLES)), sampled(SAMPLES)
+    count = 3000  # points by which symmetry is measured; 13 times as many stand for the surface
+    tree, points = cKDTree(sampled(13 * count)), sampled(count)
     mirrored = np.where(np.eye(3, dtype=bool)[:, None], 2.0 * centre - points, points)
     return np.maximum(tree.query(mirrored)[0].mean(axis=1) - tree.query(points)[0].mean(), 0.0)
 

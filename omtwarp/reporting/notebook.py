@@ -10,7 +10,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.maps.result import MapResult
 from omtwarp.maps.torus_map import TorusMap
 from omtwarp.render import Camera, SurfaceView, preview
-from omtwarp.render.options import PreviewOptions
+from omtwarp.render.pictures import PreviewOptions
 from omtwarp.render.subject import map_view, torus_view
 from omtwarp.reporting.markup import asset, data_block, fill_page, html, script, source_hash
 from omtwarp.reporting.scene import data_uri, make_scene

@@ -146,7 +146,7 @@ def test_films_of_more_pixels_than_their_limit_are_refused_before_a_frame_is_dra
     target, size = tmp_path / f"film.{suffix}", (16, 16)
     words = error_of(lambda: film(result, target, size=size, seconds=2.0, fps=10, backend="warp"))
     assert words.startswith("a film of 20 frames of 16 x 16 pixels is more than the ")
-    monkeypatch.setattr("omtwarp.render.options.MOST_FILM_PIXELS", 16 * 16 * 20 - 1)
+    monkeypatch.setattr("omtwarp.render.pictures.MOST_FILM_PIXELS", 16 * 16 * 20 - 1)
     monkeypatch.setattr("omtwarp.render.pictures.render", None)
     assert "in all is the most" in error_of(lambda: preview(result, target, size=size, frames=20, backend="warp"))
     assert not list(tmp_path.iterdir())

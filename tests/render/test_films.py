@@ -18,8 +18,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
 from omtwarp.render import Camera, SurfaceView, films, preview
-from omtwarp.render.films import _scene_of
-from omtwarp.render.stories import along_great_circles
+from omtwarp.render.films import _scene_of, along_great_circles
 from omtwarp.render.subject import map_view
 from omtwarp.texturing import rasterize
 
