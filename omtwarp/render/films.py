@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
+PROBE_WIDTH = 192  # of the pictures on which motion is measured
 EASE = 0.12  # share of the motion in which it accelerates, and in which it slows down
 BATCH = 12  # frames that are drawn together: their texture is uploaded once
 
@@ -227,7 +228,7 @@ class _Studio:
         # Change of a pixel, of the whole range, that counts as an edge between two fields; smaller changes in
         # proportion.
         edge = 0.6
-        width, height = 192, max(round(192 / aspect), 16)
+        width, height = PROBE_WIDTH, max(round(PROBE_WIDTH / aspect), 16)
         seen: dict[float, NDArray[np.int16]] = {}
 
         def look(times: Sequence[float]) -> None:

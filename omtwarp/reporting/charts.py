@@ -60,12 +60,10 @@ def distributions(rows: Sequence[Row], title: str, description: str, *, mirrored
     for exponent in np.arange(math.ceil(low / step) * step, high + ROUND, step):
         at = x(float(exponent))
         kind = "axis-one" if abs(exponent) < ROUND else "grid"
-        ends = {"x1": f"{at:.1f}", "x2": f"{at:.1f}", "y1": f"{top:.0f}", "y2": f"{bottom:.0f}"}
-        parts.append(element("line", class_=kind, **ends))
+        parts.append(element("line", class_=kind, x1=at, x2=at, y1=f"{top:.0f}", y2=f"{bottom:.0f}"))
         anchor = "start" if at < left + 12 else "end" if at > right - 12 else "middle"
         name = power_name(float(exponent))
-        place = {"x": f"{at:.1f}", "y": f"{bottom + 18:.0f}", "text_anchor": anchor}
-        parts.append(element("text", name, class_="tick", **place))
+        parts.append(element("text", name, class_="tick", x=at, y=f"{bottom + 18:.0f}", text_anchor=anchor))
     for k, row in enumerate(rows):
         base = top + (k + 1) * (height + gap) - gap + 14
         shares, edges = np.histogram(np.clip(row.values, low, high), bins, (low, high), weights=row.weights)
@@ -76,7 +74,7 @@ def distributions(rows: Sequence[Row], title: str, description: str, *, mirrored
             path.append(f"L{x(begin):.1f},{level:.1f}L{x(end):.1f},{level:.1f}")
         path.append(f"L{x(high):.1f},{base:.1f}Z")
         parts.append(element("path", class_="hill", style=f"--ink:var({row.colour})", d="".join(path)))
-        parts.append(element("line", class_="baseline", x1=left, x2=right, y1=f"{base:.1f}", y2=f"{base:.1f}"))
+        parts.append(element("line", class_="baseline", x1=left, x2=right, y1=base, y2=base))
         # The label is where the histogram is low.
         middle = float(np.sum(np.clip(row.values, low, high) * row.weights))
         side, anchor = (left + 2, "start") if mirrored and middle > 0.1 * high else (right - 2, "end")
@@ -153,21 +151,19 @@ def curve(
     parts = plot.axes(x_label, y_label)
     if level:
         at = plot.y(level[0])
-        parts.append(element("line", class_="level", x1=plot.left, x2=plot.right, y1=f"{at:.1f}", y2=f"{at:.1f}"))
-        parts.append(element("text", level[1], class_="remark", x=plot.right, y=f"{at - 6:.1f}", text_anchor="end"))
+        parts.append(element("line", class_="level", x1=plot.left, x2=plot.right, y1=at, y2=at))
+        parts.append(element("text", level[1], class_="remark", x=plot.right, y=at - 6, text_anchor="end"))
     line = " ".join(f"{plot.x(a):.1f},{plot.y(b):.1f}" for a, b in points)
     ink = f"--ink:var({colour})"
     parts.append(element("polyline", class_="curve", style=ink, points=line))
     for a, b in (points[0], points[-1]):
-        place = {"cx": f"{plot.x(a):.1f}", "cy": f"{plot.y(b):.1f}"}
-        parts.append(element("circle", class_="dot", style=ink, **place, r=3.5))
+        parts.append(element("circle", class_="dot", style=ink, cx=plot.x(a), cy=plot.y(b), r=3.5))
     if mark and 0 <= mark[0] < len(points):
         a, b = points[mark[0]]
         anchor, shift = ("start", 10) if plot.x(a) < 0.6 * plot.right else ("end", -10)
-        place = {"cx": f"{plot.x(a):.1f}", "cy": f"{plot.y(b):.1f}"}
-        parts.append(element("circle", class_="ring", style=ink, **place, r=6))
-        place = {"x": f"{plot.x(a) + shift:.1f}", "y": f"{plot.y(b) - 10:.1f}", "text_anchor": anchor}
-        parts.append(element("text", mark[1], class_="remark", **place))
+        parts.append(element("circle", class_="ring", style=ink, cx=plot.x(a), cy=plot.y(b), r=6))
+        at = plot.x(a) + shift
+        parts.append(element("text", mark[1], class_="remark", x=at, y=plot.y(b) - 10, text_anchor=anchor))
     return _svg(HEIGHT, title, description, parts)
 
 
@@ -196,12 +192,13 @@ class _Plot:
         for tick in self.ticks:
             at = self.y(tick)
             name = f"{tick:.6g}"
-            parts.append(element("line", class_="grid", x1=self.left, x2=self.right, y1=f"{at:.1f}", y2=f"{at:.1f}"))
-            parts.append(element("text", name, class_="tick", x=self.left - 8, y=f"{at + 4:.1f}", text_anchor="end"))
+            parts.append(element("line", class_="grid", x1=self.left, x2=self.right, y1=at, y2=at))
+            parts.append(element("text", name, class_="tick", x=self.left - 8, y=at + 4, text_anchor="end"))
         for tick in nice_ticks(0.0, self.last, 6):
             if tick <= self.last:
-                place = {"x": f"{self.x(tick):.1f}", "y": f"{self.bottom + 18:.0f}", "text_anchor": "middle"}
-                parts.append(element("text", f"{tick:.6g}", class_="tick", **place))
+                below = f"{self.bottom + 18:.0f}"
+                name = f"{tick:.6g}"
+                parts.append(element("text", name, class_="tick", x=self.x(tick), y=below, text_anchor="middle"))
         below = f"{self.bottom + 36:.0f}"
         return [*parts, element("text", x_label, class_="axis-name", x=self.right, y=below, text_anchor="end")]
 

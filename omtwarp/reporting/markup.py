@@ -6,6 +6,7 @@ attribute or a script. Pieces are joined by :func:`join`; plain text that ends u
 
 from __future__ import annotations
 
+import io
 from base64 import b64encode
 from collections.abc import Iterable, Sequence
 from hashlib import sha256
@@ -16,7 +17,6 @@ from typing import TYPE_CHECKING
 from markupsafe import Markup
 
 from omtwarp.files.output import staged
-from omtwarp.reporting.scene import data_uri
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -37,12 +37,14 @@ def element(name: str, *content: str | float, **attributes: object) -> Markup:
     Args:
         name: of the element, a literal.
         content: pieces of HTML or text.
-        attributes: by name; underscores stand for hyphens, and one at the end is left out (``class_``).
+        attributes: by name; underscores stand for hyphens, and one at the end is left out (``class_``). Of fractions
+            there is one digit.
 
     >>> element("text", "a < b", class_="tick", text_anchor="end")
     Markup('<text class="tick" text-anchor="end">a &lt; b</text>')
     """
-    given = join(html(' {}="{}"', key.rstrip("_").replace("_", "-"), value) for key, value in attributes.items())
+    values = {key: f"{value:.1f}" if isinstance(value, float) else value for key, value in attributes.items()}
+    given = join(html(' {}="{}"', key.rstrip("_").replace("_", "-"), value) for key, value in values.items())
     return html("<{}{}>{}</{}>", name, given, join(content), name)
 
 
@@ -74,6 +76,17 @@ def data_block(text: str) -> Markup:
 def source_hash(text: str) -> Markup:
     """Return the hash that allows this script in a page's policy (Content Security Policy level 3, section 6.7.3.3)."""
     return html("'sha256-{}'", b64encode(sha256(text.encode()).digest()).decode())
+
+
+def data_uri(image: Image | list[Image], kind: str) -> str:
+    """Encode a PIL image as a data URI: ``png``, ``webp`` or ``jpeg``."""
+    assert not isinstance(image, list)  # which a preview is of several frames alone
+    stream = io.BytesIO()
+    if kind == "png":
+        image.save(stream, "PNG")
+    else:
+        image.save(stream, kind.upper(), quality=88)
+    return f"data:image/{kind};base64,{b64encode(stream.getvalue()).decode()}"
 
 
 def fill_page(template: str, **values: object) -> str:

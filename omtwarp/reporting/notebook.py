@@ -12,10 +12,9 @@ from omtwarp.maps.torus_map import TorusMap
 from omtwarp.render import Camera, SurfaceView, preview
 from omtwarp.render.pictures import PreviewOptions
 from omtwarp.render.subject import map_view, torus_view
-from omtwarp.reporting.markup import asset, data_block, fill_page, html, script, source_hash
-from omtwarp.reporting.scene import data_uri, make_scene
+from omtwarp.reporting.markup import data_uri, html
+from omtwarp.reporting.scene import make_scene, page_with_view, viewer_section
 from omtwarp.reporting.stages import Stage, stages_of
-from omtwarp.reporting.viewer import viewer_section
 from omtwarp.texturing.adaptive import rasterize
 
 if TYPE_CHECKING:
@@ -24,10 +23,6 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 PATTERN = "circles"
-# A notebook holds all of its outputs: the surface of a view is simplified above this many triangles, and its texture
-# has this many texels along each of six faces.
-MOST_FACES = 20_000
-SIZE = (640, 480)  # of pictures that are asked for without a size
 
 
 def notebook_view(result: MapResult | TorusMap) -> str:
@@ -63,26 +58,18 @@ def notebook_view(result: MapResult | TorusMap) -> str:
 
 def view_page(result: MapResult, stages: list[Stage], poster: str) -> str:
     """Make the page in the notebook's frame, which holds only the viewer of the report page."""
-    face_texels = 256
-    scene = make_scene(result, stages, PATTERN, most_faces=MOST_FACES, texels=face_texels)
-    three, viewer = script("three/three.min.js"), script("viewer.js")
-    return fill_page(
-        asset("notebook.html"),
-        title=repr(result),
-        scripts=html("{} {}", source_hash(three), source_hash(viewer)),
-        style=asset("page.css"),
-        view=viewer_section(stages, poster, repr(result), PATTERN.capitalize()),
-        scene=data_block(scene.header),
-        data=data_block(scene.data),
-        three=three,
-        viewer=viewer,
-    )
+    # A notebook holds all of its outputs: the surface is simplified above this many triangles, and its texture has this
+    # many texels along each of six faces.
+    most_faces, face_texels = 20_000, 256
+    scene = make_scene(result, stages, PATTERN, most_faces=most_faces, texels=face_texels)
+    view = viewer_section(stages, poster, repr(result), PATTERN.capitalize())
+    return page_with_view("notebook.html", scene, title=repr(result), view=view)
 
 
 def plot(result: MapResult | TorusMap, *, pattern: str = PATTERN, **options: Unpack[PreviewOptions]) -> Image:
     """Draw a map; see :meth:`omtwarp.maps.display.Displayable.plot`."""
     picture_width = 1024  # texels around the sphere of the texture of still pictures
-    options.setdefault("size", SIZE)
+    options.setdefault("size", (640, 480))
     image = options.pop("image", None)
     if options.get("scalar") is not None:
         return cast("Image", preview(SurfaceView(result.vertices, result.faces), **options))

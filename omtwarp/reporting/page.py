@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -13,23 +13,41 @@ from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import as_path, check_output, staged
-from omtwarp.maps.result import MapReport, MapResult
-from omtwarp.maps.torus_map import TorusMap
+from omtwarp.maps.result import MapReport, MapResult, StageReport
+from omtwarp.maps.torus_map import TorusCertificate, TorusMap, ring_torus, tube_radius
+from omtwarp.mesh.surface import triangle_areas
+from omtwarp.metrics.certificate import Certificate
 from omtwarp.options import PatternLike
-from omtwarp.render import Camera, ScalarField, SurfaceView
+from omtwarp.render import Camera, ScalarField, SurfaceView, preview
 from omtwarp.render.pictures import draw_in_background
+from omtwarp.render.subject import torus_view
 from omtwarp.render.upright import posed
 from omtwarp.reporting import sections
-from omtwarp.reporting.markup import Markup, join
-from omtwarp.reporting.scene import AREA_COLOURS, AREA_RANGE, Scene, data_uri, log2_area_ratio, make_scene
-from omtwarp.reporting.stages import Stage, shown_history, shown_report, stages_of, view_on_domain
-from omtwarp.reporting.torus_page import torus_page
-from omtwarp.reporting.viewer import page_with_view, verdict, viewer_section
+from omtwarp.reporting.markup import Markup, data_uri, element, figure, html, join
+from omtwarp.reporting.scene import (
+    AREA_COLOURS,
+    RANGE,
+    Scene,
+    alignment,
+    log2_area_ratio,
+    make_scene,
+    packed_scene,
+    page_with_view,
+    picture_kind,
+    placed_in_view,
+    verdict,
+    view_axes,
+    viewer_section,
+)
+from omtwarp.reporting.stages import TORUS, Stage, shown_history, shown_report, stages_of, view_on_domain
 from omtwarp.texturing import read_image
 from omtwarp.texturing.adaptive import rasterize
 from omtwarp.texturing.image import PictureLike
 from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.patterns import pattern as pattern_by_name
+from omtwarp.texturing.textured import texture_torus
+
+Floats = NDArray[np.float64]
 
 
 def write_report(
@@ -99,35 +117,22 @@ def report_page(
         OmtwarpError: as :func:`write_report`.
     """
     if isinstance(result, TorusMap):
-        return torus_page(result, title, image, pattern, up, picture_size, device)
+        return _torus_page(result, title, image, pattern, up, picture_size, device)
     if not all(hasattr(result, name) for name in ("vertices", "faces", "sphere", "conformal", "distortion", "report")):
         raise OmtwarpError(f"cannot report on a {type(result).__name__}: give a result of map_to_sphere")
     texture = read_image(image) if image is not None else pattern_by_name(pattern)
     shown = "The picture" if image is not None else pattern_by_name(pattern).title
     stages = stages_of(result)
     pose = posed(SurfaceView(result.vertices, result.faces), up)
-    background = ThreadPoolExecutor(1)
-    try:
-        stills = _stills(result, stages, texture, pose, picture_size, device, background)
-        scene = make_scene(result, stages, texture, pose=pose, device=device)
-        colouring = "Picture" if image is not None else pattern.capitalize()
-        return _page(result, stages, scene, stills, title or "Map report", shown, colouring)
-    finally:
-        background.shutdown(wait=False, cancel_futures=True)
-
-
-def _page(
-    result: MapResult,
-    stages: Sequence[Stage],
-    scene: Scene,
-    stills: Mapping[str, str],
-    heading: str,
-    shown: str,
-    colouring: str,
-) -> str:
-    """Put the page together; ``shown`` names the texture in sentences, ``colouring`` among the view's colourings."""
     # The certificate was computed from the result's arrays: a file's statements are not trusted.
     report = shown_report(result) | {"certificate": result.certificate.to_dict()}
+    background = ThreadPoolExecutor(1)
+    try:
+        drawn = _stills(result, stages, texture, pose, picture_size, device, background)
+        scene = make_scene(result, stages, texture, pose=pose, device=device)
+        stills = drawn()
+    finally:
+        background.shutdown(wait=False, cancel_futures=True)
     content = [
         sections.figures(stages, report),
         sections.pictures(stages, stills, shown),
@@ -136,18 +141,31 @@ def _page(
         sections.stage_table(stages, report),
         sections.certificate(report, scene.faces, stages[-1], getattr(result, "filled_faces", None) is not None),
     ]
+    colouring = "Picture" if image is not None else pattern.capitalize()
+    view = viewer_section(stages, stills[stages[-1].key], f"{shown} carried to the surface by the final map", colouring)
+    return _page(
+        scene, title or "Map report", report, _lead(result, report, stages[-1]), result.certificate, view, content
+    )
+
+
+def _page(
+    scene: Scene,
+    heading: str,
+    report: MapReport,
+    lead: str,
+    certificate: Certificate | TorusCertificate,
+    view: Markup,
+    content: Sequence[Markup],
+) -> str:
+    """Put a page together, with its heading, the words below, the view and the sections."""
     return page_with_view(
+        "page.html",
         scene,
         title=heading,
         version=report.get("versions", {}).get("omtwarp", ""),
-        lead=_lead(result, report, stages[-1]),
-        verdict=_verdict(report, stages),
-        view=viewer_section(
-            stages,
-            stills[stages[-1].key],
-            f"{shown} carried to the surface by the final map",
-            colouring,
-        ),
+        lead=lead,
+        verdict=verdict(certificate.bijective, certificate.flips),
+        view=view,
         sections=join(content, "\n"),
         footer=sections.footer(report),
     )
@@ -174,31 +192,6 @@ def _lead(result: MapResult, report: MapReport, last: Stage) -> str:
     return f"{' '.join(parts).rstrip(',')}.{more}"
 
 
-def _verdict(report: MapReport, stages: Sequence[Stage]) -> Markup:
-    certificate = report.get("certificate", {})
-    flips = certificate.get("flips")
-    return verdict(bool(certificate.get("bijective")), stages[-1].distortion.flips if flips is None else int(flips))
-
-
-class _Stills(Mapping[str, str]):
-    """Pictures as data URIs, by key; each is waited for where it is asked for."""
-
-    def __init__(self, begun: Mapping[str, Callable[[], str]]):
-        self._begun = begun
-        self._drawn: dict[str, str] = {}
-
-    def __getitem__(self, key: str) -> str:
-        if key not in self._drawn:
-            self._drawn[key] = self._begun[key]()
-        return self._drawn[key]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._begun)
-
-    def __len__(self) -> int:
-        return len(self._begun)
-
-
 def _stills(
     result: MapResult,
     stages: Sequence[Stage],
@@ -207,8 +200,12 @@ def _stills(
     size: int,
     device: str,
     background: Executor,
-) -> Mapping[str, str]:
-    """Begin the pictures of the first and the last stage, by key: the surface, and ``sphere KEY``."""
+) -> Callable[[], dict[str, str]]:
+    """Begin the pictures of the first and the last stage, by key: the surface, and ``sphere KEY``.
+
+    Returns:
+        A function that waits for them, and gives them as data URIs.
+    """
     # texels around the sphere of the texture of still pictures: three for each pixel of the surface
     picture_width = 1536
     begun: dict[str, Callable[[], str]] = {}
@@ -227,8 +224,7 @@ def _stills(
 
     shown = (stages[0], stages[-1])[: len(stages)]
     for stage in shown:
-        bound = AREA_RANGE
-        field = ScalarField(np.clip(log2_area_ratio(stage), -bound, bound), AREA_COLOURS, (-bound, bound))
+        field = ScalarField(np.clip(log2_area_ratio(stage), -RANGE, RANGE), AREA_COLOURS, (-RANGE, RANGE))
         # Most edges, faces: with more, edges would hide the surface between them
         edges = len(result.faces) <= 60_000
         begin(f"sphere {stage.key}", replace(view_on_domain(result, stage, pose), scalar=field, edges=edges))
@@ -240,4 +236,154 @@ def _stills(
         picture = texture
     for stage in shown:
         begin(stage.key, replace(pose, image=picture, sphere=stage.sphere))
-    return _Stills(begun)
+    return lambda: {key: drawn() for key, drawn in begun.items()}
+
+
+# Names of the record of the last stage, and its label and colour.
+LAST = {
+    "omt": ("Optimal transport", "--transport"),
+    "exact": ("Exact areas", "--after"),
+    "refine": ("Refined", "--after"),
+}
+
+
+def torus_stages(result: TorusMap) -> list[Stage]:
+    """Return the conformal and the final map as stages, whose points lie on the ring torus, at most 1 from its centre.
+
+    Args:
+        result: the map.
+    """
+    records = {record.get("name"): record for record in shown_report(result).get("stages", ())}
+    name = next((name for name in reversed(records) if name in LAST), "omt")
+    areas = triangle_areas(result.vertices, result.faces)
+    weights = areas / max(float(areas.sum()), np.finfo(float).tiny)
+    number = np.zeros(len(result.faces), dtype=np.intp)
+    outside = 1.0 + tube_radius(result.lattice)
+    stages = []
+    for key, stage, places, (label, colour) in (
+        ("conformal", "conformal", result.conformal, ("Conformal", "--before")),
+        (name, "torus", result.coordinates, LAST[name]),
+    ):
+        points = ring_torus(places, result.lattice) / outside
+        record: StageReport = records.get(key, {})
+        stages.append(Stage(key, label, colour, points, result.distortion(stage), record, weights, TORUS, number))
+    return stages
+
+
+def torus_scene(
+    result: TorusMap, stages: list[Stage], image: PictureLike | None, pattern: str, pose: SurfaceView
+) -> Scene:
+    """Collect what the interactive view of a map to a torus needs; it shows every triangle.
+
+    Args:
+        result: the map.
+        stages: as :func:`torus_stages` gives them.
+        image: a picture that repeats both ways.
+        pattern: of the torus, where there is no image.
+        pose: the surface's axes.
+    """
+    lines = 12  # of the lattice along its shorter vector
+    cut = texture_torus(result, image, None if image is not None else pattern)
+    used, axes = cut.welded, view_axes(pose)
+    placed = placed_in_view(result.vertices, used, axes)
+    shift = np.round(cut.uv - result.coordinates[used])  # whole turns, the same for both maps
+    maps = zip(stages, (result.conformal, result.coordinates), strict=True)
+    own = {f"lattice-{stage.key}": (places[used] + shift).astype(np.float32) for stage, places in maps}
+    share = tube_radius(result.lattice)
+    ring = 1.0 / (1.0 + share)
+    # A ring torus of the surface's own area, unless that is too large for the view.
+    area = float(triangle_areas(placed, cut.faces).sum())
+    # Largest ring: radius of the ring torus with its tube; that of the surface is 1
+    radius = min(float(np.sqrt(area / (4.0 * np.pi**2 * ring**2 * share))), 1.0)
+    along = np.linalg.norm(result.lattice, axis=1)
+    header = {
+        "radius": radius,
+        "ring": {"radius": ring, "lines": np.maximum(np.rint(lines * along / along.min()), 1.0).tolist()},
+        "picture": [_picture(cut.image)],
+    }
+    turn = alignment(stages[-1].sphere[used], placed)
+    return packed_scene(stages, result.faces, used, (placed, cut.normals @ axes.T, cut.faces), own, header, turn)
+
+
+def _picture(image: NDArray[np.uint8]) -> str:
+    """Write a picture that repeats as a data URI, no wider than the view shows."""
+    picture_width = 1024  # texels of a pattern along the first vector; a picture of more is made smaller
+    from PIL import Image as pil
+
+    drawn = pil.fromarray(image).convert("RGB")
+    kind = picture_kind(np.asarray(drawn))
+    if drawn.width > picture_width:
+        drawn = drawn.resize(
+            (picture_width, max(round(drawn.height * picture_width / drawn.width), 1)), pil.Resampling.BOX
+        )
+    return data_uri(drawn, kind)
+
+
+# Of the report: the map, what it is drawn on, and words about it.
+PICTURES = (
+    ("optimal", "surface", "The surface through the optimal map: what is equal on the torus has equal areas."),
+    ("conformal", "surface", "The surface through the conformal map: shapes are kept, areas are not."),
+    ("optimal", "torus", "The ring torus that the surface covers, areas in proportion."),
+)
+
+
+def _torus_page(
+    result: TorusMap,
+    title: str | None,
+    image: PictureLike | None,
+    pattern: str,
+    up: str | None,
+    size: int,
+    device: str,
+) -> str:
+    """Return the text of the page about a map to a torus; arguments as of :func:`omtwarp.write_report`."""
+    pose = posed(SurfaceView(result.vertices, result.faces), up)
+    drawn = []
+    for which, on, _ in PICTURES:
+        view = torus_view(result, image, which=which, on=on, pattern=pattern)
+        if on == "surface":
+            view.up, view.front = pose.up, pose.front
+        drawn.append(
+            preview(view, size=(size, size * 3 // 4), camera=Camera(margin=0.03), transparent=True, device=device)
+        )
+    shown = [
+        figure(picture, f"{which}, {on}. ", words) for picture, (which, on, words) in zip(drawn, PICTURES, strict=True)
+    ]
+    stages = torus_stages(result)
+    report = shown_report(result)
+    content = [
+        sections.figures(stages, report),
+        sections.section(
+            "Before and after",
+            "The pattern on the torus, carried to the surface by two maps.",
+            element("div", *shown, class_="pair pictures"),
+        ),
+        sections.distributions(stages),
+        sections.stage_table(stages, report),
+        sections.section("Certificate", _certified(result), _torus(result)),
+    ]
+    view = viewer_section(
+        stages,
+        data_uri(drawn[0], "webp"),
+        "The pattern carried to the surface by the final map",
+        "Picture" if image is not None else pattern.capitalize(),
+    )
+    lead = f"{len(result.vertices):,} vertices and {len(result.faces):,} triangles, mapped to a flat torus."
+    scene = torus_scene(result, stages, image, pattern, pose)
+    return _page(scene, title or "Map to a torus", report, lead, result.certificate, view, content)
+
+
+def _certified(result: TorusMap) -> Markup:
+    certificate = result.certificate
+    words = "The map is one to one" if certificate.bijective else "The map is not one to one"
+    return html("{}: {}, decided exactly in the universal cover.", words, certificate)
+
+
+def _torus(result: TorusMap) -> Markup:
+    along = np.linalg.norm(result.lattice, axis=1)
+    angle = np.degrees(np.arccos(np.clip(result.lattice[0] @ result.lattice[1] / along.prod(), -1.0, 1.0)))
+    return element(
+        "p",
+        f"The torus repeats along vectors of length {along[0]:.6g} and {along[1]:.6g} at {angle:.2f} degrees; it has "
+        "the surface's area.",
+    )

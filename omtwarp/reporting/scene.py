@@ -1,4 +1,4 @@
-"""Data of the interactive view: vertices small enough for a page, and the texture as a cube map.
+"""The interactive view: vertices small enough for a page, the texture as a cube map, and its elements.
 
 Everything is quantised without visible loss: positions, normals and directions to 16 bits (a 30,000th of the
 surface's size, or 0.002 degrees), scalars to 8 bits of the range that the legend shows.
@@ -7,12 +7,10 @@ surface's size, or 0.002 degrees), scalars to 8 bits of the range that the legen
 from __future__ import annotations
 
 import base64
-import io
 import json
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,33 +19,29 @@ from omtwarp.colors import colormap_table
 from omtwarp.device.policy import resolve_device
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas, vertex_normals
-from omtwarp.render.camera import DEFAULT_FRONT, axis_vector
+from omtwarp.render.camera import DEFAULT_FRONT, VIEWS, Camera, axis_vector, camera_axes
 from omtwarp.render.domains import fits_of
 from omtwarp.render.scene import SurfaceView
 from omtwarp.render.upright import posed
-from omtwarp.reporting.stages import Stage
+from omtwarp.reporting.markup import Markup, asset, data_block, data_uri, fill_page, html, join, script, source_hash
+from omtwarp.reporting.stages import TORUS, Stage
 from omtwarp.start.decimation import simplify
 from omtwarp.texturing.adaptive import bake_bytes
 from omtwarp.texturing.atlas import CUBE_FRAMES, Cube
 from omtwarp.texturing.baking import Look, Source
 
-COVERED = {"hemisphere": 0.5, "disk": 0.5}  # share of the sphere that has the surface's area; of caps nearly all
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
-
 Floats = NDArray[np.float64]
 
-# Ranges of the two scalars, as powers of two; what lies outside has the colour at the end.
-AREA_RANGE = 3.0  # of log2(area on the sphere / area on the surface), both ways
-ANGLE_RANGE = 3.0  # of log2(larger / smaller singular value), from 0
+# Of log2(area on the sphere / area on the surface), both ways, and of log2(larger / smaller singular value), from 0;
+# what lies outside has the colour at the end.
+RANGE = 3.0
 AREA_COLOURS, ANGLE_COLOURS = "coolwarm", "magma_r"
 ANGLE_PART = 0.78  # the remainder of that colour map is too dark to show the surface's form
 # Above this many faces the view, and only the view, shows a simplified mesh: a page has to stay light.
 MOST_FACES = 150_000
 FACE_TEXELS = 512  # of the texture along each face of the cube
 # Degrees around the surface and above the horizon from which the view starts.
-AZIMUTH, ELEVATION = -30.0, 18.0
+AZIMUTH, ELEVATION = VIEWS["three-quarter"]
 
 # The six faces of a cube texture as OpenGL has them: direction = normal + a right + b down, a and b in [-1, 1] along
 # columns and rows (OpenGL 4.6, table 8.19).
@@ -105,42 +99,30 @@ def make_scene(
     triangles = corners.reshape(-1, 3).astype(np.int32)
     axes = view_axes(pose or posed(SurfaceView(result.vertices, result.faces)))
     placed = placed_in_view(vertices, used, axes)
-    arrays: dict[str, NDArray] = {
-        "position": signed(placed),
-        "normal": signed(vertex_normals(vertices, np.asarray(result.faces))[used] @ axes.T),
-        "index": triangles.astype(np.uint32).ravel(),
-    }
+    normals = vertex_normals(vertices, np.asarray(result.faces))[used] @ axes.T
     several = any(stage.count > 1 for stage in stages)
-    for stage in stages:
-        if several:
-            arrays[f"place-{stage.key}"] = domain_places(stage, result.faces, placed, triangles, used)
-        area, angle = vertex_scalars(result.faces, stage)
-        arrays[f"direction-{stage.key}"] = signed(stage.sphere[used])
-        arrays[f"area-{stage.key}"] = levels(area[used], -AREA_RANGE, AREA_RANGE)
-        arrays[f"angle-{stage.key}"] = levels(angle[used], 0.0, ANGLE_RANGE)
+    places = {}
+    if several:
+        places = {stage.key: domain_places(stage, result.faces, placed, triangles, used) for stage in stages}
 
     # A sphere of the surface's own area, unless folds make that too large for the view.
-    covered = SPHERE_AREA * COVERED.get(stages[-1].domain, 1.0)
+    covered = SPHERE_AREA * (0.5 if stages[-1].domain in ("hemisphere", "disk") else 1.0)  # of caps nearly all
     # Largest sphere, radius beside the surface's of 1: folds make a surface's area large
     radius = min(float(np.sqrt(triangle_areas(placed, triangles).sum() / covered)), 0.8)
     turn = alignment(stages[-1].sphere[used], placed)
     if several:
-        own = [arrays[f"place-{stage.key}"].reshape(-1, 4) for stage in stages]
-        turn = alignment(stages[-1].sphere[used], placed - own[-1][:, :3])
-        radius = max(float((np.linalg.norm(place[:, :3], axis=1) + place[:, 3]).max()) for place in own)
-
-    header: dict[str, object] = {
-        "stages": [{"key": stage.key, "label": stage.label, "flat": stage.disk is not None} for stage in stages],
-        "radius": radius,
-        "picture": cube_faces(texture, texels, device=device),
-    }
-    return packed_scene(arrays, header, turn, len(triangles))
+        turn = alignment(stages[-1].sphere[used], placed - places[stages[-1].key][:, :3])
+        radius = max(float((np.linalg.norm(place[:, :3], axis=1) + place[:, 3]).max()) for place in places.values())
+    header = {"radius": radius, "picture": cube_faces(texture, texels, device=device)}
+    own = {f"place-{key}": place for key, place in places.items()}
+    return packed_scene(stages, result.faces, used, (placed, normals, triangles), own, header, turn)
 
 
 def view_axes(pose: SurfaceView) -> Floats:
     """Return as rows the axes of a surface that point right, up and towards the viewer, shape [3, 3]."""
     upward = pose.up or "y"
-    return _axes(upward, pose.front or DEFAULT_FRONT[upward.lstrip("+-")])
+    above, forward = axis_vector(upward), axis_vector(pose.front or DEFAULT_FRONT[upward.lstrip("+-")])
+    return np.stack([np.cross(above, forward), above, forward])
 
 
 def placed_in_view(vertices: Floats, used: NDArray[np.integer], axes: Floats) -> Floats:
@@ -152,15 +134,38 @@ def placed_in_view(vertices: Floats, used: NDArray[np.integer], axes: Floats) ->
     return placed
 
 
-def packed_scene(arrays: Mapping[str, NDArray], header: Mapping[str, object], turn: Floats, faces: int) -> Scene:
+def packed_scene(
+    stages: Sequence[Stage],
+    faces: NDArray[np.int32],
+    used: NDArray[np.integer],
+    shown: tuple[Floats, Floats, NDArray[np.int32]],
+    own: Mapping[str, NDArray],
+    header: Mapping[str, object],
+    turn: Floats,
+) -> Scene:
     """Pack the arrays of a view, and complete its header by what all views have.
 
     Args:
-        arrays: by name.
-        header: ``stages``, ``radius`` and ``picture``, and what else this view has.
+        stages: of the map.
+        faces: of the map.
+        used: the map's vertices that the view has, shape [N].
+        shown: their places, their normals, shape [N, 3] each, and the triangles of the view.
+        own: more arrays that this view has, by name.
+        header: ``radius`` and ``picture``, and what else this view has.
         turn: the rotation of the domain, shape [3, 3].
-        faces: how many triangles are shown.
     """
+    placed, normals, triangles = shown
+    arrays: dict[str, NDArray] = {
+        "position": signed(placed),
+        "normal": signed(normals),
+        "index": triangles.astype(np.uint32).ravel(),
+        **own,
+    }
+    for stage in stages:
+        area, angle = vertex_scalars(faces, stage)
+        arrays[f"direction-{stage.key}"] = signed(stage.sphere[used])
+        arrays[f"area-{stage.key}"] = levels(area[used], -RANGE, RANGE)
+        arrays[f"angle-{stage.key}"] = levels(angle[used], 0.0, RANGE)
     blob, places = bytearray(), {}
     for name, array in arrays.items():
         blob += bytes(-len(blob) % 4)
@@ -172,13 +177,14 @@ def packed_scene(arrays: Mapping[str, NDArray], header: Mapping[str, object], tu
         "elevation": ELEVATION,
         # Column by column, as WebGL takes it.
         "turn": turn.T.ravel().round(6).tolist(),
-        "area": {"range": AREA_RANGE, "colours": colour_ramp(AREA_COLOURS)},
-        "angle": {"range": ANGLE_RANGE, "colours": colour_ramp(ANGLE_COLOURS, ANGLE_PART)},
+        "area": {"range": RANGE, "colours": colour_ramp(AREA_COLOURS)},
+        "angle": {"range": RANGE, "colours": colour_ramp(ANGLE_COLOURS, ANGLE_PART)},
+        "stages": [{"key": stage.key, "label": stage.label, "flat": stage.disk is not None} for stage in stages],
         **header,
     }
     # Packing, level of zlib: on the bunny 1 % more bytes than at 9, in a fifth of the time
     packed = base64.b64encode(zlib.compress(bytes(blob), 3)).decode()
-    return Scene(json.dumps(whole, separators=(",", ":")), packed, faces)
+    return Scene(json.dumps(whole, separators=(",", ":")), packed, len(triangles))
 
 
 def domain_places(
@@ -197,11 +203,8 @@ def domain_places(
     own[faces] = stage.number[:, None]
     own = own[used]
     points = stage.sphere[used]
-    azimuth, elevation = np.radians(AZIMUTH), np.radians(ELEVATION)
-    back = [np.cos(elevation) * np.sin(azimuth), np.sin(elevation), np.cos(elevation) * np.cos(azimuth)]
-    right = np.array([np.cos(azimuth), 0.0, -np.sin(azimuth)])
-    seen = np.column_stack([right, np.cross(back, right), back])
-    matrices, shifts = fits_of(placed, points, triangles, own[triangles[:, 0]], stage.domain.rstrip("s"), seen)
+    seen, kind = camera_axes(Camera(azimuth=AZIMUTH, elevation=ELEVATION)), stage.domain.rstrip("s")
+    matrices, shifts = fits_of(placed, points, triangles, own[triangles[:, 0]], kind, seen)
     radii = np.linalg.norm(matrices[:, 0], axis=1)
     return np.column_stack([shifts, radii])[own].astype(np.float32)
 
@@ -290,24 +293,8 @@ def picture_kind(picture: NDArray[np.uint8]) -> str:
     """Return how a picture [H, W, 3] is written: ``jpeg`` for a photograph, ``png`` for a pattern."""
     # Colours in a sixteenth of the texels: a pattern of flat colours and its blended borders has fewer, and a
     # photograph more.
-    return "jpeg" if _count_colours(picture[::4, ::4]) > 4096 else "png"
-
-
-def _count_colours(picture: NDArray[np.uint8]) -> int:
-    """Return how many colours a picture [H, W, 3] has."""
-    red, green, blue = (picture[..., k].astype(np.int32) for k in range(3))
-    return len(np.unique(red << 16 | green << 8 | blue))
-
-
-def data_uri(image: Image | list[Image], kind: str) -> str:
-    """Encode a PIL image as a data URI: ``png``, ``webp`` or ``jpeg``."""
-    assert not isinstance(image, list)  # which a preview is of several frames alone
-    stream = io.BytesIO()
-    if kind == "png":
-        image.save(stream, "PNG")
-    else:
-        image.save(stream, kind.upper(), quality=88)
-    return f"data:image/{kind};base64,{base64.b64encode(stream.getvalue()).decode()}"
+    red, green, blue = np.moveaxis(picture[::4, ::4].astype(np.int32), -1, 0)
+    return "jpeg" if len(np.unique(red << 16 | green << 8 | blue)) > 4096 else "png"
 
 
 def colour_ramp(name: str, part: float = 1.0, count: int = 64) -> str:
@@ -326,7 +313,125 @@ def levels(values: Floats, low: float, high: float) -> NDArray[np.uint8]:
     return np.rint(np.clip((values - low) / (high - low), 0.0, 1.0) * 255.0).astype(np.uint8)
 
 
-def _axes(up: str, front: str) -> Floats:
-    """Return as rows the axes of the surface that point right, up and towards the viewer."""
-    upward, forward = axis_vector(up), axis_vector(front)
-    return np.stack([np.cross(upward, forward), upward, forward])
+# A tick on a disc, and a warning; drawn here so that they do not depend on fonts.
+_TICK = html(
+    '<svg viewBox="0 0 20 20" aria-hidden="true"><circle cx="10" cy="10" r="9" fill="currentColor" opacity=".18"/>'
+    '<path d="M5.8 10.4l2.8 2.8 5.6-6" fill="none" stroke="currentColor" stroke-width="2" stroke-linecap="round" '
+    'stroke-linejoin="round"/></svg>'
+)
+_WARNING = html(
+    '<svg viewBox="0 0 20 20" aria-hidden="true"><circle cx="10" cy="10" r="9" fill="currentColor" opacity=".18"/>'
+    '<path d="M10 5.4v5.6M10 13.6v.6" stroke="currentColor" stroke-width="2.2" stroke-linecap="round"/></svg>'
+)
+_ICON = "<svg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 24 24'><circle cx='12' cy='12' r='10.4' fill='%231f6f78'/><g fill='none' stroke='%23fff' stroke-width='1.3' opacity='.9'><ellipse cx='12' cy='12' rx='4.6' ry='10.4'/><path d='M1.6 12h20.8M3.2 6.8h17.6M3.2 17.2h17.6'/></g></svg>"  # noqa: E501
+
+
+def page_with_view(template: str, scene: Scene, **values: object) -> str:
+    """Put a page together: one HTML file that needs nothing else.
+
+    Args:
+        template: file of the package with a place for every value.
+        scene: what the view draws.
+        values: by the names of their places; see :func:`viewer_section` and :func:`verdict`.
+    """
+    three, viewer = script("three/three.min.js"), script("viewer.js")
+    return fill_page(
+        asset(template),
+        scripts=html("{} {}", source_hash(three), source_hash(viewer)),
+        style=asset("page.css"),
+        icon=f"data:image/svg+xml,{_ICON.replace('<', '%3C').replace('>', '%3E').replace(' ', '%20')}",
+        scene=data_block(scene.header),
+        data=data_block(scene.data),
+        three=three,
+        viewer=viewer,
+        **values,
+    )
+
+
+def verdict(bijective: bool, flips: int) -> Markup:
+    """Say whether a map is one to one, or how many triangles it flips."""
+    if bijective:
+        return html('<p class="verdict">{} Certified one to one: no flipped triangle, degree 1</p>', _TICK)
+    if flips:
+        words = f"{flips:,} flipped triangle{'s' * (flips > 1)}: not one to one"
+        return html('<p class="verdict bad">{} {}</p>', _WARNING, words)
+    return html('<p class="verdict bad">{} Not certified</p>', _WARNING)
+
+
+def viewer_section(stages: Sequence[Stage], poster: str, poster_alt: str, texture: str) -> Markup:
+    """Make the elements of the interactive view, over a picture that is shown until the view draws.
+
+    Args:
+        stages: of the map, the last one shown first.
+        poster: the picture, as a data URI.
+        poster_alt: what the picture shows.
+        texture: name of the texture among the colourings.
+    """
+    return Markup(
+        fill_page(
+            asset("viewer.html"),
+            poster=poster,
+            poster_alt=poster_alt,
+            controls=_controls(stages, texture),
+            legends=_legends(stages[-1].domain),
+        )
+    )
+
+
+def _controls(stages: Sequence[Stage], texture: str) -> Markup:
+    last, domain = stages[-1].key, stages[-1].domain
+    colourings = [
+        ("picture", texture),
+        ("graticule", "Lattice" if domain == TORUS else "Graticule"),
+        ("area", "Area"),
+        ("angle", "Angle"),
+        ("plain", "Plain"),
+    ]
+    return (
+        _segments("Map", "stage", [(stage.key, stage.label) for stage in stages], last)
+        + _segments("Colour", "colouring", colourings, "picture")
+        + html(
+            '<label class="slider"><span><em>Surface</em><em>{}</em></span>'
+            '<input type="range" name="morph" min="0" max="100" value="0" aria-label="From the surface to the {}">'
+            "</label>"
+            '<div class="buttons"><label class="toggle"><input type="checkbox" name="wireframe">Wireframe</label>'
+            '<button type="button" id="viewer-home">Reset view</button></div>',
+            domain.capitalize(),
+            domain,
+        )
+    )
+
+
+def _legends(domain: str) -> Markup:
+    area, angle = 2.0**RANGE, 2.0**RANGE
+    area_ticks = (f"1/{area:.0f}", "1", f"{area:.0f}")
+    angle_ticks = ("1", f"{2 ** (RANGE / 2):.1f}", f"{angle:.0f} or more")
+    return _legend("area", f"Area: {domain} / surface", colour_ramp(AREA_COLOURS, count=12), area_ticks) + _legend(
+        "angle", "Larger / smaller stretch", colour_ramp(ANGLE_COLOURS, ANGLE_PART, count=12), angle_ticks
+    )
+
+
+def _segments(legend: str, name: str, options: Sequence[tuple[str, str]], chosen: str) -> Markup:
+    labels = join(
+        html(
+            '<label><input type="radio" name="{}" value="{}"{}><span>{}</span></label>',
+            name,
+            key,
+            " checked" if key == chosen else "",
+            label,
+        )
+        for key, label in options
+    )
+    return html('<fieldset><legend>{}</legend><div class="segments">{}</div></fieldset>', legend, labels)
+
+
+def _legend(name: str, label: str, colours: str, ticks: Sequence[str]) -> Markup:
+    stops = ",".join(f"#{colours[k : k + 6]}" for k in range(0, len(colours), 6))
+    return html(
+        '<div class="legend" data-legend="{}" hidden><span>{}</span>'
+        '<i style="background:linear-gradient(90deg,{})"></i><b>{}</b></div>',
+        name,
+        label,
+        stops,
+        join(html("<em>{}</em>", tick) for tick in ticks),
+    )

@@ -16,8 +16,6 @@ from omtwarp.reporting.markup import Markup, html, join
 from omtwarp.reporting.scene import log2_angle_ratio, log2_area_ratio
 from omtwarp.reporting.stages import Stage
 
-PLAIN = (1e-3, 1e5)  # sizes of numbers that are written without a power of ten
-
 
 def figures(stages: Sequence[Stage], report: MapReport) -> Markup:
     """Show the most important numbers of a map."""
@@ -330,7 +328,7 @@ def _number(value: float | None) -> str:
     value = math.nan if value is None else float(value)
     if not math.isfinite(value):
         return "∞" if value > 0 else "undefined"
-    if value != 0 and not PLAIN[0] <= abs(value) < PLAIN[1]:
+    if value != 0 and not 1e-3 <= abs(value) < 1e5:
         mantissa, exponent = f"{value:.1e}".split("e")
         return html("{}\u202f×\u202f10<sup>{}</sup>", mantissa, int(exponent))
     return f"{value:.4f}" if abs(value) < 100 else f"{value:,.0f}"

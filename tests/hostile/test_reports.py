@@ -41,7 +41,7 @@ def words_only(monkeypatch):
         return scene.Scene(json.dumps({"stages": labels}), "", len(result.faces))
 
     monkeypatch.setattr("omtwarp.reporting.page.make_scene", described)
-    monkeypatch.setattr("omtwarp.reporting.page._stills", lambda *a: defaultdict(lambda: "data:,"))
+    monkeypatch.setattr("omtwarp.reporting.page._stills", lambda *a: lambda: defaultdict(lambda: "data:,"))
 
 
 class Elements(HTMLParser):
@@ -133,9 +133,9 @@ def test_a_report_of_deep_brackets_is_none(tmp_path):
 @pytest.fixture
 def no_drawing(monkeypatch):
     """Replace every picture that a page draws by a small one."""
-    for module in ("cohort.page", "shape_analysis.group_report", "reporting.torus_page"):
+    for module in ("cohort.page", "shape_analysis.group_report", "reporting.page"):
         monkeypatch.setattr(f"omtwarp.{module}.preview", lambda *a, **k: Image.new("RGB", (2, 2)))
-    monkeypatch.setattr("omtwarp.reporting.torus_page.torus_view", lambda *a, **k: SimpleNamespace(up=None))
+    monkeypatch.setattr("omtwarp.reporting.page.torus_view", lambda *a, **k: SimpleNamespace(up=None))
 
 
 def torus_page(folder, words):

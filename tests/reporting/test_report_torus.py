@@ -18,7 +18,7 @@ from omtwarp.mesh.surface import triangle_areas
 from omtwarp.render.scene import SurfaceView
 from omtwarp.render.upright import posed
 from omtwarp.reporting import write_report
-from omtwarp.reporting.torus_page import torus_scene, torus_stages
+from omtwarp.reporting.page import torus_scene, torus_stages
 
 TYPES = {"position": "<i2", "normal": "<i2", "index": "<u4", "direction": "<i2", "lattice": "<f4"}
 
