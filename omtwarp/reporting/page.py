@@ -340,11 +340,11 @@ def _torus_page(
     pose = posed(SurfaceView(result.vertices, result.faces), up)
     drawn = []
     for which, on, _ in PICTURES:
-        view = torus_view(result, image, which=which, on=on, pattern=pattern)
+        subject = torus_view(result, image, which=which, on=on, pattern=pattern)
         if on == "surface":
-            view.up, view.front = pose.up, pose.front
+            subject.up, subject.front = pose.up, pose.front
         drawn.append(
-            preview(view, size=(size, size * 3 // 4), camera=Camera(margin=0.03), transparent=True, device=device)
+            preview(subject, size=(size, size * 3 // 4), camera=Camera(margin=0.03), transparent=True, device=device)
         )
     shown = [
         figure(picture, f"{which}, {on}. ", words) for picture, (which, on, words) in zip(drawn, PICTURES, strict=True)
