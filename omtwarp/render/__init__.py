@@ -19,20 +19,14 @@ if TYPE_CHECKING:
     from omtwarp.render.subject import as_surface_view as as_surface_view
     from omtwarp.render.subject import map_view as map_view
 
-_HOMES = {
-    "Arrows": "scene",
-    "Camera": "camera",
-    "Light": "camera",
-    "ScalarField": "scene",
-    "SurfaceView": "scene",
-    "Wireframe": "scene",
-    "as_surface_view": "subject",
-    "comparison": "pictures",
-    "film": "films",
-    "map_view": "subject",
-    "preview": "pictures",
-    "sheet": "pictures",
+_NAMES = {
+    "camera": ["Camera", "Light"],
+    "films": ["film"],
+    "pictures": ["comparison", "preview", "sheet"],
+    "scene": ["Arrows", "ScalarField", "SurfaceView", "Wireframe"],
+    "subject": ["as_surface_view", "map_view"],
 }
+_HOMES = {name: module for module, names in _NAMES.items() for name in names}
 __all__ = list(_HOMES)
 
 

@@ -29,6 +29,8 @@ if TYPE_CHECKING:  # commands start the drawing process before they import NumPy
 
     from omtwarp.render.scene import RenderJob
 
+# Long enough for a software driver on a busy machine: one that has not answered by then hangs.
+START_SECONDS = 120.0
 IDLE_SECONDS = 60.0  # after which the drawing process gets no more jobs
 
 _COMMAND = "from omtwarp.render.gl_client import serve; serve()"
@@ -107,12 +109,11 @@ class _DrawingProcess:
         Raises:
             DrawingFailed: no OpenGL, or the process crashed, hung or reported an error.
         """
-        # Long enough for a software driver on a busy machine: one that has not answered by then hangs.
-        start_seconds, picture_seconds = 120.0, 180.0
+        picture_seconds = 180.0
         with self._lock:
             try:
                 if self.device is None:
-                    kind, text = self._answer(None, start_seconds)
+                    kind, text = self._answer(None, START_SECONDS)
                     if kind != "ready":
                         raise DrawingFailed(str(text), lasting=True)
                     self.device = str(text)

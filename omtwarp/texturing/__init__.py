@@ -31,30 +31,22 @@ if TYPE_CHECKING:
     from omtwarp.texturing.unwrap import unwrap_uv as unwrap_uv
 
 
-_HOMES = {
-    "Material": "materials",
-    "PaintedMesh": "painted",
-    "read_painted_mesh": "read",
-    "TexturedSurface": "textured",
-    "texture": "textured",
-    "pattern": "patterns",
-    "rasterize": "adaptive",
-    "Pattern": "patterns",
-    "make_atlas": "atlas",
-    "ATLASES": "atlas",
-    "unwrap": "seams",
-    "bake": "baking",
-    "bake_to_uv": "baking",
-    "bake_vertex_values": "baking",
-    "VertexValues": "baking",
-    "sample": "baking",
-    "read_image": "image",
-    "direction_to_image": "image",
-    "rotation_matrix": "image",
-    "BAKES": "bakes",
-    "paint": "painter",
-    "unwrap_uv": "unwrap",
+_NAMES = {
+    "adaptive": ["rasterize"],
+    "atlas": ["ATLASES", "make_atlas"],
+    "bakes": ["BAKES"],
+    "baking": ["VertexValues", "bake", "bake_to_uv", "bake_vertex_values", "sample"],
+    "image": ["direction_to_image", "read_image", "rotation_matrix"],
+    "materials": ["Material"],
+    "painted": ["PaintedMesh"],
+    "painter": ["paint"],
+    "patterns": ["Pattern", "pattern"],
+    "read": ["read_painted_mesh"],
+    "seams": ["unwrap"],
+    "textured": ["TexturedSurface", "texture"],
+    "unwrap": ["unwrap_uv"],
 }
+_HOMES = {name: module for module, names in _NAMES.items() for name in names}
 
 __all__ = list(_HOMES)
 

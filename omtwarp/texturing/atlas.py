@@ -35,7 +35,6 @@ from omtwarp.options import AtlasName
 Floats = NDArray[np.float64]
 
 ATLASES = tuple(AtlasName)
-NORTH, SOUTH = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
 QUARTER = np.pi / 4.0
 
 # normal, right and up of the six faces of the cube; right x up = normal, so that nothing is mirrored from outside
@@ -192,7 +191,7 @@ class Equirectangular(Atlas):
     """
 
     name, kind, wraps = "equirectangular", Kind.EQUIRECTANGULAR, True
-    corners = (NORTH, SOUTH)
+    corners = ((0.0, 0.0, 1.0), (0.0, 0.0, -1.0))
 
     def __init__(self, width: int, height: int, seam: float = np.pi):
         super().__init__(width, height)
@@ -325,7 +324,7 @@ class Octahedral(Atlas):
 
     name, kind, chart_count = "octahedral", Kind.OCTAHEDRAL, 8
     arcs = (Arc((1.0, 0.0, 0.0)), Arc((0.0, 1.0, 0.0)), Arc((0.0, 0.0, 1.0)))
-    corners = ((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), NORTH, SOUTH)
+    corners = ((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), *Equirectangular.corners)
 
     def __init__(self, size: int):
         super().__init__(size, size)
@@ -416,21 +415,21 @@ def is_power_of_two(number: int) -> bool:
     return number > 0 and number & (number - 1) == 0
 
 
-def check_size(size: int | tuple[int, ...]) -> tuple[int, ...]:
+def check_size(size: int | tuple[int, ...], least: int = 16) -> tuple[int, ...]:
     """Check the size of a picture, one or two numbers; return its sides in texels.
 
     Raises:
-        OmtwarpError: the sides are not whole numbers from 16 to 32768.
+        OmtwarpError: the sides are not whole numbers from the least to 32768.
     """
     pair = tuple(size) if isinstance(size, (tuple, list, np.ndarray)) else (size,)
-    whole = all(isinstance(n, (int, np.integer)) and not isinstance(n, bool) and 16 <= n <= LONGEST_SIDE for n in pair)
+    whole = all(
+        isinstance(n, (int, np.integer)) and not isinstance(n, bool) and least <= n <= LONGEST_SIDE for n in pair
+    )
     if not whole or len(pair) not in (1, 2):
-        raise OmtwarpError(f"texture size {size!r}: give whole numbers from 16 to {LONGEST_SIDE} texels")
+        raise OmtwarpError(f"texture size {size!r}: give whole numbers from {least} to {LONGEST_SIDE} texels")
     return tuple(int(n) for n in pair)
 
 
-SCREEN = 1024  # pixels across a picture that the surface fills
-TEXEL = 1.5  # pixels of that picture that a texel may cover: bilinear filtering hides the steps of smaller ones
 LARGEST_SIZE = 8192  # texels: the largest picture that every graphics card of the last ten years takes
 # The largest size that is chosen where none is asked for: a quarter of the time and memory.
 LARGEST_UNASKED = 4096
@@ -477,7 +476,8 @@ def sharp_size(
     extent = max(float(np.ptp(vertices, axis=0).max()), np.finfo(float).tiny)
     surface = (vertices - vertices.min(axis=0)) / extent
     stretch = largest_stretch(surface, faces, sphere)
-    needed = stretch * 0.5 * np.pi * SCREEN / TEXEL * SIDES[atlas]
+    # Bilinear filtering hides the steps of texels that cover less than 1.5 of 1024 pixels.
+    needed = stretch * 0.5 * np.pi * 1024 / 1.5 * SIDES[atlas]
     size, enough = picture_size(float(needed.max(initial=0.0)), atlas, limit)
     corner = surface[faces]
     area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)

@@ -28,7 +28,6 @@ from omtwarp.texturing.materials import Bytes, Floats, Ints
 wp.set_module_options(KERNEL_OPTIONS)
 
 BAKES = ("normal", "ao", "curvature", "area")
-RAYS = 8  # from a texel, which takes part in those of its eight neighbours: 72 in all
 MOST_RAYS = 2_100_000  # of one picture of ambient occlusion; a core casts about a million in a second
 
 
@@ -76,13 +75,14 @@ def occlusion(target: Target, vertices: Floats, faces: Ints) -> Bytes:
     """
     from scipy.ndimage import distance_transform_edt
 
+    rays = 8  # from a texel, which takes part in those of its eight neighbours: 72 in all
     # Share of a ray by which patterns begin after those of the texel before: the plastic number's square below 1
     ahead = 0.5698403
     # Of the disc below the hemisphere: rays within 5 degrees of the surface, which meet the facets of a coarse ball
     flat = 1.0 / 128.0
     width, height = target.size
     texels = _uv_area(target.uv) * width * height
-    factor = 2 ** max(0, int(np.ceil(0.5 * np.log2(max(texels * RAYS / MOST_RAYS, TINY)))))
+    factor = 2 ** max(0, int(np.ceil(0.5 * np.log2(max(texels * rays / MOST_RAYS, TINY)))))
     size = (max(width // factor, 1), max(height // factor, 1))
     values = np.concatenate([target.points, target.normals], axis=2)
     picture = bake_corners(target.uv, values, size, padding=-1, samples=1, device=target.device)
@@ -96,10 +96,10 @@ def occlusion(target: Target, vertices: Floats, faces: Ints) -> Bytes:
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), TINY)
     # Of the extent: how far off the surface rays begin. Single precision resolves 1e-7 of it.
     origins = (rows[known, :3] - low) / scale + 1e-4 * normal
-    x, begin = (vertices - low) / scale, (1.0 - RAYS * flat) * (ahead * known % 1.0)
+    x, begin = (vertices - low) / scale, (1.0 - rays * flat) * (ahead * known % 1.0)
     normals, open_part = np.zeros((len(rows), 3)), np.zeros(len(rows))
     normals[known] = normal
-    open_part[known] = open_shares(x, faces, origins, normal, known, begin, RAYS, target.device)
+    open_part[known] = open_shares(x, faces, origins, normal, known, begin, rays, target.device)
     shared = _among_neighbours(open_part.reshape(inside.shape), normals.reshape(*inside.shape, 3))
     grey = np.rint(255.0 * shared).astype(np.uint8)
     if len(known):
@@ -186,43 +186,6 @@ def _as_picture(vectors: NDArray[np.floating], size: tuple[int, int]) -> Bytes:
     return np.rint((np.clip(vectors, -1.0, 1.0) * 0.5 + 0.5) * 255.0).astype(np.uint8).reshape(size[1], size[0], 3)
 
 
-@dataclass(frozen=True)
-class Scalar:
-    """A number at every vertex and how it is coloured.
-
-    Attributes:
-        name: of the quantity.
-        values: shape [V]; NaN where there is no number, which is grey.
-        colormap: as :mod:`omtwarp.colors` calls it.
-        low, high: values at the ends of the colour map.
-    """
-
-    name: str
-    values: Floats
-    colormap: str
-    low: float
-    high: float
-
-    def __str__(self) -> str:
-        least, most = np.nanmin(self.values), np.nanmax(self.values)
-        return f"{self.name} from {least:.4g} to {most:.4g}, coloured from {self.low:.4g} to {self.high:.4g}"
-
-    def picture(self, target: Target, faces: Ints) -> Bytes:
-        """Return the picture of a target, uint8 sRGB, shape [H, W, 3]."""
-        missing = np.isnan(self.values)
-        channels = target.spread(np.column_stack([np.where(missing, 0.0, self.values), missing]), faces)
-        picture = bake_corners(target.uv, channels, target.size, padding=PADDING, device=target.device)
-        sums, without = picture[..., 0], picture[..., 1]
-        baked = np.divide(sums, 1.0 - without, out=np.zeros_like(sums), where=without < 0.5)
-        span = self.high - self.low
-        part = np.clip((baked - self.low) / span, 0.0, 1.0) if span > 0 else np.full(baked.shape, 0.5)
-        table = colormap_table(self.colormap)
-        colors = table[np.rint(part * (len(table) - 1)).astype(np.int64)]
-        grey = 128  # where there is no number
-        colors[without >= 0.5] = grey
-        return colors
-
-
 def scalar(
     what: str | Path,
     vertices: Floats,
@@ -231,8 +194,8 @@ def scalar(
     parts: NDArray[np.intp] | None = None,
     origins: Origins | None = None,
     structure: str | None = None,
-) -> Scalar:
-    """Compute or read numbers at the vertices, by the name of a quantity or of a file.
+) -> tuple[Floats, str, float, float]:
+    """Compute or read numbers at the vertices, by the name of a quantity or of a file, and how they are coloured.
 
     Args:
         what: ``curvature``, ``area``, or a file of numbers at the vertices (see :mod:`omtwarp.mesh.data`).
@@ -243,6 +206,9 @@ def scalar(
         origins: what the vertices are in the input, whose data are taken too.
         structure: the part of the brain that the surface is, as GIFTI names it; None where that is not known.
 
+    Returns:
+        The numbers, shape [V], NaN where there is none, the colour map, and the values at its ends.
+
     Raises:
         OmtwarpError: an unknown name, a file that cannot be read, or one with another number of vertices.
     """
@@ -251,12 +217,12 @@ def scalar(
     if what == "curvature":
         values = mean_curvature(vertices, faces)
         most = float(np.percentile(np.abs(values), spread))
-        return Scalar("curvature", values, "coolwarm", -most, most)
+        return values, "coolwarm", -most, most
     if what == "area":
         values = np.log2(area_ratio(vertices, faces, on_map, parts))
         # Least range, of a binary logarithm: a map that keeps areas to round-off still has a range of colours
         most = max(float(np.percentile(np.abs(values), spread)), 1e-9)
-        return Scalar("area (binary logarithm)", values, "coolwarm", -most, most)
+        return values, "coolwarm", -most, most
     path = Path(what)
     if not path.suffix:
         raise OmtwarpError(f"cannot bake '{what}': use {', '.join(BAKES)}, or a file of data at the vertices")
@@ -272,7 +238,27 @@ def scalar(
         raise OmtwarpError(f"{path}: {len(bad)} values are infinite, first vertex {bad[0]}")
     if np.isnan(values).all():
         raise OmtwarpError(f"{path}: no number in it")
-    return Scalar(data.names[0] or path.stem, values, "viridis", float(np.nanmin(values)), float(np.nanmax(values)))
+    return values, "viridis", float(np.nanmin(values)), float(np.nanmax(values))
+
+
+def colored(values: Floats, colormap: str, low: float, high: float, target: Target, faces: Ints) -> Bytes:
+    """Return the picture of numbers at the vertices, uint8 sRGB, shape [H, W, 3]; grey where there is none.
+
+    Args:
+        values, colormap, low, high: as :func:`scalar` gives them.
+        target: the triangles on the picture.
+        faces: of the vertices, shape [F, 3].
+    """
+    missing = np.isnan(values)
+    channels = target.spread(np.column_stack([np.where(missing, 0.0, values), missing]), faces)
+    picture = bake_corners(target.uv, channels, target.size, padding=PADDING, device=target.device)
+    sums, without = picture[..., 0], picture[..., 1]
+    baked = np.divide(sums, 1.0 - without, out=np.zeros_like(sums), where=without < 0.5)
+    part = np.clip((baked - low) / (high - low), 0.0, 1.0) if high > low else np.full(baked.shape, 0.5)
+    table = colormap_table(colormap)
+    colors = table[np.rint(part * (len(table) - 1)).astype(np.int64)]
+    colors[without >= 0.5] = 128
+    return colors
 
 
 def mean_curvature(vertices: Floats, faces: Ints) -> Floats:

@@ -24,10 +24,9 @@ from omtwarp.device.policy import launch_parts_of, resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import Arguments, core_count, launch_parts, load, run_all
 from omtwarp.errors import OmtwarpError
-from omtwarp.files.limits import LONGEST_SIDE
 from omtwarp.mesh.arrays import ROUND_OFF
 from omtwarp.texturing import kernels
-from omtwarp.texturing.atlas import Atlas, make_atlas
+from omtwarp.texturing.atlas import Atlas, check_size, make_atlas
 from omtwarp.texturing.image import PictureLike, as_floats, check_projection, read_image, with_opacity
 from omtwarp.texturing.materials import Ints, Material
 from omtwarp.texturing.patterns import Pattern, is_name, pattern
@@ -385,15 +384,6 @@ def _own_uv(uv: ArrayLike, faces: NDArray) -> Floats:
     return corner
 
 
-def _picture_size(size: int | tuple[int, int]) -> tuple[int, int]:
-    pair = tuple(size) if isinstance(size, (tuple, list)) else (size, size)
-    if len(pair) != 2 or not all(isinstance(n, (int, np.integer)) and 1 <= n <= LONGEST_SIDE for n in pair):
-        raise OmtwarpError(
-            f"texture size {size!r}: give one side, or width and height, from 1 to {LONGEST_SIDE} texels"
-        )
-    return int(pair[0]), int(pair[1])
-
-
 def bake_to_uv(
     source: Source | VertexValues,
     sphere: ArrayLike,
@@ -426,7 +416,8 @@ def bake_to_uv(
     where = resolve_device(device)
     faces = np.asarray(faces)
     s = np.asarray(sphere, dtype=np.float64)
-    width, height = _picture_size(size)
+    sides = check_size(size, least=1)
+    width, height = sides[0], sides[-1]
     layout = Layout(_own_uv(uv, faces), width, height, where, padding)
     if isinstance(source, VertexValues):
         return _bake_linear(layout, source.corner_values(faces), supersample, padding)

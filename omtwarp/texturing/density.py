@@ -15,8 +15,6 @@ from omtwarp.measures import TargetDensity
 from omtwarp.mesh.arrays import real_numbers, whole_numbers
 from omtwarp.texturing.image import PictureLike, as_floats, direction_to_image, read_image
 
-GREY = (0.2126, 0.7152, 0.0722)  # ITU-R BT.709
-
 Function: TypeAlias = Callable[[NDArray[np.float64]], ArrayLike]
 TargetLike: TypeAlias = "TargetDensity | Function | tuple[ArrayLike, ArrayLike, ArrayLike] | PictureLike"
 """A density on the sphere in any of the forms that :func:`as_target` takes."""
@@ -40,7 +38,7 @@ def image_density(image: PictureLike, floor: float = 0.0) -> TargetDensity:
         >>> bool(bright_east.at([[0.0, 1.0, 0.0]])[0] > bright_east.at([[0.0, -1.0, 0.0]])[0])
         True
     """
-    grey = as_floats(read_image(image))[..., :3].astype(np.float64) @ GREY
+    grey = as_floats(read_image(image))[..., :3].astype(np.float64) @ (0.2126, 0.7152, 0.0722)  # ITU-R BT.709
     if floor == 0.0 and grey.min() <= 0.0:
         row, column = np.unravel_index(int(np.argmin(grey)), grey.shape)
         raise OmtwarpError(

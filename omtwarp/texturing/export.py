@@ -25,10 +25,6 @@ from omtwarp.texturing.image import png_bytes, webp_bytes
 from omtwarp.texturing.materials import Bytes, Floats, Ints, Material, linear
 
 SUFFIXES = (".glb", ".obj", ".ply")  # the last of which holds colours at the vertices alone
-# Numbers of OpenGL that glTF 2.0 uses: wrapping and filters of samplers, types of components, modes.
-LINEAR, LINEAR_MIPMAP_LINEAR = 9729, 9987
-FLOAT, UNSIGNED_INT = 5126, 5125
-TRIANGLES = 4
 WEBP = "EXT_texture_webp"  # of textures: without it, pictures are PNG or JPEG
 KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 # For coordinates of materials that have no picture: a file's checkers and some programs take coordinates that nothing
@@ -174,15 +170,15 @@ class GltfFile:
     """
 
     def __init__(self, wraps: tuple[bool, bool], texture_format: TextureFormat):
-        # Numbers of OpenGL that glTF 2.0 uses: wrapping and filters of samplers, types of components, modes.
-        repeat, clamp = 10497, 33071
+        # Numbers of OpenGL that glTF 2.0 uses for wrapping and for filters, linear and linear between mip maps.
+        repeat, clamp, magnify, minify = 10497, 33071, 9729, 9987
         self._format = texture_format
         self._buffer = bytearray()
         self._views: list[dict[str, object]] = []
         self._accessors: list[dict[str, object]] = []
         self._images: list[dict[str, object]] = []
         self._known: dict[int, int] = {}
-        self._sampler = {"magFilter": LINEAR, "minFilter": LINEAR_MIPMAP_LINEAR}
+        self._sampler = {"magFilter": magnify, "minFilter": minify}
         self._sampler |= {name: repeat if on else clamp for name, on in zip(("wrapS", "wrapT"), wraps, strict=True)}
 
     def _view(self, content: bytes, **more: int) -> int:
@@ -196,9 +192,10 @@ class GltfFile:
         """Append rows of numbers, float32 or uint32 indices, and return the number of their accessor."""
         array = np.ascontiguousarray(values)
         indices = array.dtype == np.uint32
+        unsigned_int, floats = 5125, 5126  # numbers of OpenGL
         entry: dict[str, object] = {
             "bufferView": self._view(array.tobytes(), target=ELEMENT_ARRAY_BUFFER if indices else ARRAY_BUFFER),
-            "componentType": UNSIGNED_INT if indices else FLOAT,
+            "componentType": unsigned_int if indices else floats,
             "count": len(array),
             "type": KINDS[1 if array.ndim == 1 else array.shape[1]],
         }
@@ -222,7 +219,8 @@ class GltfFile:
             primitives: attributes and indices of each, by the numbers of their accessors.
             materials: of the primitives, one each.
         """
-        drawn = [one | {"material": number, "mode": TRIANGLES} for number, one in enumerate(primitives)]
+        # Mode 4 of OpenGL is triangles.
+        drawn = [one | {"material": number, "mode": 4} for number, one in enumerate(primitives)]
         document: dict[str, object] = {
             "asset": {"version": "2.0", "generator": "omtwarp"},
             "scene": 0,

@@ -34,10 +34,7 @@ Floats = NDArray[np.float64]
 Number = TypeVar("Number", bound=np.generic)
 PictureLike: TypeAlias = "str | os.PathLike[str] | Image | ArrayLike"
 """A picture in any of the forms that public functions take: a path, a PIL image, or an array [H, W] or [H, W, C]."""
-# Bytes of an image above which it is compressed on all cores: below, Pillow takes a tenth of a second or two.
-MOST_FOR_ONE_CORE = 4_000_000
 SOFTWARE = b"omtwarp"  # named in the files
-STRIP = 64  # rows; what lies more than 32 kB back is not looked at by the compression anyway
 COLOUR_TYPES = {3: 2, 4: 6}  # of the format, by the number of channels
 
 
@@ -170,7 +167,8 @@ def without_full_opacity(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 def png_bytes(image: NDArray[np.uint8]) -> bytes:
     """Encode an image as a PNG file."""
-    if image.size > MOST_FOR_ONE_CORE and image.shape[2] in COLOUR_TYPES:
+    # Of fewer bytes Pillow makes a file in a tenth of a second or two, on one core.
+    if image.size > 4_000_000 and image.shape[2] in COLOUR_TYPES:
         return _png_in_strips(image)
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo
@@ -209,7 +207,8 @@ def _png_in_strips(image: NDArray[np.uint8]) -> bytes:
     """
     height, width, channels = image.shape
     rows = image.reshape(height, width * channels)
-    bounds = [*range(0, height, STRIP), height]
+    # Rows of a strip; what lies more than 32 kB back is not looked at by the compression anyway.
+    bounds = [*range(0, height, 64), height]
 
     def compressed(which: int) -> tuple[bytes, memoryview]:
         first, end = bounds[which], bounds[which + 1]

@@ -21,7 +21,7 @@ from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.surface import plane_areas, triangle_areas, vertex_normals
 from omtwarp.options import AtlasLike, CoordinatesLike, KeepLike, PatternLike, ProjectionLike
 from omtwarp.texturing import bakes
-from omtwarp.texturing.atlas import check_size, make_atlas
+from omtwarp.texturing.atlas import SIZE, check_size, make_atlas
 from omtwarp.texturing.baking import (
     PADDING,
     Layout,
@@ -53,9 +53,6 @@ from omtwarp.texturing.unwrap import pack_rows
 
 OPACITY = 0.5
 """Of the upper layer where a pattern and a material are laid over one another: half of each shows."""
-
-SIZE = 2048
-"""Texels of a side of a picture for own coordinates where the material has none whose size could be taken."""
 
 
 def paint(
@@ -404,8 +401,8 @@ class _Painting:
             finished = replace(material, picture=bakes.object_normals(target), color=WHITE)
         elif self.color is not None:
             where = self.on_map, self.parts, self.origins, self.structure
-            number = bakes.scalar(self.color, self.vertices, self.faces, *where)
-            finished = replace(material, picture=number.picture(target, self.faces), color=WHITE)
+            numbers = bakes.scalar(self.color, self.vertices, self.faces, *where)
+            finished = replace(material, picture=bakes.colored(*numbers, target, self.faces), color=WHITE)
         else:
             finished = material
         if "ao" in self.names:

@@ -35,15 +35,7 @@ from omtwarp.mesh.arrays import ROUND_OFF
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-# The derivatives' system is as well conditioned as that of a spline: each step of the iteration gains a digit or so.
-SHORTEST_EDGE = (
-    1e-9  # in extents of the mesh: shorter edges count as that long, so that divisions by their length do not overflow
-)
 HALVINGS = 4  # of the difference from the linear map, before the map is linear there
-# The filter 1 / (1 + a x^p) of the eigenvalues x of the mesh's Laplacian, 0 to 2: a row of evenly spaced vertices
-# has x = 1 - cos(2 pi / w) for waves of w edges, on even triangles two thirds of that. Where x is 1 or more,
-# a tenth or less of a wave's amplitude remains; at x = 0.5 it is 0.86, and below 0.3 all of it.
-FARTHEST = 0.3  # mean edges of a vertex on the sphere by which its image is moved at most
 
 
 @dataclass(frozen=True)
@@ -184,51 +176,39 @@ class SmoothCurves:
             kept[edge_of] = True
             edge_of = (np.cumsum(kept) - 1)[edge_of]
             ends, towards = ends[kept], towards[kept]
-        return _divided(self, faces, edge_of, ends, towards, parts)
+        places, sphere = self.places, self.sphere
+        points = grid_points(parts)
+        share = np.column_stack([parts - points.sum(axis=1), points]) / parts  # of the three corners
+        on_edge = np.isclose(share, 0.0)
+        inner = np.flatnonzero(~on_edge.any(axis=1))
+        count, steps = len(sphere), np.arange(1, parts)
+        first_inner = count + len(ends) * (parts - 1)
+        grid = np.empty((len(faces), len(points)), dtype=np.int32)
+        grid[:, inner] = first_inner + np.arange(len(faces))[:, None] * len(inner) + np.arange(len(inner))
+        for k in range(3):
+            grid[:, np.flatnonzero(share[:, k] == 1.0)[0]] = faces[:, k]
+            # Points between corners k and k + 1, in the order in which they follow from k.
+            between = np.flatnonzero(on_edge[:, (k + 2) % 3] & (share.max(axis=1) < 1.0))
+            between = between[np.argsort(share[between, (k + 1) % 3])]
+            forward = (faces[:, k] == ends[edge_of[:, k], 0])[:, None]
+            step = np.where(forward, steps - 1, parts - 1 - steps)
+            grid[:, between] = count + edge_of[:, k, None] * (parts - 1) + step
 
-
-def _divided(
-    curves: SmoothCurves,
-    faces: Ints,
-    edge_of: NDArray[np.int64],
-    ends: NDArray[np.int64],
-    towards: Floats,
-    parts: int,
-) -> SmoothMap:
-    """Divide triangles of a smooth map evenly, from their edges' ends and derivatives."""
-    places, sphere = curves.places, curves.sphere
-    points = grid_points(parts)
-    share = np.column_stack([parts - points.sum(axis=1), points]) / parts  # of the three corners
-    on_edge = np.isclose(share, 0.0)
-    inner = np.flatnonzero(~on_edge.any(axis=1))
-    count, steps = len(sphere), np.arange(1, parts)
-    first_inner = count + len(ends) * (parts - 1)
-    grid = np.empty((len(faces), len(points)), dtype=np.int32)
-    grid[:, inner] = first_inner + np.arange(len(faces))[:, None] * len(inner) + np.arange(len(inner))
-    for k in range(3):
-        grid[:, np.flatnonzero(share[:, k] == 1.0)[0]] = faces[:, k]
-        # Points between corners k and k + 1, in the order in which they follow from k.
-        between = np.flatnonzero(on_edge[:, (k + 2) % 3] & (share.max(axis=1) < 1.0))
-        between = between[np.argsort(share[between, (k + 1) % 3])]
-        forward = (faces[:, k] == ends[edge_of[:, k], 0])[:, None]
-        step = np.where(forward, steps - 1, parts - 1 - steps)
-        grid[:, between] = count + edge_of[:, k, None] * (parts - 1) + step
-
-    t = (steps / parts)[None, :, None]
-    one, other = sphere[ends[:, 0], None], sphere[ends[:, 1], None]
-    edge_line = (1.0 - t) * one + t * other
-    edge_curve = (
-        (1.0 - t) ** 3 * one
-        + 3.0 * t * (1.0 - t) ** 2 * (one + towards[:, 0, None] / 3.0)
-        + 3.0 * t**2 * (1.0 - t) * (other - towards[:, 1, None] / 3.0)
-        + t**3 * other
-    )
-    inside_line = np.einsum("kc,fcj->fkj", share[inner], sphere[faces])
-    inside_curve = _inside(places, faces, sphere, ends, edge_of, towards, share[inner])
-    lines = np.concatenate([edge_line.reshape(-1, 3), inside_line.reshape(-1, 3)])
-    added = np.concatenate([edge_curve.reshape(-1, 3), inside_curve.reshape(-1, 3)]) - lines
-    result = _without_flips(sphere, faces, lines, added, grid, share, parts)
-    return SmoothMap(parts, result, grid, partial(_weights, ends, faces, steps / parts, share[inner], count))
+        t = (steps / parts)[None, :, None]
+        one, other = sphere[ends[:, 0], None], sphere[ends[:, 1], None]
+        edge_line = (1.0 - t) * one + t * other
+        edge_curve = (
+            (1.0 - t) ** 3 * one
+            + 3.0 * t * (1.0 - t) ** 2 * (one + towards[:, 0, None] / 3.0)
+            + 3.0 * t**2 * (1.0 - t) * (other - towards[:, 1, None] / 3.0)
+            + t**3 * other
+        )
+        inside_line = np.einsum("kc,fcj->fkj", share[inner], sphere[faces])
+        inside_curve = _inside(places, faces, sphere, ends, edge_of, towards, share[inner])
+        lines = np.concatenate([edge_line.reshape(-1, 3), inside_line.reshape(-1, 3)])
+        added = np.concatenate([edge_curve.reshape(-1, 3), inside_curve.reshape(-1, 3)]) - lines
+        result = _without_flips(sphere, faces, lines, added, grid, share, parts)
+        return SmoothMap(parts, result, grid, partial(_weights, ends, faces, steps / parts, share[inner], count))
 
 
 def _without_waves(places: Floats, faces: Ints, sphere: Floats) -> Floats:
@@ -238,8 +218,8 @@ def _without_waves(places: Floats, faces: Ints, sphere: Floats) -> Floats:
     # tenth or less of a wave's amplitude remains; at x = 0.5 it is 0.86, and below 0.3 all of it.
     filter_strength, filter_power = 10.0, 6
     filter_degree = 24  # of the polynomial that approximates it to 0.0002
-    cotangents = (0.1, 5.0)  # weights of edges are kept in these bounds, so that all are positive
-    count, (low, high) = len(places), cotangents
+    low, high = 0.1, 5.0  # weights of edges are kept in these bounds, so that all are positive
+    count = len(places)
     ends, weights = [], []
     for k in range(3):
         a, b, c = (faces[:, (k + i) % 3] for i in range(3))
@@ -271,7 +251,8 @@ def _without_waves(places: Floats, faces: Ints, sphere: Floats) -> Floats:
     )
     moved = filtered - sphere
     way = np.linalg.norm(moved, axis=1)
-    moved *= np.minimum(1.0, FARTHEST * edge / np.maximum(way, np.finfo(float).tiny))[:, None]
+    # In mean edges of a vertex on the sphere: its image is moved no farther.
+    moved *= np.minimum(1.0, 0.3 * edge / np.maximum(way, np.finfo(float).tiny))[:, None]
     kept, allowed = np.ones(count), flipped_faces(sphere, faces)
     for rounds in range(count):
         points = sphere + kept[:, None] * moved
@@ -294,7 +275,7 @@ def _edge_derivatives(places: Floats, faces: Ints, sphere: Floats, ends: NDArray
     )
     first, second = _tangents(total)
     edge = places[ends[:, 1]] - places[ends[:, 0]]
-    length = np.maximum(np.linalg.norm(edge, axis=1), SHORTEST_EDGE)
+    length = np.maximum(np.linalg.norm(edge, axis=1), 1e-9)  # in extents: divisions by it do not overflow
     # Unit direction of the edge in the tangent plane of each end: the bending of the surface itself is left out.
     way = np.empty((len(ends), 2, 2))
     for side in range(2):
@@ -358,12 +339,9 @@ def _solve(blocks: Floats, above: sparse.bsr_matrix, right: Floats) -> Floats:
     share = np.maximum(ROUND_OFF * np.trace(blocks, axis1=1, axis2=2), ROUND_OFF)[:, None, None]
     inverse = np.linalg.inv(blocks + share * np.eye(2))
 
-    def conditioned(residual: Floats) -> Floats:
-        return _by_blocks(inverse, residual)
-
     x = np.zeros_like(right)
     residual = right.copy()
-    z = conditioned(residual)
+    z = _by_blocks(inverse, residual)
     direction, product = z, np.einsum("ij,ij->j", residual, z)
     goal = tolerance**2 * product
     for _ in range(most_steps):
@@ -373,7 +351,7 @@ def _solve(blocks: Floats, above: sparse.bsr_matrix, right: Floats) -> Floats:
         step = product / np.maximum(np.einsum("ij,ij->j", direction, image), np.finfo(float).tiny)
         x += step * direction
         residual -= step * image
-        z = conditioned(residual)
+        z = _by_blocks(inverse, residual)
         fresh = np.einsum("ij,ij->j", residual, z)
         direction = z + fresh / np.maximum(product, np.finfo(float).tiny) * direction
         product = fresh

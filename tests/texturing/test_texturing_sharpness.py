@@ -6,7 +6,9 @@ import trimesh
 from texturing_shapes import ellipsoid, unit
 
 from omtwarp.texturing import make_atlas, texture
-from omtwarp.texturing.atlas import SCREEN, TEXEL, largest_stretch, picture_size, sharp_size
+from omtwarp.texturing.atlas import largest_stretch, picture_size, sharp_size
+
+SCREEN, TEXEL = 1024, 1.5  # pixels across a picture that the surface fills, and those that a texel covers at most
 
 
 def test_the_stretch_of_a_linear_map_is_its_largest_singular_value():

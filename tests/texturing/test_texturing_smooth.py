@@ -13,7 +13,7 @@ from omtwarp.flips.predicates import count_flips, flipped_faces
 from omtwarp.mesh import shapes
 from omtwarp.texturing import bake, texture
 from omtwarp.texturing.baking import sample
-from omtwarp.texturing.smooth import FARTHEST, grid_points, smooth_map
+from omtwarp.texturing.smooth import grid_points, smooth_map
 
 
 def ball(subdivisions):
@@ -100,7 +100,7 @@ def test_no_vertex_moves_farther_than_a_fraction_of_its_edges():
     corners = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     length = np.linalg.norm(rough[corners[:, 0]] - rough[corners[:, 1]], axis=1)
     mean = np.bincount(corners.ravel(), np.repeat(length, 2)) / np.bincount(corners.ravel())
-    assert 0.0 < moved.max() and (moved <= 1.05 * FARTHEST * mean).all()
+    assert 0.0 < moved.max() and (moved <= 1.05 * 0.3 * mean).all()
 
 
 @settings(max_examples=25, deadline=None)
