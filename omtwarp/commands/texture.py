@@ -257,10 +257,10 @@ def _size_of(result: MapResult | TorusMap, picture: Picture, atlas: str) -> tupl
     if not isinstance(result, MapResult):
         raise OmtwarpError("--size auto is for maps to the sphere: give texels for a map to a torus")
     limit = LARGEST_SIZE if asked else LARGEST_UNASKED
-    chosen = sharp_size(result.vertices, result.faces, result.sphere, atlas, limit)
-    share = f"; on {100.0 * chosen.coarse:.2g} % of the surface texels cover more than 1.5 pixels at 1024"
+    chosen, coarse = sharp_size(result.vertices, result.faces, result.sphere, atlas, limit)
+    share = f"; on {100.0 * coarse:.2g} % of the surface texels cover more than 1.5 pixels at 1024"
     share += "" if asked else " (--size auto goes up to 8192)"
-    return chosen.size, share if chosen.coarse else ""
+    return chosen, share if coarse else ""
 
 
 def _painted(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +13,7 @@ from omtwarp.colors import colormap_table, parse_color
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import TINY, real_numbers
 from omtwarp.render.camera import Light, Shot
+from omtwarp.texturing.image import PictureLike, as_bytes, read_image
 
 
 @dataclass(eq=False)
@@ -70,10 +71,6 @@ class ScalarField:
         return np.clip((values - low) / (high - low), 0.0, 1.0)
 
 
-if TYPE_CHECKING:
-    from PIL.Image import Image
-
-
 def numbers_of(values: ArrayLike, name: str) -> NDArray[np.float64]:
     """Return values to be drawn as float64; truth values count as 0 and 1.
 
@@ -118,7 +115,7 @@ class SurfaceMaterial:
         color: any colour; a factor on the picture where there is one. None is white with a picture, and clay without.
     """
 
-    image: Image | ArrayLike | None = None
+    image: PictureLike | None = None
     color: str | ArrayLike | None = None
 
 
@@ -129,7 +126,7 @@ class SurfaceView:
     Attributes:
         vertices: shape [V, 3], any unit.
         faces: shape [F, 3], counter-clockwise seen from outside.
-        image: a picture, PIL image or [height, width, 3 or 4] bytes (or numbers in [0, 1]); row 0 is its top.
+        image: a picture, a file, PIL image or [height, width, 3 or 4] bytes (or numbers in [0, 1]); row 0 is its top.
         sphere: unit vectors, shape [V, 3]: the image is equirectangular (longitude atan2(y, x) grows to the right
             from -π, latitude π/2 on top) and looked up anew at every pixel, so that neither seam nor pole shows.
         uv: texture coordinates, shape [V, 2] or per corner [F, 3, 2]; (0, 0) is the image's bottom left; it repeats to
@@ -154,7 +151,7 @@ class SurfaceView:
 
     vertices: ArrayLike
     faces: ArrayLike
-    image: Image | ArrayLike | None = None
+    image: PictureLike | None = None
     sphere: ArrayLike | None = None
     uv: ArrayLike | None = None
     colors: ArrayLike | None = None
@@ -221,7 +218,7 @@ class SurfaceView:
             OmtwarpError: values have another shape, or are not numbers.
         """
         if self.image is not None:
-            self.image = as_image(self.image)
+            self.image = np.ascontiguousarray(as_bytes(read_image(self.image))[..., :3])
         if self.materials is not None:
             which = np.asarray(self.face_material)
             numbers = which.shape == (triangles,) and np.issubdtype(which.dtype, np.integer)
@@ -327,27 +324,6 @@ class RenderJob:
     samples: int = 1
     wireframe: Wireframe = field(default_factory=Wireframe)
     one_each: bool = False
-
-
-def as_image(image: Image | ArrayLike) -> NDArray[np.uint8]:
-    """Convert a PIL image or an array to sRGB bytes, shape [height, width, 3].
-
-    Raises:
-        OmtwarpError: the argument is neither a picture nor an array of colours, or is empty.
-    """
-    if hasattr(image, "convert"):
-        return np.asarray(image.convert("RGB"))
-    pixels = np.asarray(image)
-    if pixels.ndim == 2:
-        pixels = np.repeat(pixels[:, :, None], 3, axis=2)
-    numbers = pixels.dtype.kind in "iuf"
-    if pixels.ndim != 3 or pixels.shape[2] not in (3, 4) or pixels.size == 0 or not numbers:
-        raise OmtwarpError(f"an image needs the shape [height, width, 3], not {pixels.shape}")
-    pixels = pixels[:, :, :3]
-    if pixels.dtype != np.uint8:
-        scale = 255.0 if np.issubdtype(pixels.dtype, np.floating) else 1.0
-        pixels = np.rint(np.clip(pixels * scale, 0, 255)).astype(np.uint8)
-    return np.ascontiguousarray(pixels)
 
 
 def welded_normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:

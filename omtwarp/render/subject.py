@@ -14,9 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.colors import to_srgb
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import HasTriangles
-from omtwarp.render.scene import SurfaceMaterial, SurfaceView, as_image
+from omtwarp.render.scene import SurfaceMaterial, SurfaceView
 from omtwarp.texturing.image import PictureLike
-from omtwarp.texturing.image import read_image as read_picture
 from omtwarp.texturing.materials import WHITE
 
 if TYPE_CHECKING:  # a picture of triangles loads neither Warp nor SciPy, which these need
@@ -50,15 +49,18 @@ Subject: TypeAlias = "str | os.PathLike[str] | HasTriangles | SurfaceView | tupl
 
 
 def is_torus_map(subject: object) -> TypeGuard[TorusMap]:
-    """Return whether a subject is a map to a torus: one exists only where its module is loaded."""
-    module = sys.modules.get("omtwarp.maps.torus_map")
-    return module is not None and isinstance(subject, module.TorusMap)
+    """Return whether a subject is a map to a torus."""
+    return _is_a(subject, "omtwarp.maps.torus_map", "TorusMap")
 
 
 def _is_painted(subject: object) -> TypeGuard[PaintedMesh]:
-    """Return whether a subject is a mesh with materials: one exists only where its module is loaded."""
-    module = sys.modules.get("omtwarp.texturing.painted")
-    return module is not None and isinstance(subject, module.PaintedMesh)
+    """Return whether a subject is a mesh with materials."""
+    return _is_a(subject, "omtwarp.texturing.painted", "PaintedMesh")
+
+
+def _is_a(subject: object, module: str, name: str) -> bool:
+    """Return whether a subject is of a class, of which one exists only where its module is loaded."""
+    return module in sys.modules and isinstance(subject, getattr(sys.modules[module], name))
 
 
 def as_surface_view(subject: Subject, image: Picture | None = None) -> SurfaceView:
@@ -92,7 +94,7 @@ def as_surface_view(subject: Subject, image: Picture | None = None) -> SurfaceVi
     elif isinstance(subject, (tuple, list)) and len(subject) == 2:
         view = SurfaceView(*subject)
     elif isinstance(subject, _Textured):
-        view = SurfaceView(subject.vertices, subject.faces, image=read_image(subject.image), uv=subject.uv)
+        view = SurfaceView(subject.vertices, subject.faces, image=subject.image, uv=subject.uv)
     elif isinstance(subject, HasTriangles):
         view = SurfaceView(subject.vertices, subject.faces)
     else:
@@ -105,7 +107,7 @@ def as_surface_view(subject: Subject, image: Picture | None = None) -> SurfaceVi
             raise OmtwarpError(
                 "an image was given, but this subject has no points on the sphere to look it up: give a map"
             )
-        view = replace(view, image=read_image(image), uv=None, colors=None, scalar=None)
+        view = replace(view, image=image, uv=None, colors=None, scalar=None)
     return view
 
 
@@ -130,7 +132,7 @@ def map_view(
     sphere = result.sphere if which == "optimal" else result.conformal
     if sphere is None:
         raise OmtwarpError(f"this map has no {which} stage to show")
-    picture = checker_image() if image is None else read_image(image)
+    picture = checker_image() if image is None else image
     if on == "sphere":
         return SurfaceView(sphere, result.faces, image=picture, sphere=sphere, up="z", front="+x", caption=caption)
     return SurfaceView(result.vertices, result.faces, image=picture, sphere=sphere, caption=caption)
@@ -161,8 +163,7 @@ def torus_view(
     shown = result if which == "optimal" else replace(result, coordinates=result.conformal)
     from omtwarp.texturing.textured import texture_torus
 
-    picture = None if image is None else read_image(image)
-    cut = texture_torus(shown, picture, None if image is not None else pattern)
+    cut = texture_torus(shown, image, None if image is not None else pattern)
     places = cut.vertices if on == "surface" else shown.ring()[cut.welded]
     return SurfaceView(places, cut.faces, image=cut.image, uv=cut.uv, up=None if on == "surface" else "z")
 
@@ -176,17 +177,6 @@ def checker_image() -> NDArray[np.uint8]:
     light = np.array([0.96, 0.94, 0.90])
     chosen = ((row[:, None] + column[None, :]) % 2)[..., None]
     return np.rint(255.0 * np.where(chosen == 1, light, dark[None])).astype(np.uint8)
-
-
-def read_image(image: Picture) -> NDArray[np.uint8]:
-    """Read a picture from a file, a PIL image or an array, as uint8 [H, W, 3].
-
-    Raises:
-        OmtwarpError: the file is missing or is no picture.
-    """
-    if not isinstance(image, (str, os.PathLike)):
-        return as_image(image)
-    return as_image(read_picture(image))
 
 
 def _file_view(path: Path) -> SurfaceView:

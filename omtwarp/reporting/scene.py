@@ -20,7 +20,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas, vertex_normals
 from omtwarp.render.camera import DEFAULT_FRONT, VIEWS, Camera, axis_vector, camera_axes
-from omtwarp.render.domains import fits_of
+from omtwarp.render.films import fits_of
 from omtwarp.render.scene import SurfaceView
 from omtwarp.render.upright import posed
 from omtwarp.reporting.markup import Markup, asset, data_block, data_uri, fill_page, html, join, script, source_hash

@@ -16,7 +16,7 @@ from omtwarp.mesh.surface import triangle_areas
 from omtwarp.metrics.distortion import Distortion
 from omtwarp.options import Domain, Record
 from omtwarp.render.camera import Camera, camera_axes
-from omtwarp.render.domains import domain_name, domains_of, fits_of, placed_on
+from omtwarp.render.films import domain_name, domains_of, fits_of, placed_on
 from omtwarp.render.scene import SurfaceView
 
 NUMBER, COUNT, TEXT, FLAG = "number", "count", "text", "flag"

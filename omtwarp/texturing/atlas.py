@@ -438,22 +438,9 @@ LARGEST_UNASKED = 4096
 SIDES = {"cube": 3.76, "octahedral": 3.94, "equirectangular": 4.0}
 
 
-@dataclass(frozen=True)
-class Sharpness:
-    """The size of a texture, and the share of the surface that it leaves blurred.
-
-    Attributes:
-        size: width of the texture in texels, or width and height of a cube map.
-        coarse: part of the surface's area on which texels are larger than they should be, because of the limit.
-    """
-
-    size: int | tuple[int, int]
-    coarse: float
-
-
 def sharp_size(
     vertices: Floats, faces: NDArray[np.int32], sphere: Floats, atlas: str, limit: int = LARGEST_SIZE
-) -> Sharpness:
+) -> tuple[int | tuple[int, int], float]:
     """Return the least size at which no texel covers more than 1.5 pixels of 1024 x 1024 that the surface fills.
 
     Where a map makes a triangle small on the sphere, its texels are large on the surface; the triangle in which the map
@@ -466,11 +453,15 @@ def sharp_size(
         atlas: name of the layout.
         limit: the largest width.
 
+    Returns:
+        Width of the texture in texels, or width and height of a cube map; and the part of the surface's area on which
+        texels are larger than they should be, because of the limit.
+
     Example:
         >>> from omtwarp.mesh import shapes
         >>> from omtwarp.texturing.atlas import sharp_size
         >>> ball = shapes.icosphere(8)
-        >>> sharp_size(ball.vertices, ball.faces, ball.vertices, "cube").size
+        >>> sharp_size(ball.vertices, ball.faces, ball.vertices, "cube")[0]
         (2048, 2048)
     """
     extent = max(float(np.ptp(vertices, axis=0).max()), np.finfo(float).tiny)
@@ -481,7 +472,7 @@ def sharp_size(
     size, enough = picture_size(float(needed.max(initial=0.0)), atlas, limit)
     corner = surface[faces]
     area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
-    return Sharpness(size, float(area[needed > enough].sum() / max(float(area.sum()), np.finfo(float).tiny)))
+    return size, float(area[needed > enough].sum() / max(float(area.sum()), np.finfo(float).tiny))
 
 
 def picture_size(needed: float, atlas: str, limit: int) -> tuple[int | tuple[int, int], float]:

@@ -607,10 +607,7 @@ def bake_corners(
     Returns:
         float32, shape [H, W, C].
     """
-    flat = np.arange(3 * len(uv)).reshape(-1, 3)
-    source = VertexValues(values.reshape(3 * len(uv), -1))
-    no_sphere = np.zeros((3 * len(uv), 3))
-    return bake_to_uv(source, no_sphere, flat, uv, size=size, padding=padding, supersample=samples, device=device)
+    return _bake_linear(Layout(uv, *size, device, padding), values, samples, padding)
 
 
 def covered(uv: Floats, size: tuple[int, int], *, padding: int = PADDING, device: wp.Device) -> NDArray[np.bool_]:

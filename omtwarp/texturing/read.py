@@ -100,6 +100,7 @@ def _statements(text: bytes) -> _Statements:
     return statements
 
 
+_PICTURES = {"map_kd": "picture", "norm": "normal_picture", "map_ke": "emission_picture"}
 _PHONG = {name.lower(): name for name in ("Ns", "Ka", "Ks", "Ke", "Ni", "Tf", "illum")}
 
 
@@ -129,12 +130,8 @@ def read_mtl(text: str, picture: Callable[[str], Bytes | None]) -> dict[str, Mat
 
 def _with(material: Material, key: str, values: list[str], picture: Callable[[str], Bytes | None]) -> Material:
     """Apply one statement of a library to a material."""
-    if key == "map_kd":
-        return replace(material, picture=picture(_picture_name(values)))
-    if key == "norm":
-        return replace(material, normal_picture=picture(_picture_name(values)))
-    if key == "map_ke":
-        return replace(material, emission_picture=picture(_picture_name(values)))
+    if key in _PICTURES:
+        return replace(material, **{_PICTURES[key]: picture(_picture_name(values))})
     try:
         numbers = [float(word) for word in values]
     except ValueError:
@@ -147,10 +144,8 @@ def _with(material: Material, key: str, values: list[str], picture: Callable[[st
         return replace(material, color=(float(red), float(green), float(blue), material.color[3]))
     if key in ("d", "tr"):
         return replace(material, color=(*material.color[:3], first if key == "d" else 1.0 - first))
-    if key == "pr":
-        return replace(material, roughness=first)
-    if key == "pm":
-        return replace(material, metallic=first)
+    if key in ("pr", "pm"):
+        return replace(material, **{"roughness" if key == "pr" else "metallic": first})
     if key in _PHONG:
         kept = dict(material.phong) | {_PHONG[key]: tuple(numbers)}
         return replace(material, phong=tuple(kept.items()))

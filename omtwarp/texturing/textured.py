@@ -279,7 +279,7 @@ def texture(
     seam = _seam(seam_longitude, vertices, faces, sphere, rotation) if str(atlas) == "equirectangular" else np.pi
     chosen: int | tuple[int, int] | None
     if isinstance(size, str) or (size is None and image is None):
-        chosen = sharp_size(vertices, faces, sphere, make_atlas(atlas).name, _largest_size(size)).size
+        chosen = sharp_size(vertices, faces, sphere, make_atlas(atlas).name, _largest_size(size))[0]
     else:
         chosen = size
     source, layout, texels = _source(image, pattern, projection, atlas, chosen, seam)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,17 +25,8 @@ ASPECTS, MOST_MARGIN = (0.1, 10.0), 0.1
 """Widths of the picture over its height, and free room in heights of it: beyond these charts have next to no room."""
 
 
-@dataclass(frozen=True)
-class _Charts:
-    """Triangles in the plane, in the surface's own unit: those of one chart do not overlap.
-
-    Attributes:
-        plane: corners of the triangles, shape [F, 3, 2].
-        number: the chart of every triangle, shape [F].
-    """
-
-    plane: Floats
-    number: NDArray[np.intp]
+_Charts: TypeAlias = tuple[Floats, NDArray[np.intp]]
+"""Triangles in the plane, in the surface's own unit, shape [F, 3, 2], and the chart of each: none overlap in one."""
 
 
 def unwrap_uv(
@@ -111,14 +102,14 @@ def laid_out(
             charts = _cubes(vertices, faces, sphere, parts)
             whole = number is None and getattr(result, "domain", Domain.SPHERE) == Domain.SPHERE
             place = _in_cells if whole else _packed
-    turned = plane_areas(charts.plane) <= 0
+    turned = plane_areas(charts[0]) <= 0
     if turned.any():
         raise OmtwarpError(
             f"{turned.sum()} of {len(faces)} faces are flipped or without area in the map, first face "
             f"{int(np.argmax(turned))}: remake the map"
         )
     mesh = PaintedMesh(vertices, faces, place(charts, aspect, margin), (Material("surface"),))
-    return mesh, len(np.unique(charts.number))
+    return mesh, len(np.unique(charts[1]))
 
 
 def _cubes(vertices: Floats, faces: Ints, sphere: Floats, parts: NDArray[np.intp]) -> _Charts:
@@ -150,14 +141,14 @@ def _cubes(vertices: Floats, faces: Ints, sphere: Floats, parts: NDArray[np.intp
     bent = np.bincount(parts, plane_areas(angle) <= 0) > 0
     plane = np.where(bent[parts][:, None, None], np.tan(angle), angle)
     scale = _scales(triangle_areas(vertices, faces), triangle_areas(sphere, faces), parts)
-    return _Charts(plane * scale[parts][:, None, None], len(CUBE_FRAMES) * parts + chart)
+    return plane * scale[parts][:, None, None], len(CUBE_FRAMES) * parts + chart
 
 
 def _disks(vertices: Floats, faces: Ints, disk: Floats, parts: NDArray[np.intp]) -> _Charts:
     """Return the charts of maps to disks: one for each part, shape [F], without a cut."""
     plane = disk[faces]
     scale = _scales(triangle_areas(vertices, faces), np.abs(plane_areas(plane)), parts)
-    return _Charts(plane * scale[parts][:, None, None], parts)
+    return plane * scale[parts][:, None, None], parts
 
 
 def _scales(on_surface: Floats, on_map: Floats, parts: NDArray[np.intp]) -> Floats:
@@ -185,7 +176,7 @@ def _strips(result: TorusMap, aspect: float) -> _Charts:
     scale = np.minimum(aspect * count / length, 1.0 / (count * height))
     strips = int(count[np.argmax(scale >= fewer_cuts * scale.max())])
     at = np.floor(plane[..., 0].mean(axis=1) * (strips / length)).astype(np.intp)
-    return _Charts(plane, np.clip(at, 0, strips - 1))
+    return plane, np.clip(at, 0, strips - 1)
 
 
 def _angles(corners: Floats, chart: NDArray[np.intp]) -> Floats:
@@ -196,35 +187,38 @@ def _angles(corners: Floats, chart: NDArray[np.intp]) -> Floats:
 
 def _boxes(charts: _Charts) -> tuple[Floats, Floats]:
     """Return the lower and upper corners of the charts' boxes, shape [C, 2]; zero where a chart is empty."""
-    count = int(charts.number.max(initial=0)) + 1
+    plane, number = charts
+    count = int(number.max(initial=0)) + 1
     low, high = np.zeros((count, 2)), np.zeros((count, 2))
-    order = np.argsort(charts.number, kind="stable")
-    numbers, first = np.unique(charts.number[order], return_index=True)
-    low[numbers] = np.minimum.reduceat(charts.plane.min(axis=1)[order], first)
-    high[numbers] = np.maximum.reduceat(charts.plane.max(axis=1)[order], first)
+    order = np.argsort(number, kind="stable")
+    numbers, first = np.unique(number[order], return_index=True)
+    low[numbers] = np.minimum.reduceat(plane.min(axis=1)[order], first)
+    high[numbers] = np.maximum.reduceat(plane.max(axis=1)[order], first)
     return low, high
 
 
 def _in_cells(charts: _Charts, aspect: float, margin: float) -> Floats:
     """Return the coordinates of the faces of one cube: each chart in the middle of one of three by two cells."""
+    plane, number = charts
     low, high = _boxes(charts)
     cell = np.array([aspect / 3.0, 0.5])
     inner = cell - 2.0 * margin
     if (inner <= 0).any():
         raise OmtwarpError(f"a margin of {margin} leaves no room for charts")
     scale = float((inner / np.maximum((high - low).max(axis=0), TINY)).min())
-    corner = np.stack([charts.number % 3, 1 - charts.number // 3], axis=1)
+    corner = np.stack([number % 3, 1 - number // 3], axis=1)
     centre = (corner + 0.5) * cell
-    moved = (charts.plane - (0.5 * (low + high))[charts.number][:, None, :]) * scale + centre[:, None, :]
+    moved = (plane - (0.5 * (low + high))[number][:, None, :]) * scale + centre[:, None, :]
     return moved / (aspect, 1.0)
 
 
 def _packed(charts: _Charts, aspect: float, margin: float) -> Floats:
     """Return the coordinates of any charts, on shelves in the picture."""
-    numbers, which = np.unique(charts.number, return_inverse=True)
+    plane, number = charts
+    numbers, which = np.unique(number, return_inverse=True)
     low, high = _boxes(charts)
     corner, scale = pack_rows((high - low)[numbers], aspect, margin)
-    moved = (charts.plane - low[charts.number][:, None, :]) * scale + corner[which][:, None, :]
+    moved = (plane - low[number][:, None, :]) * scale + corner[which][:, None, :]
     return moved / (aspect, 1.0)
 
 

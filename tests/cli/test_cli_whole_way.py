@@ -77,14 +77,14 @@ def test_texture_and_picture_from_the_finished_map(folder, tmp_path):
 def test_the_size_follows_the_stretch_where_none_is_given(folder, tmp_path, capsys):
     """Without --size the texture is as large as the stretch needs, which for this map is less than the largest size."""
     finished = omtwarp.MapResult.load(folder / "map.npz")
-    sharp = sharp_size(finished.vertices, finished.faces, finished.sphere, "cube")
-    assert 1000 < sharp.size[0] <= LARGEST_UNASKED and sharp.coarse == 0.0
+    sharp, coarse = sharp_size(finished.vertices, finished.faces, finished.sphere, "cube")
+    assert 1000 < sharp[0] <= LARGEST_UNASKED and coarse == 0.0
     model = tmp_path / "model.glb"
     options = ["--pattern", "checker", "--device", "cpu", "--json"]
     capsys.readouterr()
     assert run("texture", "--map", folder / "map.npz", "-o", model, *options) == 0
     (picture,) = json.loads(capsys.readouterr().out)["pictures"]
-    assert (picture["width"], picture["height"]) == sharp.size
+    assert (picture["width"], picture["height"]) == sharp
 
 
 def test_obj_brings_its_companions(folder, tmp_path):

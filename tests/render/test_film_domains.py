@@ -11,8 +11,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.render import films
 from omtwarp.render.camera import Camera, camera_axes
-from omtwarp.render.domains import SPACING
-from omtwarp.render.films import Story, story_of
+from omtwarp.render.films import SPACING, Story, story_of
 
 CAMERA = Camera()
 

@@ -32,9 +32,9 @@ def test_triangles_without_area_count_as_what_they_are():
 def test_no_texel_is_larger_than_it_should_be(atlas):
     """Steps of one texel are no longer on the surface than the chosen size promises, from points all over it."""
     vertices, faces, sphere = ellipsoid(4, seed=2)
-    chosen = sharp_size(vertices, faces, sphere, atlas)
-    assert chosen.coarse == 0.0
-    layout = make_atlas(atlas, chosen.size)
+    chosen, coarse = sharp_size(vertices, faces, sphere, atlas)
+    assert coarse == 0.0
+    layout = make_atlas(atlas, chosen)
     rng = np.random.default_rng(1)
     f = rng.integers(len(faces), size=3000)
     share = rng.dirichlet(np.ones(3), size=len(f))
@@ -76,7 +76,7 @@ def test_the_least_size_is_taken_that_is_enough():
 
 def test_the_limit_holds_and_says_what_it_costs():
     vertices, faces, sphere = ellipsoid(3, seed=2)
-    limited = sharp_size(vertices, faces, sphere, "cube", limit=600)
-    assert limited.size == (512, 512) and 0.0 < limited.coarse <= 1.0
+    limited, coarse = sharp_size(vertices, faces, sphere, "cube", limit=600)
+    assert limited == (512, 512) and 0.0 < coarse <= 1.0
     ball = unit(np.asarray(trimesh.creation.icosphere(subdivisions=1).vertices))
     assert texture((ball, trimesh.creation.icosphere(subdivisions=1).faces, ball), size="auto").image.shape[1] >= 1900

@@ -212,7 +212,7 @@ def test_webp_holds_the_same_texels(textured, tmp_path):
 def test_without_a_size_no_texel_of_a_pattern_shows(surface):
     """Up to a limit; a picture has no fewer texels than it had."""
     vertices, faces, sphere = surface
-    wanted = sharp_size(vertices, faces, sphere, "cube", LARGEST_UNASKED).size
+    wanted = sharp_size(vertices, faces, sphere, "cube", LARGEST_UNASKED)[0]
     assert texture(surface, pattern="checker", smooth=False).image.shape[1::-1] == wanted
     found = texture(surface, np.zeros((200, 400, 3), dtype=np.uint8))
     assert found.image.shape[1::-1] == (512, 256)
