@@ -155,8 +155,8 @@ def test_normals_of_the_same_mesh_are_straight_up(ring):
 @pytest.mark.parametrize(
     ("kind", "options", "message"),
     [
-        ("ring", {"atlas": "octahedral"}, "projection, atlas and rotation are for textures on the sphere"),
-        ("ring", {"rotate": [10.0]}, "projection, atlas and rotation are for textures on the sphere"),
+        ("ring", {"atlas": "octahedral"}, "projection, atlas, rotation and seam are for textures on the sphere"),
+        ("ring", {"rotate": [10.0]}, "projection, atlas, rotation and seam are for textures on the sphere"),
         ("ring", {"pattern": Checker(4, 2)}, "a Pattern is for the sphere"),
         ("ring", {"pattern": "globe"}, "is for the sphere"),
         ("parts", {"size": 96}, "a picture of 96 x 96 texels has no room for 2 parts"),
