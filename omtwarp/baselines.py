@@ -15,13 +15,12 @@ from omtwarp.conformal.centring import centre_points
 from omtwarp.conformal.haker import most_regular_face
 from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import TINY
+from omtwarp.mesh.arrays import TINY, Floats
 from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.options import Progress
 from omtwarp.solvers.poisson import Factorization, LaplacianSolver
 
-Array = NDArray[np.float64]
 Weights = Literal["tutte", "mean-value"]
 Balance = Literal["centroid", "free"]
 Report = Callable[[str, int, float], None]
@@ -49,12 +48,12 @@ class BarycentricMap:
         history: ``iteration``, ``stage`` (``relax`` or ``newton``) and ``residual`` after it, of both stages.
     """
 
-    sphere: Array
+    sphere: Floats
     weights: str
     balance: str
     residual: float
-    multiplier: Array
-    shares: Array
+    multiplier: Floats
+    shares: Floats
     energy: float
     converged: bool
     relaxation_steps: int
@@ -178,8 +177,8 @@ def barycentric_weights(surface: Surface, weights: Weights = "tutte") -> sparse.
 class _State:
     """The result of one sweep over the vertices."""
 
-    force: Array
-    tension: Array
+    force: Floats
+    tension: Floats
     residual: float
     energy: float
 
@@ -192,7 +191,7 @@ class _Springs:
         self.degree = np.asarray(self.matrix.sum(axis=1)).ravel()
         self.count: int = self.matrix.shape[0]
 
-    def sweep(self, points: Array) -> _State:
+    def sweep(self, points: Floats) -> _State:
         sums = self.matrix @ points
         tension = (sums * points).sum(axis=1)
         size = np.linalg.norm(sums, axis=1)
@@ -202,8 +201,8 @@ class _Springs:
         return _State(_tangential(points, sums), tension, float(deviation.max()), energy)
 
     def newton_system(
-        self, points: Array, tension: Array, aligned: int, axis: Array
-    ) -> tuple[sparse.csc_matrix, Array]:
+        self, points: Floats, tension: Floats, aligned: int, axis: Floats
+    ) -> tuple[sparse.csc_matrix, Floats]:
         """Return the second derivative of E in tangent coordinates, [2V, 2V], and the frames, shape [V, 2, 3].
 
         The first vector of the frame of vertex ``aligned`` is ``axis``.
@@ -219,7 +218,7 @@ class _Springs:
         return sparse.csc_matrix(off.tocsc() + sparse.diags(np.repeat(tension, 2))), frames
 
 
-def _planar_start(surface: Surface, springs: _Springs, weights: str) -> tuple[Array, Array]:
+def _planar_start(surface: Surface, springs: _Springs, weights: str) -> tuple[Floats, Floats]:
     """Compute Tutte's plane embedding without one triangle, centred on the sphere, and each vertex' share of it.
 
     The equations are those of section 4.1 with these weights for the cotangents: every vertex but three is a positive
@@ -255,7 +254,7 @@ def _planar_start(surface: Surface, springs: _Springs, weights: str) -> tuple[Ar
     return centre_points(sphere, shares)[0], shares
 
 
-def _relax(springs: _Springs, points: Array, masses: Array, report: Report) -> Array:
+def _relax(springs: _Springs, points: Floats, masses: Floats, report: Report) -> Floats:
     """Minimise E with Σ a_i x_i = 0, by gradient steps preconditioned with the weights' Laplacian.
 
     Steps are taken at right angles to the Möbius transformations and followed by the one that restores the centroid.
@@ -296,7 +295,7 @@ def _relax(springs: _Springs, points: Array, masses: Array, report: Report) -> A
     return points
 
 
-def _newton(springs: _Springs, points: Array, masses: Array | None, report: Report) -> tuple[Array, Array, bool]:
+def _newton(springs: _Springs, points: Floats, masses: Floats | None, report: Report) -> tuple[Floats, Floats, bool]:
     """Find stationary points of E by Newton's method, rotations pinned; with masses, of E where Σ a_i x_i = 0.
 
     Returns:
@@ -325,7 +324,7 @@ def _newton(springs: _Springs, points: Array, masses: Array | None, report: Repo
         free[[2 * pinned, 2 * pinned + 1, 2 * second]] = False
         factor = splu(matrix[free][:, free].tocsc())
 
-        def solve(right: Array, free: NDArray[np.bool_] = free, factor=factor) -> Array:
+        def solve(right: Floats, free: NDArray[np.bool_] = free, factor=factor) -> Floats:
             out = np.zeros_like(right)
             out[free] = factor.solve(right[free])
             return out
@@ -344,13 +343,13 @@ def _newton(springs: _Springs, points: Array, masses: Array | None, report: Repo
     return points, multiplier, False
 
 
-def _multiplier(points: Array, masses: Array, force: Array) -> Array:
+def _multiplier(points: Floats, masses: Floats, force: Floats) -> Floats:
     """Return the λ whose pull a_i λ comes nearest to the forces, in the least squares sense."""
     gram = np.einsum("v,vij->ij", masses**2, np.eye(3) - points[:, :, None] * points[:, None, :])
     return np.linalg.solve(gram, masses @ force)
 
 
-def _pins(points: Array) -> tuple[int, int, Array]:
+def _pins(points: Floats) -> tuple[int, int, Floats]:
     """Return the vertex to fix, a second about a right angle away, and the direction in which the second is fixed.
 
     The forces add up to no torque, so that the three equations left out hold by themselves.
@@ -360,11 +359,11 @@ def _pins(points: Array) -> tuple[int, int, Array]:
     return 0, second, axis / np.linalg.norm(axis)
 
 
-def _tangential(points: Array, vectors: Array) -> Array:
+def _tangential(points: Floats, vectors: Floats) -> Floats:
     return np.asarray(vectors - (points * vectors).sum(axis=1)[:, None] * points)
 
 
-def _moved(points: Array, direction: Array, step: float) -> Array:
+def _moved(points: Floats, direction: Floats, step: float) -> Floats:
     """Step along the tangential part of a direction and return to the sphere."""
     moved = points + step * _tangential(points, direction)
     return np.asarray(moved / np.linalg.norm(moved, axis=1, keepdims=True))

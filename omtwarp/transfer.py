@@ -13,13 +13,14 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.maps.result import MapResult
+from omtwarp.mesh.arrays import Floats
 from omtwarp.options import AtlasLike, CoordinatesLike
 from omtwarp.resampling import SpherePoints, as_points
 from omtwarp.spheres import mesh_grid
 from omtwarp.texturing.atlas import SIZE, Atlas, make_atlas
 from omtwarp.texturing.baking import PADDING, bake_materials, bake_to_uv, own_at_parts, picture_source, sphere_layout
 from omtwarp.texturing.image import as_bytes, without_full_opacity
-from omtwarp.texturing.materials import Floats, Material
+from omtwarp.texturing.materials import Material
 from omtwarp.texturing.painted import PaintedMesh
 from omtwarp.texturing.seams import unwrap
 from omtwarp.texturing.textured import SphereMap, as_map

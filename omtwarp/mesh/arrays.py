@@ -6,7 +6,7 @@ import math
 import operator
 import sys
 from collections.abc import Mapping
-from typing import Protocol, runtime_checkable
+from typing import Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,6 +27,9 @@ ROUND_OFF = 1e-12
 # precision rounds a coordinate by 6e-8 of the extent, a thousandth of edges that are 6e-5 of it.
 WELD = 1e-3
 
+Floats: TypeAlias = NDArray[np.float64]
+Ints: TypeAlias = NDArray[np.int32]
+Bytes: TypeAlias = NDArray[np.uint8]
 Shape = tuple[int | None, ...]
 Layout = Mapping[str, tuple[type[np.generic], tuple[str | int, ...]]]
 

@@ -23,6 +23,7 @@ from scipy.spatial.transform import Rotation
 from omtwarp.colors import backdrop
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.limits import MOST_FILM_PIXELS, MOST_FRAMES
+from omtwarp.mesh.arrays import Floats, Ints
 from omtwarp.mesh.surface import SPHERE_AREA, triangle_areas
 from omtwarp.options import Backend, BackendLike, PatternLike, Progress
 from omtwarp.render import annotate, output
@@ -44,8 +45,6 @@ from omtwarp.texturing.smooth import grid_points, grid_triangles, smooth_map
 if TYPE_CHECKING:
     from omtwarp.maps.torus_map import TorusMap
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 PROBE_WIDTH = 192  # of the pictures on which motion is measured
 SPACING = 1.08  # distance of two domains over the sum of their radii, as seen

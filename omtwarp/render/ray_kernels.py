@@ -377,32 +377,6 @@ def draw_centres(
     colors[row, column] = sample(view, shape, pictures, look, float(column) + 0.5, float(row) + 0.5, spacing)
 
 
-@wp.func
-def differ(a: wp.vec4, b: wp.vec4, contrast: float):
-    most = wp.max(wp.max(wp.abs(a[0] - b[0]), wp.abs(a[1] - b[1])), wp.max(wp.abs(a[2] - b[2]), wp.abs(a[3] - b[3])))
-    return most > contrast
-
-
-@wp.kernel
-def mark_contrast(
-    colors: wp.array2d[wp.vec4],
-    contrast: wp.float32,
-    # Data out:
-    marked: wp.array2d[wp.int32],
-):
-    """Mark pixels that differ from a neighbour, where more samples matter."""
-    row, column = wp.tid()
-    here = colors[row, column]
-    found = int(0)
-    for k in range(-1, 2):
-        for j in range(-1, 2):
-            y = wp.clamp(row + k, 0, colors.shape[0] - 1)
-            x = wp.clamp(column + j, 0, colors.shape[1] - 1)
-            if differ(here, colors[y, x], contrast):
-                found = 1
-    marked[row, column] = found
-
-
 @wp.kernel
 def draw_finely(
     view: View,

@@ -14,10 +14,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.mesh.arrays import Floats
 from omtwarp.render.camera import axis_vector
 from omtwarp.render.scene import SurfaceView
-
-Floats = NDArray[np.float64]
 
 
 def posed(view: SurfaceView, up: str | None = None, front: str | None = None) -> SurfaceView:

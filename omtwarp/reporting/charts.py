@@ -7,12 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from omtwarp.mesh.arrays import ROUND_OFF, TINY
+from omtwarp.mesh.arrays import ROUND_OFF, TINY, Floats
 from omtwarp.reporting.markup import Markup, element, html
-
-Floats = NDArray[np.float64]
 
 # Of a chart in its own units, which the page scales to the column, and of that of a curve.
 WIDTH, HEIGHT = 560.0, 300.0

@@ -47,8 +47,6 @@ from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.patterns import pattern as pattern_by_name
 from omtwarp.texturing.textured import texture_torus
 
-Floats = NDArray[np.float64]
-
 
 def write_report(
     result: MapResult | TorusMap,

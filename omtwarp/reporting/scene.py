@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from omtwarp.colors import colormap_table
 from omtwarp.device.policy import resolve_device
 from omtwarp.maps.result import MapResult
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas, vertex_normals
 from omtwarp.render.camera import DEFAULT_FRONT, VIEWS, Camera, axis_vector, camera_axes
 from omtwarp.render.films import fits_of
@@ -29,8 +30,6 @@ from omtwarp.start.decimation import simplify
 from omtwarp.texturing.adaptive import bake_bytes
 from omtwarp.texturing.atlas import CUBE_FRAMES, Cube
 from omtwarp.texturing.baking import Look, Source
-
-Floats = NDArray[np.float64]
 
 # Of log2(area on the sphere / area on the surface), both ways, and of log2(larger / smaller singular value), from 0;
 # what lies outside has the colour at the end.

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import launch_parts
+from omtwarp.mesh.arrays import Bytes, Floats, Ints
 from omtwarp.mesh.surface import face_neighbours
 from omtwarp.texturing import kernels
 from omtwarp.texturing.atlas import Atlas, Equirectangular, check_size
@@ -34,10 +35,6 @@ from omtwarp.texturing.image import as_bytes, check_projection, direction_from_a
 from omtwarp.texturing.patterns import Pattern, pattern
 from omtwarp.texturing.seams import Unwrapped
 from omtwarp.texturing.smooth import SmoothCurves
-
-Bytes = NDArray[np.uint8]
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 PARTS = kernels.LATTICE - 1  # of a block along a side, one level finer
 

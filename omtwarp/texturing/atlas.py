@@ -29,10 +29,8 @@ from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.limits import LONGEST_SIDE, MOST_TEXELS
-from omtwarp.mesh.arrays import TINY
+from omtwarp.mesh.arrays import TINY, Floats
 from omtwarp.options import AtlasName
-
-Floats = NDArray[np.float64]
 
 ATLASES = tuple(AtlasName)
 QUARTER = np.pi / 4.0

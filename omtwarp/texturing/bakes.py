@@ -17,13 +17,12 @@ from omtwarp.device.threads import launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.operators import corner_cotangents, cotangent_laplacian
 from omtwarp.geometry.strips import in_strips
-from omtwarp.mesh.arrays import TINY
+from omtwarp.mesh.arrays import TINY, Bytes, Floats, Ints
 from omtwarp.mesh.data import read_data
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.surface import plane_areas, triangle_areas, vertex_normals
 from omtwarp.texturing import kernels
 from omtwarp.texturing.baking import PADDING, bake_corners, covered
-from omtwarp.texturing.materials import Bytes, Floats, Ints
 
 wp.set_module_options(KERNEL_OPTIONS)
 

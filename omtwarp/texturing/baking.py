@@ -24,15 +24,14 @@ from omtwarp.device.policy import launch_parts_of, resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import Arguments, core_count, launch_parts, load, run_all
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import ROUND_OFF
+from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints
 from omtwarp.texturing import kernels
 from omtwarp.texturing.atlas import Atlas, check_size, make_atlas
 from omtwarp.texturing.image import PictureLike, as_floats, check_projection, read_image, with_opacity
-from omtwarp.texturing.materials import Ints, Material
+from omtwarp.texturing.materials import Material
 from omtwarp.texturing.patterns import Pattern, is_name, pattern
 from omtwarp.texturing.seams import Unwrapped, unwrap
 
-Floats = NDArray[np.float64]
 Picture = NDArray[np.float32]
 
 NOBODY = 2**31 - 1  # the largest int32, in place of the number of a triangle: the least number owns a texel

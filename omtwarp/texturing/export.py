@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.output import as_path, companion, staged
-from omtwarp.mesh.arrays import single_precision
+from omtwarp.mesh.arrays import Bytes, Floats, Ints, single_precision
 from omtwarp.mesh.write import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER
 from omtwarp.options import TextureFormat
 from omtwarp.texturing.image import png_bytes, webp_bytes
-from omtwarp.texturing.materials import Bytes, Floats, Ints, Material, linear
+from omtwarp.texturing.materials import Material, linear
 
 SUFFIXES = (".glb", ".obj", ".ply")  # the last of which holds colours at the vertices alone
 WEBP = "EXT_texture_webp"  # of textures: without it, pictures are PNG or JPEG

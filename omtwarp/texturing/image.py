@@ -24,12 +24,12 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import open_input
 from omtwarp.files.limits import LARGEST_PICTURE_FILE, LONGEST_SIDE, MOST_TEXELS
 from omtwarp.files.pictures import FORMATS, open_picture
+from omtwarp.mesh.arrays import Floats
 from omtwarp.options import ProjectionName
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-Floats = NDArray[np.float64]
 
 Number = TypeVar("Number", bound=np.generic)
 PictureLike: TypeAlias = "str | os.PathLike[str] | Image | ArrayLike"

@@ -5,14 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from omtwarp.colors import to_linear
-from omtwarp.mesh.arrays import ROUND_OFF, TINY
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Bytes = NDArray[np.uint8]
+from omtwarp.mesh.arrays import ROUND_OFF, TINY, Bytes, Floats, Ints
 
 WHITE = (1.0, 1.0, 1.0, 1.0)  # sRGB and opacity: the factor that does not change a picture
 

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import WELD, whole_numbers
+from omtwarp.mesh.arrays import WELD, Bytes, Floats, Ints, whole_numbers
 from omtwarp.mesh.seams import compressed, seam_copies
 from omtwarp.mesh.surface import unit_normals, vertex_normals
 from omtwarp.options import TextureFormat
 from omtwarp.texturing.export import Part, export, split_corners
-from omtwarp.texturing.materials import Bytes, Floats, Ints, Material, corner_tangents
+from omtwarp.texturing.materials import Material, corner_tangents
 
 # Of the extent of the mesh: corners of two copies of a mesh that are farther apart are not the same corner.
 ELSEWHERE = "the map's vertices are not where the mesh's are: it is a map of another mesh"

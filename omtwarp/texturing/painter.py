@@ -16,7 +16,7 @@ from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.maps.result import StoredMap
 from omtwarp.maps.torus_map import TorusMap
-from omtwarp.mesh.arrays import TINY
+from omtwarp.mesh.arrays import TINY, Bytes, Floats, Ints
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.surface import plane_areas, triangle_areas, vertex_normals
 from omtwarp.options import AtlasLike, CoordinatesLike, KeepLike, PatternLike, ProjectionLike
@@ -44,15 +44,12 @@ from omtwarp.texturing.image import (
     with_opacity,
     without_full_opacity,
 )
-from omtwarp.texturing.materials import WHITE, Bytes, Floats, Ints, Material, corner_tangents
+from omtwarp.texturing.materials import WHITE, Material, corner_tangents
 from omtwarp.texturing.painted import PaintedMesh
 from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.smooth import SmoothMap, grid_points, grid_triangles, smooth_map
 from omtwarp.texturing.textured import SphereMap, TexturedSurface, as_map, spheres_of, texture
 from omtwarp.texturing.unwrap import pack_rows
-
-OPACITY = 0.5
-"""Of the upper layer where a pattern and a material are laid over one another: half of each shows."""
 
 
 def paint(
@@ -63,7 +60,7 @@ def paint(
     pattern: PatternLike | Pattern | None = None,
     uv: CoordinatesLike = "own",
     keep: KeepLike | None = None,
-    opacity: float = OPACITY,
+    opacity: float = 0.5,
     bake: Sequence[str | os.PathLike[str]] = (),
     detail: tuple[ArrayLike, ArrayLike] | None = None,
     projection: ProjectionLike = "equirectangular",

@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,13 +18,13 @@ from omtwarp.colors import to_linear, to_srgb
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import file_beside, read_bytes
 from omtwarp.files.limits import LARGEST_MESH_FILE, MOST_FACES
-from omtwarp.mesh.arrays import whole_numbers
+from omtwarp.mesh.arrays import Bytes, Floats, Ints, whole_numbers
 from omtwarp.mesh.ply import Column, ply_columns, polygons_of
 from omtwarp.mesh.polygons import fans
 from omtwarp.mesh.read import mesh_content, read_mesh, require_counted_from_one, utf8
 from omtwarp.mesh.scenes import gltf_header, gltf_pictures, load_scene, placed_meshes, scene_formats
 from omtwarp.texturing.image import as_bytes, decoded, read_image, with_opacity
-from omtwarp.texturing.materials import Bytes, Floats, Ints, Material
+from omtwarp.texturing.materials import Material
 from omtwarp.texturing.painted import PaintedMesh, corners_of, joined_seams
 
 if TYPE_CHECKING:
@@ -124,32 +124,33 @@ def read_mtl(text: str, picture: Callable[[str], Bytes | None]) -> dict[str, Mat
             continue
         if name not in materials:
             continue
-        materials[name] = _with(materials[name], key, values, picture)
+        changed = _changes(materials[name], key, values, picture)
+        materials[name] = replace(materials[name], **changed)
     return materials
 
 
-def _with(material: Material, key: str, values: list[str], picture: Callable[[str], Bytes | None]) -> Material:
-    """Apply one statement of a library to a material."""
+def _changes(material: Material, key: str, values: list[str], picture: Callable[[str], Bytes | None]) -> dict[str, Any]:
+    """Return what one statement of a library changes of a material, by the names of its fields."""
     if key in _PICTURES:
-        return replace(material, **{_PICTURES[key]: picture(_picture_name(values))})
+        return {_PICTURES[key]: picture(_picture_name(values))}
     try:
         numbers = [float(word) for word in values]
     except ValueError:
-        return material
+        return {}
     if not numbers or not np.isfinite(numbers).all():
-        return material
+        return {}
     first = min(max(numbers[0], 0.0), 1.0)
     if key == "kd":
         red, green, blue = np.clip((numbers * 3)[:3], 0.0, 1.0)
-        return replace(material, color=(float(red), float(green), float(blue), material.color[3]))
+        return {"color": (float(red), float(green), float(blue), material.color[3])}
     if key in ("d", "tr"):
-        return replace(material, color=(*material.color[:3], first if key == "d" else 1.0 - first))
+        return {"color": (*material.color[:3], first if key == "d" else 1.0 - first)}
     if key in ("pr", "pm"):
-        return replace(material, **{"roughness" if key == "pr" else "metallic": first})
+        return {"roughness" if key == "pr" else "metallic": first}
     if key in _PHONG:
         kept = dict(material.phong) | {_PHONG[key]: tuple(numbers)}
-        return replace(material, phong=tuple(kept.items()))
-    return material
+        return {"phong": tuple(kept.items())}
+    return {}
 
 
 def _picture_name(words: list[str]) -> str:

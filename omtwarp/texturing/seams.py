@@ -21,12 +21,9 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
-from omtwarp.mesh.arrays import ROUND_OFF
+from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints
 from omtwarp.texturing.atlas import ON_CUT, Arc, Atlas, lengths, normalised
 from omtwarp.texturing.export import split_corners
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 # Corners, edge midpoints and the centroid, where the linear coordinates are compared with the exact ones.
 PROBES = np.array([[0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5], [1 / 3, 1 / 3, 1 / 3]])

@@ -30,10 +30,7 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from omtwarp.flips.predicates import flipped_faces
-from omtwarp.mesh.arrays import ROUND_OFF
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
+from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints
 
 HALVINGS = 4  # of the difference from the linear map, before the map is linear there
 

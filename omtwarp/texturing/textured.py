@@ -16,7 +16,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import as_path
 from omtwarp.maps.torus_map import TorusMap
-from omtwarp.mesh.arrays import HasTriangles, real_number, real_numbers
+from omtwarp.mesh.arrays import Floats, HasTriangles, Ints, real_number, real_numbers
 from omtwarp.mesh.checks import as_faces, as_unit_vectors
 from omtwarp.mesh.surface import unit_normals, vertex_normals
 from omtwarp.mesh.write import write_mesh
@@ -53,9 +53,6 @@ from omtwarp.texturing.smooth import smooth_curves
 if TYPE_CHECKING:
     import trimesh
     from PIL.Image import Image
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 
 @dataclass(repr=False)

@@ -12,10 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, wp
 from omtwarp.device.threads import launch_parts
+from omtwarp.mesh.arrays import Floats
 
 wp.set_module_options(KERNEL_OPTIONS)
-
-Floats = NDArray[np.float64]
 
 
 @wp.func

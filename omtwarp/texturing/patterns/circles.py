@@ -8,11 +8,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, wp
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.shapes import icosphere
 from omtwarp.texturing.atlas import normalised
 from omtwarp.texturing.image import direction_from_angles
 from omtwarp.texturing.kernels import cube_face
-from omtwarp.texturing.patterns.base import Floats, Pattern, colour_groups, srgb_colours
+from omtwarp.texturing.patterns.base import Pattern, colour_groups, srgb_colours
 
 wp.set_module_options(KERNEL_OPTIONS)
 

@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, PI, ZERO, wp
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import Floats
 from omtwarp.texturing.atlas import CUBE_FRAMES, normalised
 from omtwarp.texturing.kernels import cube_face
-from omtwarp.texturing.patterns.base import Floats, Pattern, colour_groups, srgb_colours
+from omtwarp.texturing.patterns.base import Pattern, colour_groups, srgb_colours
 
 wp.set_module_options(KERNEL_OPTIONS)
 
