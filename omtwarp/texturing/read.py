@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,7 +100,6 @@ def _statements(text: bytes) -> _Statements:
     return statements
 
 
-_PICTURES = {"map_kd": "picture", "norm": "normal_picture", "map_ke": "emission_picture"}
 _PHONG = {name.lower(): name for name in ("Ns", "Ka", "Ks", "Ke", "Ni", "Tf", "illum")}
 
 
@@ -124,33 +123,38 @@ def read_mtl(text: str, picture: Callable[[str], Bytes | None]) -> dict[str, Mat
             continue
         if name not in materials:
             continue
-        changed = _changes(materials[name], key, values, picture)
-        materials[name] = replace(materials[name], **changed)
+        materials[name] = _with(materials[name], key, values, picture)
     return materials
 
 
-def _changes(material: Material, key: str, values: list[str], picture: Callable[[str], Bytes | None]) -> dict[str, Any]:
-    """Return what one statement of a library changes of a material, by the names of its fields."""
-    if key in _PICTURES:
-        return {_PICTURES[key]: picture(_picture_name(values))}
+def _with(material: Material, key: str, values: list[str], picture: Callable[[str], Bytes | None]) -> Material:
+    """Apply one statement of a library to a material."""
+    if key == "map_kd":
+        return replace(material, picture=picture(_picture_name(values)))
+    if key == "norm":
+        return replace(material, normal_picture=picture(_picture_name(values)))
+    if key == "map_ke":
+        return replace(material, emission_picture=picture(_picture_name(values)))
     try:
         numbers = [float(word) for word in values]
     except ValueError:
-        return {}
+        return material
     if not numbers or not np.isfinite(numbers).all():
-        return {}
+        return material
     first = min(max(numbers[0], 0.0), 1.0)
     if key == "kd":
         red, green, blue = np.clip((numbers * 3)[:3], 0.0, 1.0)
-        return {"color": (float(red), float(green), float(blue), material.color[3])}
+        return replace(material, color=(float(red), float(green), float(blue), material.color[3]))
     if key in ("d", "tr"):
-        return {"color": (*material.color[:3], first if key == "d" else 1.0 - first)}
-    if key in ("pr", "pm"):
-        return {"roughness" if key == "pr" else "metallic": first}
+        return replace(material, color=(*material.color[:3], first if key == "d" else 1.0 - first))
+    if key == "pr":
+        return replace(material, roughness=first)
+    if key == "pm":
+        return replace(material, metallic=first)
     if key in _PHONG:
         kept = dict(material.phong) | {_PHONG[key]: tuple(numbers)}
-        return {"phong": tuple(kept.items())}
-    return {}
+        return replace(material, phong=tuple(kept.items()))
+    return material
 
 
 def _picture_name(words: list[str]) -> str:
