@@ -45,7 +45,11 @@ def register_map(
         Side | None, named(Side, "Of fsaverage5, fsaverage or fsLR32k; by default the one that MOVING says.")
     ] = None,
     group: Annotated[
-        bool, typer.Option("--group", help="Make a template from all maps and register them to it; -o is a folder.")
+        bool,
+        typer.Option(
+            "--group",
+            help="Make a template from all maps and register them to it; -o is a folder. --feature: once for each map.",
+        ),
     ] = False,
     sequence: Annotated[
         bool,
@@ -120,7 +124,8 @@ def register_map(
         alone |= {"--before": before, "--report": report, "--film": film}
         _require_many("--group" if group else "--sequence", pair, alone)
         maps, kept = [pair.source, *(more or [])], _weight_or_exact(keep_areas)
-        _register_many(maps, pair.output, rounds if group else 0, stiffness, max_strain, kept, printing)
+        data = _by_feature(pair.feature or [], len(maps))
+        _register_many(maps, data, pair.output, rounds if group else 0, stiffness, max_strain, kept, printing)
         return
     if to is None or more:
         raise OmtwarpError("give one map and --to TARGET, or several maps and --group or --sequence")
@@ -171,7 +176,7 @@ def _require_many(mode: str, pair: Pair, others: Mapping[str, object]) -> None:
     Raises:
         OmtwarpError: there is such an option, or the folder cannot be made.
     """
-    of_pair: dict[str, object] = {"--surface": pair.surface, "--to-surface": pair.to_surface, "--feature": pair.feature}
+    of_pair: dict[str, object] = {"--surface": pair.surface, "--to-surface": pair.to_surface}
     of_pair |= {"--to-feature": pair.to_feature, "--radius": pair.radius != Pair.radius}
     given = next((name for name, value in {**of_pair, **others}.items() if value), None)
     if given is not None:
@@ -181,8 +186,20 @@ def _require_many(mode: str, pair: Pair, others: Mapping[str, object]) -> None:
     check_folder(pair.output)
 
 
+def _by_feature(files: Sequence[Path], count: int) -> dict[str, Sequence[Path]]:
+    """Return files of data by feature: those of the first for all maps, then those of the next.
+
+    Raises:
+        OmtwarpError: some map has none.
+    """
+    if len(files) % count:
+        raise OmtwarpError(f"{len(files)} times --feature for {count} maps: give it once for each, in their order")
+    return {f"feature {k // count + 1}": files[k : k + count] for k in range(0, len(files), count)}
+
+
 def _register_many(
     maps: Sequence[Path],
+    data: Mapping[str, Sequence[Path]],
     output: Path,
     rounds: int,
     stiffness: float,
@@ -196,7 +213,13 @@ def _register_many(
     with progress_bar(printing.quiet, printing.verbose) as progress, warnings_as_lines():
         run = partial(register_group, rounds=rounds) if rounds else register_sequence
         found: GroupRegistration | SequenceRegistration = run(
-            maps, output, stiffness=stiffness, max_strain=max_strain, keep_areas=keep_areas, progress=progress
+            maps,
+            output,
+            features=data,
+            stiffness=stiffness,
+            max_strain=max_strain,
+            keep_areas=keep_areas,
+            progress=progress,
         )
         table = found.table
     if printing.as_json:
@@ -210,9 +233,11 @@ def _register_many(
 
 def _many_line(facts: Sequence[Mapping[str, float]]) -> str:
     """Return how well many maps are registered, of their facts."""
-    known = {name: [one[f"registration_{name}"] for one in facts] for name in ("sulc", "curv", "flips", "doubtful")}
-    agreement = ", ".join(f"{name} {sum(known[name]) / len(facts):.3f}" for name in ("sulc", "curv"))
-    flips, doubtful = int(sum(known["flips"])), int(sum(known["doubtful"]))
+    from omtwarp.registration.register import FACTS
+
+    names = [name for name in facts[0] if name.startswith("registration_") and name.partition("_")[2] not in FACTS]
+    agreement = ", ".join(f"{one.partition('_')[2]} {sum(row[one] for row in facts) / len(facts):.3f}" for one in names)
+    flips, doubtful = (int(sum(row[f"registration_{name}"] for row in facts)) for name in ("flips", "doubtful"))
     largest = max(one["registration_strain"] for one in facts)
     return (
         f"{len(facts)} maps; {agreement} on average; largest strain {largest:.2f}; {flips} flips; {doubtful} doubtful"

@@ -17,20 +17,19 @@ from numpy.typing import NDArray
 from omtwarp.alignment.features import feature_coefficients
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.files.inputs import read_arrays
-from omtwarp.files.output import as_path, digest_of, folder_of_results, written_by_omtwarp
+from omtwarp.files.output import as_path, folder_of_results, written_by_omtwarp
 from omtwarp.geometry.harmonics import power_per_degree
 from omtwarp.location import Locator
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.arrays import normalised, whole_number
 from omtwarp.options import Progress
-from omtwarp.registration.folding import FOLDING_WEIGHTS
 from omtwarp.registration.group_template import Template
 from omtwarp.registration.register import Registration, register
-from omtwarp.registration.sides import Side, folds
-from omtwarp.registration.steps import STEPS, Kept, by_name, key_of, write_facts
+from omtwarp.registration.sides import Side
+from omtwarp.registration.steps import STEPS, Files, Kept, Member, key_of, members, write_facts
 from omtwarp.registration.strain import kept_within
 from omtwarp.registration.warp import feature_grid
-from omtwarp.resampling import SpherePoints, as_points
+from omtwarp.resampling import SpherePoints
 
 Floats = NDArray[np.float64]
 
@@ -54,6 +53,7 @@ def register_group(
     maps: Sequence[str | os.PathLike[str]],
     folder: str | os.PathLike[str],
     *,
+    features: Mapping[str, Files] | None = None,
     rounds: int = ROUNDS,
     stiffness: float = 0.38,
     max_strain: float = 1.1,
@@ -62,8 +62,8 @@ def register_group(
 ) -> GroupRegistration:
     """Make a template from maps of a group, and register them to it.
 
-    The first template is the map whose folds are the most usual, by their power at every wave length, in its position.
-    In every round all maps are registered to the template; the next one has their mean folds, moved so that the mean
+    The first template is the map with the most usual features, by their power at every wave length, in its position. In
+    every round all maps are registered to the template; the next one has their mean features, moved so that the mean
     of the ways from it to the maps, point by point, leads nowhere. Maps are read one at a time. What is done is kept:
     an interrupted run goes on where it was, and a finished one is not repeated. The order of the maps does not count.
 
@@ -71,6 +71,8 @@ def register_group(
         maps: files of maps with their surfaces, of different names.
         folder: gets ``template.npz``, which :func:`omtwarp.register` takes as a target, every map registered to it
             under its own name, and ``table.csv``.
+        features: by name, a file of data at the vertices for every map, in their order; they take the place of the
+            folds.
         rounds: how many times the template is made anew.
         stiffness, max_strain, keep_areas: as of :func:`omtwarp.register`.
         progress: called as ``progress("group", step, steps, {})`` after every map in every round.
@@ -79,12 +81,13 @@ def register_group(
         The template, and how well every map was registered.
 
     Raises:
-        OmtwarpError: fewer than two maps, two of one name, a file that is no map, or a folder that cannot be written.
+        OmtwarpError: fewer than two maps, two of one name, a file that is no map, data that do not belong to it, or a
+            folder that cannot be written.
     """
-    files = dict(sorted(by_name(maps, folder, "template").items()))
+    files = dict(sorted(members(maps, features, folder, "template").items()))
     rounds = whole_number(rounds, "rounds", least=1)
     options: dict[str, object] = {"stiffness": stiffness, "max_strain": max_strain, "keep_areas": keep_areas}
-    digests = {name: digest_of(path) for name, path in files.items()}
+    digests = {name: one.digest for name, one in files.items()}
     target, origin = as_path(folder), key_of(rounds, digests, options)
     finished = _finished(target, origin, files)
     if finished is not None:
@@ -96,9 +99,9 @@ def register_group(
         kept = Kept(target / STEPS)
         for number in range(rounds):
             total: dict[str, Floats] = {}
-            for name, path in files.items():
+            for name, one in files.items():
                 key = key_of(number, digests[name], options, template)
-                found = kept.result(f"{number}_{name}", key, partial(_step, path, template, options))
+                found = kept.result(f"{number}_{name}", key, partial(_step, one, template, options))
                 for what, values in found.items():
                     total[what] = total.get(what, 0.0) + values
                 done += 1
@@ -107,10 +110,10 @@ def register_group(
             template = _mean_template(total, template.names, max_strain)
         template = replace(template, origin=origin)
         table = {}
-        for name, path in files.items():
+        for name, one in files.items():
             key = key_of(rounds, digests[name], options, template)
             facts = kept.result(
-                f"{rounds}_{name}", key, partial(_finish, path, template, options, target / f"{name}.npz"),
+                f"{rounds}_{name}", key, partial(_finish, one, template, options, target / f"{name}.npz"),
                 target / f"{name}.npz",
             )  # fmt: skip
             table[name] = {what: float(value) for what, value in facts.items()}
@@ -138,38 +141,31 @@ def _finished(folder: Path, origin: str, names: Collection[str]) -> GroupRegistr
     return None
 
 
-def _most_usual(files: Mapping[str, Path]) -> Template:
-    """Return the folds of the map whose power at every degree is nearest to the mean of all, in its own position."""
+def _most_usual(files: Mapping[str, Member]) -> Template:
+    """Return the features of the map whose power at every degree is nearest to the mean, in its own position."""
     degree = 16
     powers = []
-    for path in files.values():
-        here = _folds(path)
+    for one in files.values():
+        here = one.side()
         coefficients = feature_coefficients(here.features, here.points, degree)
         powers.append(np.concatenate([power_per_degree(column)[1:] for column in coefficients.T]))
     apart = np.linalg.norm(np.array(powers) - np.mean(powers, axis=0), axis=1)
-    chosen = list(files.values())[int(np.argmin(apart))]
-    here, grid = _folds(chosen), feature_grid()
+    here, grid = list(files.values())[int(np.argmin(apart))].side(), feature_grid()
     return Template(grid.vertices, grid.faces, here.on_grid()[0], tuple(here.features))
 
 
-def _folds(path: Path) -> Side:
-    """Return the points of a map, with what fills its holes, and the folds of its surface."""
-    here = as_points(MapResult.load(path), str(path))
-    return Side(here, folds(here, str(path)))
+def _registered(one: Member, template: Template, options: Mapping[str, object]) -> tuple[Side, Registration]:
+    """Return a map with its features, and its registration to a template."""
+    here = one.side()
+    found = register(here.points, template, features=here.own, feature_weights=one.weights, **options)  # type: ignore[arg-type]
+    return here, found
 
 
-def _step(path: Path, template: Template, options: Mapping[str, object]) -> dict[str, Floats]:
-    """Register a map to a template; return its folds there, and where the template's points are on its own sphere."""
-    here = _folds(path)
+def _step(one: Member, template: Template, options: Mapping[str, object]) -> dict[str, Floats]:
+    """Register a map to a template; return its features there, and where that one's points are on its own sphere."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", OmtwarpWarning)  # those of the last round are said
-        found = register(
-            here.points,
-            template,
-            features=here.features,
-            feature_weights=FOLDING_WEIGHTS,
-            **options,  # type: ignore[arg-type]
-        )
+        here, found = _registered(one, template, options)
     values, known = here.moved(found.closed_sphere).on_grid()
     return {"values": known[:, None] * values, "known": known, "back": way_back(here.points, found)}
 
@@ -182,7 +178,7 @@ def way_back(here: SpherePoints, found: Registration) -> Floats:
 
 
 def _mean_template(total: Mapping[str, Floats], names: tuple[str, ...], max_strain: float) -> Template:
-    """Return the mean folds of registered maps, where the mean of the ways to the maps leads nowhere."""
+    """Return the mean features of registered maps, where the mean of the ways to the maps leads nowhere."""
     grid = feature_grid()
     mean = total["values"] / np.maximum(total["known"], 1.0)[:, None]
     # Where the ways lead on average, there the points go that they lead from.
@@ -192,9 +188,8 @@ def _mean_template(total: Mapping[str, Floats], names: tuple[str, ...], max_stra
     return Template(grid.vertices, grid.faces, values, names)
 
 
-def _finish(path: Path, template: Template, options: Mapping[str, object], output: Path) -> dict[str, float]:
+def _finish(one: Member, template: Template, options: Mapping[str, object], output: Path) -> dict[str, float]:
     """Register a map to the template and write it; return the facts."""
-    result = MapResult.load(path)
-    found = register(result, template, **options)  # type: ignore[arg-type]
-    found.registered(result).save(output)
+    found = _registered(one, template, options)[1]
+    found.registered(MapResult.load(one.path)).save(output)
     return found.facts()

@@ -30,6 +30,8 @@ from omtwarp.resampling.resample import PointsLike
 
 Floats = NDArray[np.float64]
 
+FACTS = ("score", "margin", "doubtful", "flips", "degree", "area_p95", "stretch_p95", "strain")  # of every registration
+
 
 @dataclass(frozen=True, eq=False)
 class Registration:
@@ -120,17 +122,19 @@ class Registration:
         They are the score and margin of the start, whether it is doubtful (1), flips and degree, both strains at 95 %
         of the triangles and the largest, and every feature's correlation at the end.
         """
-        return {
-            "registration_score": self.start.score,
-            "registration_margin": self.start.score - self.start.runner_up,
-            "registration_doubtful": float(self.doubtful),
-            "registration_flips": float(self.certificate.flips),
-            "registration_degree": float(self.certificate.degree),
-            "registration_area_p95": float(np.percentile(np.abs(self.area_strain), 95)),
-            "registration_stretch_p95": float(np.percentile(self.stretch_strain, 95)),
-            "registration_strain": self.largest_strain,
-            **{f"registration_{name}": values["after"] for name, values in self.correlations.items()},
-        }
+        values = (
+            self.start.score,
+            self.start.score - self.start.runner_up,
+            self.doubtful,
+            self.certificate.flips,
+            self.certificate.degree,
+            np.percentile(np.abs(self.area_strain), 95),
+            np.percentile(self.stretch_strain, 95),
+            self.largest_strain,
+        )
+        agreement = {name: found["after"] for name, found in self.correlations.items()}
+        facts = {**dict(zip(FACTS, values, strict=True)), **agreement}
+        return {f"registration_{name}": float(value) for name, value in facts.items()}
 
 
 @blas_threads(1)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.files.inputs import write_arrays
-from omtwarp.files.output import as_path, digest_of, folder_of_results
+from omtwarp.files.output import as_path, folder_of_results
 from omtwarp.location import Locator
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.data import VertexData, write_data
@@ -25,7 +25,8 @@ from omtwarp.options import Progress
 from omtwarp.registration.areas import area_changes
 from omtwarp.registration.folding import LEAST_AREA, vertex_areas
 from omtwarp.registration.register import Registration, area_penalty, register, settled
-from omtwarp.registration.steps import STEPS, Kept, by_name, key_of, write_facts
+from omtwarp.registration.sides import Side
+from omtwarp.registration.steps import STEPS, Files, Kept, Member, key_of, members, write_facts
 from omtwarp.registration.strain import octaves, strain_at_vertices
 from omtwarp.resampling import SpherePoints, as_points
 
@@ -58,6 +59,7 @@ def register_sequence(
     maps: Sequence[str | os.PathLike[str]],
     folder: str | os.PathLike[str],
     *,
+    features: Mapping[str, Files] | None = None,
     stiffness: float = 0.38,
     max_strain: float = 1.1,
     keep_areas: float | str = 0.0,
@@ -73,6 +75,8 @@ def register_sequence(
         folder: gets every map registered, under its own name, the first as it is; ``strain.npz`` with ``area``,
             ``stretch`` and ``names``, where nibabel is installed also ``area.shape.gii`` and ``stretch.shape.gii``, and
             ``table.csv``.
+        features: by name, a file of data at the vertices for every map, in their order; they take the place of the
+            folds.
         stiffness, max_strain, keep_areas: as of :func:`omtwarp.register`, for both warps together.
         progress: called as ``progress("sequence", step, steps, {})`` after every map.
 
@@ -86,27 +90,27 @@ def register_sequence(
     Warns:
         OmtwarpWarning: a map drifted by more than an edge: correspondences with the first are less certain than that.
     """
-    files = by_name(maps, folder, "strain")
+    files = members(maps, features, folder, "strain")
     options: dict[str, object] = {"stiffness": stiffness, "max_strain": max_strain, "keep_areas": keep_areas}
-    (first_name, first_path), *others = files.items()
-    first = MapResult.load(first_path)
+    (first_name, start), *others = files.items()
+    first = MapResult.load(start.path)
     if as_points(first).vertices is None:
-        raise OmtwarpError(f"'{first_path}' has no surface, and so no folds")
+        raise OmtwarpError(f"'{start.path}' has no surface that could change")
     target = as_path(folder)
     results = ("strain.npz", "table.csv", *(f"{name}.shape.gii" for name in MEASURES))
     table: dict[str, dict[str, float]] = {}
     strains = [{name: np.zeros(len(first.vertices)) for name in MEASURES}]
     with folder_of_results(target, *results, *(f"{name}.npz" for name in files)), folder_of_results(target / STEPS):
         kept = Kept(target / STEPS)
-        before, key = target / f"{first_name}.npz", key_of(digest_of(first_path), options)
-        first.save(before)
-        for done, (name, path) in enumerate(others, 1):
-            key, output = key_of(key, digest_of(path)), target / f"{name}.npz"
-            step = kept.result(str(done), key, partial(_step, path, before, first, options, output), output)
+        before, key = replace(start, path=target / f"{first_name}.npz"), key_of(start.digest, options)
+        first.save(before.path)
+        for done, (name, one) in enumerate(others, 1):
+            key, output = key_of(key, one.digest), target / f"{name}.npz"
+            step = kept.result(str(done), key, partial(_step, one, before, start, options, output), output)
             strains.append({measure: step.pop(measure) for measure in MEASURES})
             table[name] = {what: float(value) for what, value in step.items()}
             _warn_of_drift(name, table[name])
-            before = output
+            before = replace(one, path=output)
             if progress is not None:
                 progress("sequence", done, len(others), {})
         area, stretch = (np.stack([one[measure] for one in strains]) for measure in MEASURES)
@@ -117,21 +121,26 @@ def register_sequence(
 
 
 def _step(
-    path: Path, before: Path, first: MapResult, options: Mapping[str, object], output: Path
+    one: Member, before: Member, first: Member, options: Mapping[str, object], output: Path
 ) -> dict[str, float | Floats]:
     """Register a map to the one before and then to the first, and write it; return facts, and the surface's strains."""
-    result = MapResult.load(path)
-    here, start = as_points(result, str(path)), as_points(first)
-    chained = register(here, as_points(before), **options)  # type: ignore[arg-type]
-    found = register(here.moved(chained.closed_sphere), start, **options)  # type: ignore[arg-type]
+    side, start = one.side(), first.side()
+    here = side.points
+
+    def registered(points: SpherePoints, to: Side) -> Registration:
+        given = {"features": side.own, "to_features": to.own, "feature_weights": one.weights}
+        return register(points, to.points, **given, **options)  # type: ignore[arg-type]
+
+    chained = registered(here, before.side())
+    found = registered(here.moved(chained.closed_sphere), start)
     joined = _joined(here, chained, found, options["keep_areas"])
-    joined.registered(result).save(output)
+    joined.registered(MapResult.load(one.path)).save(output)
     turned = chained.sphere @ found.start.rotation.T
     ends = here.grid.points[here.grid.own_triangles]
     edges = np.linalg.norm(ends - np.roll(ends, 1, axis=1), axis=2)
     way = np.linalg.norm(joined.sphere - turned, axis=1)
     facts = {"drift": np.degrees(np.sqrt((way**2).mean())), "edge": np.degrees(edges.mean())}
-    return {**joined.facts(), **facts, **growth(start, here.moved(joined.closed_sphere))}
+    return {**joined.facts(), **facts, **growth(start.points, here.moved(joined.closed_sphere))}
 
 
 def _joined(here: SpherePoints, chained: Registration, found: Registration, keep_areas: object) -> Registration:

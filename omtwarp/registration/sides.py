@@ -44,6 +44,11 @@ class Side:
         """Return the same features at other places, unit vectors, shape [N, 3]."""
         return Side(self.points.moved(sphere), self.features)
 
+    @property
+    def own(self) -> dict[str, Floats]:
+        """The features at the surface's own points, without those that fill holes, shape [V] each."""
+        return {name: values[: self.points.grid.own_points] for name, values in self.features.items()}
+
     def at(self, places: SphereGrid) -> tuple[Floats, NDArray[np.bool_]]:
         """Return the features at points, shape [P, K], 0 in filled holes, and which of the points are in none, [P]."""
         found = resample(self.points, places, device="cpu")

@@ -8,31 +8,89 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from omtwarp.alignment.features import checked_features
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import read_arrays, write_arrays
 from omtwarp.files.output import RECORD, digest_of, staged
+from omtwarp.maps.result import MapResult
+from omtwarp.mesh.data import read_data
+from omtwarp.mesh.neuro import structure_of
+from omtwarp.registration.folding import FOLDING_WEIGHTS
 from omtwarp.registration.group_template import Template
+from omtwarp.registration.sides import Side, folds
+from omtwarp.resampling import as_points
 from omtwarp.version import package_version
 
 STEPS = ".steps"  # folder of what is kept until all is done
 
 
-def by_name(maps: Sequence[str | os.PathLike[str]], folder: str | os.PathLike[str], *taken: str) -> dict[str, Path]:
-    """Return files by their names without suffix, under which results go to a folder.
+Files = Sequence[str | os.PathLike[str]]
+
+
+@dataclass(frozen=True)
+class Member:
+    """A map of several and the data that it is registered by.
+
+    Attributes:
+        path: of the map.
+        features: names and files of data at its vertices; without any its folds are the features.
+    """
+
+    path: Path
+    features: tuple[tuple[str, Path], ...] = ()
+
+    @property
+    def digest(self) -> list[object]:
+        """What tells the files from others, as plain values."""
+        return [digest_of(self.path), *([name, digest_of(file)] for name, file in self.features)]
+
+    @property
+    def weights(self) -> Mapping[str, float]:
+        """What the features count, where that is not 1."""
+        return {} if self.features else FOLDING_WEIGHTS
+
+    def side(self) -> Side:
+        """Read the map with its features.
+
+        Raises:
+            OmtwarpError: a file cannot be read, or its data are not one number for each vertex.
+        """
+        points, given = as_points(MapResult.load(self.path), str(self.path)), {}
+        for name, file in self.features:
+            columns = read_data(file, structure_of(self.path)).values
+            if columns.shape[1] != 1:
+                raise OmtwarpError(f"'{file}' has {columns.shape[1]} columns: give a file of one for each feature")
+            given[name] = columns[:, 0]
+        return Side(points, checked_features(given, points, str(self.path)) or folds(points, str(self.path)))
+
+
+def members(
+    maps: Files, features: Mapping[str, Files] | None, folder: str | os.PathLike[str], *taken: str
+) -> dict[str, Member]:
+    """Return maps and their data by the names of the maps without suffix, under which results go to a folder.
 
     Args:
         maps: the files.
+        features: by name, a file of data for every map, in their order.
         folder: of the results.
         taken: names of other results.
 
     Raises:
-        OmtwarpError: fewer than two, two of one name, one that is called as a result is, or that one would replace.
+        OmtwarpError: fewer than two maps, two of one name, one that is called as a result is, or that one would
+            replace, or another number of files of a feature.
     """
+    wrong = next((name for name, given in (features or {}).items() if len(given) != len(maps)), None)
+    if features and wrong is not None:
+        raise OmtwarpError(
+            f"feature '{wrong}' has {len(features[wrong])} files for {len(maps)} maps: give one for each"
+        )
+    data = [tuple((name, Path(given[k])) for name, given in (features or {}).items()) for k in range(len(maps))]
     files = {Path(path).stem: Path(path) for path in maps}
     if len(maps) < 2:
         raise OmtwarpError(f"{len(maps)} map in all: give at least two")
@@ -47,7 +105,7 @@ def by_name(maps: Sequence[str | os.PathLike[str]], folder: str | os.PathLike[st
     missing = next((path for path in files.values() if not path.is_file()), None)
     if missing is not None:
         raise OmtwarpError(f"'{missing}' is no file: give maps (.npz)")
-    return files
+    return {name: Member(path, own) for (name, path), own in zip(files.items(), data, strict=True)}
 
 
 def _same(one: Path, other: Path) -> bool:

@@ -19,7 +19,10 @@ from omtwarp.location import Locator
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
 from omtwarp.registration import Template, group, register_group
+from omtwarp.registration.sides import Side, folds
 from omtwarp.registration.warp import feature_grid
+from omtwarp.resampling import SpherePoints
+from omtwarp.spheres import mesh_grid
 
 COUNT, ROUNDS = 4, 2
 FIRM = {"stiffness": 0.3, "max_strain": 2.0}
@@ -93,6 +96,39 @@ def test_the_order_does_not_count_and_what_was_done_is_kept(files, done, tmp_pat
     assert float(listed[1]["registration_sulc"]) == pytest.approx(found.table["s1"]["registration_sulc"], abs=1e-6)
 
 
+def test_own_features_take_the_place_of_folds(files, tmp_path, capsys):
+    """One file of data for every map, in the order of the maps."""
+    data = []
+    for k in range(2):
+        data.append(tmp_path / f"d{k}.npy")
+        np.save(data[-1], np.linalg.norm(folded(BALL), axis=1))
+    words = [str(path) for path in (*files[:2], "--group", "--rounds", 1, "-o", tmp_path / "out")]
+    given = [word for path in data for word in ("--feature", str(path))]
+    with pytest.raises(SystemExit) as ended:
+        main(["register", *words, *given, "--stiffness", "0.3", "--max-strain", "2"])
+    assert not ended.value.code and "2 maps; feature 1 0.9" in capsys.readouterr().out
+    template = Template.load(tmp_path / "out" / "template.npz")
+    assert template.names == ("feature 1",)
+    spheres = [MapResult.load(tmp_path / "out" / f"s{k}.npz").sphere for k in range(2)]
+    assert rms(*spheres) < EDGE
+    with pytest.raises(SystemExit) as ended:
+        main(["register", *words, *given[:2]])
+    assert ended.value.code and "give it once for each" in capsys.readouterr().err
+    with pytest.raises(OmtwarpError, match="feature 'depth' has 1 files for 2 maps"):
+        register_group(files[:2], tmp_path / "other", features={"depth": data[:1]})
+
+
+def test_a_map_with_a_filled_hole_has_features_of_its_own_points_only():
+    own = (BALL.vertex_count - 1, int((BALL.faces < BALL.vertex_count - 1).all(axis=1).sum()))
+    faces = BALL.faces[np.argsort((BALL.faces == BALL.vertex_count - 1).any(axis=1), kind="stable")]
+    points = SpherePoints(mesh_grid(BALL.vertices, faces, own=own), folded(BALL))
+    side = Side(points, folds(points, "a map"))
+    assert all(len(values) == own[0] for values in side.own.values())
+    target = SpherePoints(mesh_grid(BALL.vertices, BALL.faces), folded(BALL))
+    found = omtwarp.register(points, target, features=side.own, to_features=folds(target, "a map"))
+    assert rms(found.sphere, BALL.vertices[: own[0]]) < EDGE
+
+
 def test_a_template_is_a_target(files, done, tmp_path, capsys):
     folder, found = done
     loaded = Template.load(folder / "template.npz")
@@ -110,10 +146,10 @@ def test_a_template_is_a_target(files, done, tmp_path, capsys):
 
 
 def test_memory_does_not_grow_with_the_maps(tmp_path):
-    ball = shapes.icosphere(8)
-    files, peaks = write_maps(tmp_path, 4, ball), []
+    ball = shapes.icosphere(4)
+    files, peaks = write_maps(tmp_path, 8, ball), []
     register_group(files[:2], tmp_path / "warm", rounds=1)
-    for count in (2, 4):
+    for count in (2, 8):
         tracemalloc.start()
         register_group(files[:count], tmp_path / f"of{count}", rounds=1)
         peaks.append(tracemalloc.get_traced_memory()[1])

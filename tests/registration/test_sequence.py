@@ -106,6 +106,16 @@ def test_a_surface_that_only_grows_has_the_growth_of_its_size(tmp_path):
     np.testing.assert_allclose(found.stretch[1], 0.0, atol=0.02)
 
 
+def test_own_features_take_the_place_of_folds(files, tmp_path):
+    data = []
+    for time in (0, 2):
+        data.append(tmp_path / f"{time}.npy")
+        np.save(data[-1], np.linalg.norm(folded(BALLS[time]), axis=1))
+    found = register_sequence([files[0], files[2]], tmp_path / "out", features={"height": data})
+    assert found.table[files[2].stem]["registration_height"] > 0.99
+    assert rms(MapResult.load(tmp_path / "out" / files[2].name).sphere, BALLS[2].vertices) < EDGE / 2.0
+
+
 def test_an_interrupted_run_goes_on(files, done, tmp_path, monkeypatch):
     found = done[1]
 
