@@ -42,6 +42,16 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> FakeDevice:
     return install(monkeypatch)
 
 
+@pytest.fixture
+def library(fake, monkeypatch):
+    """cuDSS by SciPy, on the fake device."""
+    from fake_cudss import FakeCudss
+
+    made = FakeCudss()
+    monkeypatch.setattr("omtwarp.solvers.cudss.load_library", lambda: made)
+    return made
+
+
 @pytest.fixture(params=["cpu", "fake", pytest.param("cuda", marks=pytest.mark.cuda)])
 def device(request: pytest.FixtureRequest) -> str:
     """Run a test on the CPU, on a fake device, and on the first CUDA device where there is one."""

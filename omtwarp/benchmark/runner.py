@@ -218,7 +218,7 @@ def reference_system(surface: Surface) -> tuple[sparse.csc_matrix, NDArray[np.fl
 
 def factor_bytes(surface: Surface) -> int:
     """Return the bytes of a map's largest sparse factor, that of the saddle-point matrices of the optimal map."""
-    return MultifrontalCholesky(expand(surface_dissection(surface))).storage
+    return MultifrontalCholesky(expand(surface_dissection(surface))[0]).storage
 
 
 def median_of(runs: list[MapTimes]) -> MapTimes:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from omtwarp.device.policy import is_cuda
+import numpy as np
+from numpy.typing import NDArray
+
+from omtwarp.device.policy import shares_host_memory
 from omtwarp.device.start import KERNEL_OPTIONS, wp
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -71,6 +74,35 @@ def finish_sum(
     total[0] = column_sum(rows, 0)
 
 
+@wp.kernel
+def largest_of_rows(
+    values: wp.array[wp.float64],
+    # Data out:
+    largest: wp.array[wp.float64],
+):
+    """Compute the largest absolute values of GROUP numbers each."""
+    thread = wp.tid()
+    found = wp.float64(0.0)
+    i = first_row(thread)
+    for _ in range(GROUP):
+        if i < values.shape[0]:
+            found = wp.max(found, wp.abs(values[i]))
+        i += LANES
+    largest[thread] = found
+
+
+@wp.kernel
+def finish_largest(
+    values: wp.array[wp.float64],
+    # Data out:
+    largest: wp.array[wp.float64],
+):
+    found = wp.float64(0.0)
+    for i in range(values.shape[0]):
+        found = wp.max(found, wp.abs(values[i]))
+    largest[0] = found
+
+
 # Partial sums are reduced to at most this many rows; the thread that needs the total adds those.
 MAX_PARTIAL_ROWS = 64
 
@@ -126,6 +158,14 @@ class DeviceSum:
         inputs = [sums(a.reshape((a.size, 1)))]
         wp.launch(finish_sum, dim=1, inputs=inputs, outputs=[out], device=self.device)
 
+    def largest(self, a: wp.array, out: wp.array) -> None:
+        """Write the largest absolute value to the first element of ``out``; what is no number does not count."""
+        while a.size > MAX_PARTIAL_ROWS:
+            found = wp.empty(partial_count(a.size), dtype=wp.float64, device=self.device)
+            wp.launch(largest_of_rows, dim=found.size, inputs=[a], outputs=[found], device=self.device)
+            a = found
+        wp.launch(finish_largest, dim=1, inputs=[a], outputs=[out], device=self.device)
+
     def _workspace_for(self, length: int) -> tuple[wp.array, RowSums, RowSums]:
         """Return the workspace of a length: an array of partial products, and the sums of values and of products."""
         if length not in self._workspace:
@@ -140,13 +180,73 @@ class HostSum:
 
     def dot(self, a: wp.array, b: wp.array, out: wp.array) -> None:
         """Write a · b to the first element of ``out``."""
-        out[:1].fill_(float(a.numpy() @ b.numpy()))
+        out.numpy()[0] = a.numpy() @ b.numpy()
 
     def total(self, a: wp.array, out: wp.array) -> None:
         """Write the sum of all elements to the first element of ``out``."""
-        out[:1].fill_(float(a.numpy().sum()))
+        out.numpy()[0] = a.numpy().sum()
+
+    def largest(self, a: wp.array, out: wp.array) -> None:
+        """Write the largest absolute value to the first element of ``out``."""
+        out.numpy()[0] = np.abs(a.numpy()).max()
+
+
+class Reading:
+    """Numbers that a device computes one after another, and the host reads at once.
+
+    Args:
+        device: a Warp device.
+
+    Example:
+        >>> from omtwarp.device.start import wp
+        >>> from omtwarp.device.sums import Reading
+        >>> reading, ones = Reading(wp.get_device("cpu")), wp.full(5, 1.0, dtype=wp.float64, device="cpu")
+        >>> total, largest = reading.dot(ones, ones), reading.largest(ones)
+        >>> numbers = reading.read()
+        >>> float(numbers[total]), float(numbers[largest])
+        (5.0, 1.0)
+    """
+
+    MOST = 32  # numbers between two reads
+
+    def __init__(self, device: wp.Device):
+        self._adder = sums_for(device)
+        self._numbers = wp.zeros(self.MOST, dtype=wp.float64, device=device)
+        self._places: list[wp.array] = []
+        self._used = 0
+
+    def place(self) -> tuple[int, wp.array]:
+        """Return the place of the next number, which is 0, and the array of one element that is read there."""
+        place = self._used
+        self._used += 1
+        if place == len(self._places):
+            self._places.append(self._numbers[place : place + 1])
+        return place, self._places[place]
+
+    def add(self, a: wp.array, b: wp.array, out: wp.array) -> None:
+        """Write a · b to the first element of ``out``, for kernels that need it before the host."""
+        self._adder.dot(a, b, out)
+
+    def dot(self, a: wp.array, b: wp.array) -> int:
+        """Compute a · b; return its place among the numbers read."""
+        place, out = self.place()
+        self.add(a, b, out)
+        return place
+
+    def largest(self, a: wp.array) -> int:
+        """Compute the largest absolute value; return its place among the numbers read."""
+        place, out = self.place()
+        self._adder.largest(a, out)
+        return place
+
+    def read(self) -> NDArray[np.float64]:
+        """Return all numbers since the last call, and begin anew."""
+        numbers: NDArray[np.float64] = self._numbers.numpy().copy()
+        self._numbers.zero_()
+        self._used = 0
+        return numbers
 
 
 def sums_for(device: wp.Device) -> DeviceSum | HostSum:
     """Choose where sums are computed: on CUDA by kernels, else by NumPy."""
-    return DeviceSum(device) if is_cuda(device) else HostSum()
+    return HostSum() if shares_host_memory(device) else DeviceSum(device)

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.quarter import PARTS
 from omtwarp.solvers.cholesky import NotPositiveDefinite
-from omtwarp.solvers.mesh_factor import saddle_factor_of_cells
+from omtwarp.solvers.mesh_factor import cell_saddle_factor, solve_parts
+from omtwarp.solvers.saddle_matrix import SaddleMatrix
 
 Floats = NDArray[np.float64]
 Measured = Callable[[Floats], tuple[Floats, Floats]]
@@ -85,7 +86,7 @@ class AreaSteps:
         self._place = (self._cells.shape[1] * np.arange(len(parts))[:, None] + place).ravel()
         flat = np.zeros((self._count, 3))
         flat[:, : points.shape[1]] = points
-        self._factor = saddle_factor_of_cells(flat, self._edges, self._cells)
+        self._factor = cell_saddle_factor(flat, self._edges, self._cells)
         self._weights = np.repeat(self._shares / PARTS, PARTS)
         self._shapes = _stiffness(corners)
 
@@ -247,10 +248,10 @@ class AreaSteps:
         rows = 1.0 / np.sqrt(np.maximum(square, TINY if softness is None else softness))
         soft = np.full(len(rows), SOFTNESS) if softness is None else softness * rows**2
         try:
-            self._factor.factorise(diagonal, coupling, slopes * rows[:, None, None], soft)
+            self._factor.factorise(SaddleMatrix.of(diagonal, coupling, slopes * rows[:, None, None], soft))
         except NotPositiveDefinite:
             return None
-        found, _ = self._factor.solve(first * scale[:, None], second * rows)
+        found, _ = solve_parts(self._factor, first * scale[:, None], second * rows)
         return found * scale[:, None]
 
     def _held_back(self, at: Placed, motion: Floats, least: float, most: int) -> Placed | None:

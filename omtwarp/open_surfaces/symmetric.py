@@ -24,7 +24,8 @@ from omtwarp.optimal.sphere import GeodesicCost, Sphere, SphereShape
 from omtwarp.options import Cost, Progress
 from omtwarp.refine.energy import DistortionEnergy
 from omtwarp.solvers.cholesky import dissect
-from omtwarp.solvers.mesh_factor import SaddlePointFactor, saddle_factor, saddle_factor_of_cells
+from omtwarp.solvers.mesh_factor import SaddlePointFactor, cell_saddle_factor, solve_parts, vertex_saddle_factor
+from omtwarp.solvers.saddle_matrix import COORDINATES, SaddleMatrix
 from omtwarp.solvers.triangle_newton.motion_kernels import from_tangent, to_tangent
 from omtwarp.topology.doubling import Double
 from omtwarp.untangling.steps import FlipFreeSteps
@@ -137,7 +138,7 @@ def symmetric_exact_map(
     where = resolve_device(device)
     given, x = (np.array(points, dtype=np.float64) for points in (sphere, start))
     soft = softness(quartered.surface.vertex_areas, given, x, cost)
-    moved_from, cells = vectors(x, where), TriangleCells(quartered)
+    moved_from, cells = vectors(x, where), TriangleCells(quartered, where)
     energy = mirrored_energy(double, quartered.surface, moved_from, where, shape_weight, cells=cells, softness=soft)
     return minimise_cells(energy, given, multipliers=multipliers, gain=gain, iterations=iterations, progress=progress)
 
@@ -186,10 +187,10 @@ class MirroredEnergy(TransportEnergy):
         """Solve on the half the systems of the double that :meth:`blocks` gives."""
         return self._mirror
 
-    def blocks(self, points: wp.array, terms: MapTerms) -> tuple[Floats, Floats, Floats]:
-        """Return the blocks of the base class, and note the points for the factorisation on the half."""
+    def blocks(self, points: wp.array, terms: MapTerms) -> None:
+        """Write what the base class does, and note the points for the factorisation on the half."""
         self._mirror.at(points)
-        return super().blocks(points, terms)
+        super().blocks(points, terms)
 
 
 def mirrored_energy(
@@ -250,7 +251,7 @@ class MirrorFactor:
 
     def _made(self, places: Floats) -> SaddlePointFactor:
         """Factorise the systems of the half, whose vertices are at these places."""
-        return saddle_factor(len(places), self._edges, lambda: dissect(places, self._edges))
+        return vertex_saddle_factor(len(places), self._edges, lambda: dissect(places, self._edges))
 
     def at(self, points: wp.array) -> None:
         """Set the tangent bases to those of a symmetric map, vec3d, shape [W], for the following matrices."""
@@ -259,21 +260,22 @@ class MirrorFactor:
         up[self._half[self._rim], 2] = 1.0
         self._normals = self._coordinates(up)[self._half]
 
-    def factorise(self, diagonal: Floats, off_diagonal: Floats, gradients: Floats, compliance: Floats) -> None:
-        """Factorise a matrix of the double, see :meth:`omtwarp.solvers.cholesky.saddle.SaddleFactor.factorise`.
+    def factorise(self, matrix: SaddleMatrix) -> None:
+        """Factorise a matrix of the double.
 
         Raises:
             NotPositiveDefinite: it is not definite on the half.
         """
+        diagonal, off_diagonal, gradients, compliance = matrix.on_host()
         own, others = self._halved(diagonal, off_diagonal)
-        slopes = gradients[:, self._kept].copy()
+        slopes = gradients.reshape(2, -1, 2)[:, self._kept]
         slopes[:, self._along] *= 0.5
         # The areas of the first end by the second one's coordinates come first.
         for row, end in ((1, self._edges[:, 0]), (0, self._edges[:, 1])):
             touching = np.flatnonzero(self._on_rim[end])
             across = self._normals[end[touching]]
             slopes[row, touching] -= across * np.einsum("ea,ea->e", across, slopes[row, touching])[:, None]
-        self._factor.factorise(own, others, slopes, compliance[self._half] * self._share)
+        self._factor.factorise(SaddleMatrix.of(own, others, slopes, compliance[self._half] * self._share))
 
     def _halved(self, diagonal: Floats, off_diagonal: Floats) -> tuple[Floats, Floats]:
         """Return the blocks of the half's vertices and edges from those of the double.
@@ -295,10 +297,21 @@ class MirrorFactor:
             others[touching] = blocks.transpose(0, 2, 1) if transposed else blocks
         return own, others
 
-    def solve(self, first: Floats, second: Floats) -> tuple[Floats, Floats]:
-        """Solve for coordinates, shape [W, 2], and multipliers, shape [W], of symmetric right-hand sides."""
-        u, q = self._factor.solve(self._tangential(first), second[self._half] * self._share)
-        return self._mirrored(u), q[self._number[self._original]]
+    def solve(self, right: wp.array) -> wp.array:
+        """Solve for coordinates and multipliers of a symmetric right-hand side, shape [3 W]."""
+        first, second = self._parts(right)
+        u, q = solve_parts(self._factor, self._tangential(first), second[self._half] * self._share)
+        return self._joined(u, q[self._number[self._original]])
+
+    def _parts(self, right: wp.array) -> tuple[Floats, Floats]:
+        """Return the two right-hand sides of the double, shapes [W, 2] and [N]."""
+        numbers, split = right.numpy(), COORDINATES * len(self._double.mirror)
+        return numbers[:split].reshape(-1, COORDINATES), numbers[split:]
+
+    def _joined(self, u: Floats, q: Floats) -> wp.array:
+        """Return the half's coordinates, mirrored, and the double's multipliers as one array on the device."""
+        numbers = np.concatenate([self._mirrored(u).ravel(), q])
+        return wp.array(numbers, dtype=wp.float64, device=self._device)
 
     def _tangential(self, first: Floats) -> Floats:
         """Return the right-hand sides of the half's coordinates, without the component across the boundary."""
@@ -336,21 +349,27 @@ class MirrorCellFactor(MirrorFactor):
 
     def _made(self, places: Floats) -> SaddlePointFactor:
         self._own_cells = self._number[self._cells]
-        return saddle_factor_of_cells(places, self._edges, self._own_cells)
+        return cell_saddle_factor(places, self._edges, self._own_cells)
 
-    def factorise(self, diagonal: Floats, off_diagonal: Floats, gradients: Floats, compliance: Floats) -> None:
-        """Factorise a matrix of the double, see :class:`omtwarp.solvers.cholesky.cell_saddle.CellSaddleFactor`."""
+    def factorise(self, matrix: SaddleMatrix) -> None:
+        """Factorise a matrix of the double.
+
+        Raises:
+            NotPositiveDefinite: it is not definite on the half.
+        """
+        diagonal, off_diagonal, gradients, compliance = matrix.on_host()
         own, others = self._halved(diagonal, off_diagonal)
         count = len(self._own_cells)
         across = self._normals[self._own_cells]  # zero but at the boundary
-        slopes = gradients[:count]
+        slopes = gradients.reshape(-1, self._cells.shape[1], COORDINATES)[:count]
         slopes = slopes - across * np.einsum("cka,cka->ck", across, slopes)[:, :, None]
-        self._factor.factorise(own, others, slopes, compliance[:count])
+        self._factor.factorise(SaddleMatrix.of(own, others, slopes, compliance[:count]))
 
-    def solve(self, first: Floats, second: Floats) -> tuple[Floats, Floats]:
-        """Solve for coordinates, shape [W, 2], and multipliers, shape [N], of symmetric right-hand sides."""
-        u, q = self._factor.solve(self._tangential(first), second[: len(self._own_cells)])
-        return self._mirrored(u), np.concatenate([q, q])
+    def solve(self, right: wp.array) -> wp.array:
+        """Solve for coordinates and multipliers of a symmetric right-hand side, shape [2 W + N]."""
+        first, second = self._parts(right)
+        u, q = solve_parts(self._factor, self._tangential(first), second[: len(self._own_cells)])
+        return self._joined(u, np.concatenate([q, q]))
 
 
 class SymmetricSteps(FlipFreeSteps):
@@ -366,7 +385,7 @@ class SymmetricSteps(FlipFreeSteps):
 
     def __init__(self, double: Double, surface: Surface, device: wp.Device):
         super().__init__(surface, device)
-        self._double = double
+        self._double, self._examined = double, surface.face_count // 2
 
     def _admitted(self, sphere: Floats) -> Floats:
         return folded_map(self._double, sphere)
@@ -378,13 +397,6 @@ class SymmetricSteps(FlipFreeSteps):
 
     def _moved(self, points: wp.array, direction: wp.array, share: wp.array | None, length: float) -> wp.array:
         return vectors(self._admitted(super()._moved(points, direction, share, length).numpy()), self._device)
-
-    def _marked(self, moved: wp.array, volume: wp.array) -> wp.array | None:
-        marks = super()._marked(moved, volume)
-        if marks is None:
-            return None
-        own = self._counted(marks.numpy() > 0)
-        return wp.array(own.astype(np.int32), dtype=wp.int32, device=self._device) if own.any() else None
 
 
 __all__ = [

@@ -18,18 +18,13 @@ from numpy.typing import NDArray
 from omtwarp.device.arrays import empty
 from omtwarp.device.memory import Workspace
 from omtwarp.device.start import wp
-from omtwarp.device.threads import launch_parts
+from omtwarp.device.threads import Arguments, cut, launch_parts
 from omtwarp.mesh.quarter import PARTS, QuarteredSurface
 from omtwarp.mesh.surface import Surface
-from omtwarp.optimal.domain import Domain
-from omtwarp.optimal.kernels import areas_around, edge_slopes
-from omtwarp.solvers.mesh_factor import (
-    SaddlePointFactor,
-    VertexFactor,
-    cell_saddle_factor,
-    surface_factor,
-    surface_saddle_factor,
-)
+from omtwarp.optimal.cell_kernels import cell_masses, cell_means, cell_slopes, on_parts, sums_of_parts
+from omtwarp.optimal.combination import scaled
+from omtwarp.optimal.kernels import areas_around, corner_sums, edge_slopes
+from omtwarp.solvers.mesh_factor import SaddlePointFactor, cell_saddle_factor, coordinate_factor, surface_saddle_factor
 
 Numbers = NDArray[np.float64]
 
@@ -43,28 +38,39 @@ MAX_CELL_RMS, MAX_CELL_ERROR = 1e-3, 0.05
 class Cells(Protocol):
     """N cells that cover a surface once, or several times.
 
+    Arrays of cells, vertices and triangles are float64 on the device of the maps.
+
     Attributes:
-        wanted: their areas, shape [N].
+        wanted: their areas, on the host, shape [N].
         tolerances: root mean square and largest relative error up to which areas count as kept.
+        multipliers: N; 0 where areas are measured and not kept.
+        slope_count: number of derivatives that :meth:`slopes` writes.
     """
 
     wanted: Numbers
     tolerances: tuple[float, float]
+    multipliers: int
+    slope_count: int
 
-    def areas(self, triangles: wp.array) -> Numbers:
-        """Return the areas of the cells, shape [N], from those of the triangles, float64, shape [F]."""
+    def areas(self, triangles: wp.array) -> wp.array:
+        """Return the areas of the cells, shape [N], from those of the triangles, shape [F]."""
 
-    def means(self, values: Numbers) -> Numbers:
+    def means(self, values: wp.array) -> wp.array:
         """Return the mean over every cell's mass, shape [N], of a number per vertex, shape [V]."""
 
-    def masses(self, areas: Numbers) -> Numbers:
-        """Divide the areas of the cells among the vertices as their masses are, shape [V]; 4π in all."""
+    def masses(self, areas: wp.array, factor: float) -> wp.array:
+        """Divide the areas of the cells among the vertices as their masses are, shape [V]; 4π times a factor in all."""
 
-    def on_triangles(self, potential: Numbers) -> Numbers:
+    def on_triangles(self, potential: wp.array) -> wp.array:
         """Return the sum of the potentials of the cells that a triangle belongs to, shape [F]."""
 
-    def slopes(self, domain: Domain, points: wp.array) -> Numbers:
-        """Return the derivatives of the areas of a map as the factor takes them."""
+    def slopes(self, of_triangles: wp.array, out: wp.array) -> None:
+        """Write the derivatives of the areas as :class:`omtwarp.solvers.saddle_matrix.SaddleMatrix` has them.
+
+        Args:
+            of_triangles: derivatives of the triangles' areas by their corners, vec2d, shape [F, 3].
+            out: shape [slope_count].
+        """
 
     def factor(self, workspace: Workspace | None = None) -> SaddlePointFactor:
         """Return what factorises matrices with a multiplier for every cell."""
@@ -83,45 +89,63 @@ class RingCells:
     def __init__(self, surface: Surface, device: wp.Device):
         self._surface, self._device, self._mesh = surface, device, surface.on(device)
         self.wanted: Numbers = 3.0 * surface.vertex_areas
-        self._forward, self._backward = (empty(len(surface.edges), wp.vec2d, device) for _ in range(2))
+        self.multipliers, self.slope_count = surface.vertex_count, 4 * len(surface.edges)
 
-    def areas(self, triangles: wp.array) -> Numbers:
-        """Return the areas around vertices, shape [V], from those of the triangles, float64, shape [F]."""
+    def areas(self, triangles: wp.array) -> wp.array:
+        """Return the areas around vertices, shape [V]."""
         sums = empty(self._surface.vertex_count, wp.float64, self._device)
 
-        def around(part: slice) -> tuple[list[object], list[object]]:
+        def around(part: slice) -> Arguments:
             return [triangles, *self._mesh.vertex_corners, part.start], [sums]
 
         launch_parts(areas_around, sums.size, around, self._device)
-        return sums.numpy()
+        return sums
 
-    def means(self, values: Numbers) -> Numbers:
+    def means(self, values: wp.array) -> wp.array:
         """Return the numbers of the vertices themselves, shape [V]."""
         return values
 
-    def masses(self, areas: Numbers) -> Numbers:
-        """Return a third of the areas around vertices, shape [V]."""
-        return areas / 3.0
+    def masses(self, areas: wp.array, factor: float) -> wp.array:
+        """Return a third of the areas around vertices, times a factor, shape [V]."""
+        return scaled(areas, factor / 3.0)
 
-    def on_triangles(self, potential: Numbers) -> Numbers:
+    def on_triangles(self, potential: wp.array) -> wp.array:
         """Return the sum of the potentials of every triangle's corners, shape [F]."""
-        one, two, three = (potential[self._surface.faces[:, k]] for k in range(3))
-        return np.asarray(one + two + three)
+        sums = empty(self._surface.face_count, wp.float64, self._device)
 
-    def slopes(self, domain: Domain, points: wp.array) -> Numbers:
-        """Return the derivatives across every edge, both ways, shape [2, E, 2]."""
-        mesh, of_triangles = self._mesh, domain.area_slopes(points)
+        def of_triangles(part: slice) -> Arguments:
+            return [potential, cut(self._mesh.faces, part)], [cut(sums, part)]
 
-        def across(part: slice) -> tuple[list[object], list[object]]:
-            inputs = [of_triangles, mesh.faces, mesh.edges[part], mesh.edge_corners[part]]
-            return inputs, [self._forward[part], self._backward[part]]
+        launch_parts(corner_sums, sums.size, of_triangles, self._device)
+        return sums
 
-        launch_parts(edge_slopes, self._forward.size, across, self._device)
-        return np.stack([self._forward.numpy(), self._backward.numpy()])
+    def slopes(self, of_triangles: wp.array, out: wp.array) -> None:
+        """Write the derivatives across every edge, both ways."""
+        mesh, edges = self._mesh, len(self._surface.edges)
+        both = out.reshape((2, edges, 2))
+
+        def across(part: slice) -> Arguments:
+            return [of_triangles, mesh.faces, mesh.edges, mesh.edge_corners, part.start], [both]
+
+        launch_parts(edge_slopes, edges, across, self._device)
 
     def factor(self, workspace: Workspace | None = None) -> SaddlePointFactor:
         """Return what factorises matrices with a multiplier for every vertex."""
         return surface_saddle_factor(self._surface, workspace)
+
+
+class MeasuredRings(RingCells):
+    """The triangles around every vertex, whose areas are measured and not kept."""
+
+    tolerances = (np.inf, np.inf)
+
+    def __init__(self, surface: Surface, device: wp.Device):
+        super().__init__(surface, device)
+        self.multipliers = self.slope_count = 0
+
+    def factor(self, workspace: Workspace | None = None) -> SaddlePointFactor:
+        """Return what factorises matrices of the vertices' coordinates alone."""
+        return coordinate_factor(self._surface, workspace)
 
 
 class TriangleCells:
@@ -129,6 +153,7 @@ class TriangleCells:
 
     Args:
         quartered: the mesh's N triangles in four parts each.
+        device: a Warp device.
 
     Attributes:
         vertices: of every cell, its corners, then the middles of the edges that begin there, shape [N, 6].
@@ -136,66 +161,56 @@ class TriangleCells:
 
     tolerances = (MAX_CELL_RMS, MAX_CELL_ERROR)
 
-    def __init__(self, quartered: QuarteredSurface):
-        self._quartered, self._count = quartered, quartered.surface.vertex_count
+    def __init__(self, quartered: QuarteredSurface, device: wp.Device):
+        self._surface, self._device = quartered.surface, device
         parts = quartered.surface.faces.reshape(-1, PARTS, 3)
         self.vertices: NDArray[np.int32] = np.ascontiguousarray(
             np.concatenate([parts[:, :3, 0], quartered.middles], axis=1)
         )
         self.wanted: Numbers = quartered.sum_of_parts(quartered.surface.face_areas)
-        self._shares = np.repeat([CORNER_SHARE, MIDDLE_SHARE], 3)
+        self.multipliers, self.slope_count = len(self.wanted), 2 * self.vertices.size
+        places = np.argsort(self.vertices.ravel(), kind="stable").astype(np.int32)
+        offsets = np.zeros(self._surface.vertex_count + 1, dtype=np.int32)
+        np.cumsum(np.bincount(self.vertices.ravel(), minlength=len(offsets) - 1), out=offsets[1:])
+        self._shares = wp.array(np.repeat([CORNER_SHARE, MIDDLE_SHARE], 3), dtype=wp.float64, device=device)
+        self._vertices, *self._rows = (
+            wp.array(numbers, dtype=wp.int32, device=device) for numbers in (self.vertices, offsets, places)
+        )
         self._factor: SaddlePointFactor | None = None
 
-    def areas(self, triangles: wp.array) -> Numbers:
-        """Return the areas of the mesh's triangles, shape [N], from those of their parts."""
-        return self._quartered.sum_of_parts(triangles.numpy())
+    def _launched(self, kernel: wp.Kernel, count: int, inputs: list[object]) -> wp.array:
+        """Return what a kernel computes, a number for every thread."""
+        out = empty(count, wp.float64, self._device)
+        wp.launch(kernel, dim=count, inputs=inputs, outputs=[out], device=self._device)
+        return out
 
-    def means(self, values: Numbers) -> Numbers:
+    def areas(self, triangles: wp.array) -> wp.array:
+        """Return the areas of the mesh's triangles, shape [N]."""
+        return self._launched(sums_of_parts, self.multipliers, [triangles])
+
+    def means(self, values: wp.array) -> wp.array:
         """Return the mean over every triangle's mass, shape [N]."""
-        return np.asarray(values[self.vertices] @ self._shares)
+        return self._launched(cell_means, self.multipliers, [values, self._vertices, self._shares])
 
-    def masses(self, areas: Numbers) -> Numbers:
+    def masses(self, areas: wp.array, factor: float) -> wp.array:
         """Divide the areas of the triangles among their vertices in the shares of mass, shape [V]."""
-        shares = areas[:, None] * self._shares
-        return np.bincount(self.vertices.ravel(), shares.ravel(), self._count).astype(np.float64)
+        inputs = [areas, self._shares, *self._rows, wp.float64(factor)]
+        return self._launched(cell_masses, self._surface.vertex_count, inputs)
 
-    def on_triangles(self, potential: Numbers) -> Numbers:
+    def on_triangles(self, potential: wp.array) -> wp.array:
         """Return every triangle's potential at its parts, shape [4 N]."""
-        return np.repeat(potential, PARTS)
+        return self._launched(on_parts, self._surface.face_count, [potential])
 
-    def slopes(self, domain: Domain, points: wp.array) -> Numbers:
-        """Return the derivatives by every triangle's six vertices, shape [N, 6, 2]."""
-        parts = domain.area_slopes(points).numpy().reshape(-1, PARTS, 3, 2)
-        at_corners, own, before = (parts[:, :3, k] for k in range(3))
-        return np.concatenate([at_corners, own + np.roll(before, -1, axis=1) + parts[:, 3]], axis=1)
+    def slopes(self, of_triangles: wp.array, out: wp.array) -> None:
+        """Write the derivatives by every triangle's six vertices."""
+        outputs = [out.reshape((self.multipliers, 6, 2))]
+        wp.launch(cell_slopes, dim=self.multipliers, inputs=[of_triangles], outputs=outputs, device=self._device)
 
     def factor(self, workspace: Workspace | None = None) -> SaddlePointFactor:
         """Return what factorises matrices with a multiplier for every triangle: the same object at every call."""
         if self._factor is None:
-            self._factor = cell_saddle_factor(self._quartered.surface, self.vertices)
+            self._factor = cell_saddle_factor(self._surface.scaled_vertices, self._surface.edges, self.vertices)
         return self._factor
-
-
-class MeasuredRings(RingCells):
-    """The triangles around every vertex, whose areas are measured and not kept; vertices count by their own masses."""
-
-    tolerances = (np.inf, np.inf)
-
-    def masses(self, areas: Numbers) -> Numbers:
-        """Return the masses of the vertices, shape [V]."""
-        return self._surface.vertex_areas
-
-    def on_triangles(self, potential: Numbers) -> Numbers:
-        """Return zeros, shape [F], as masses do not depend on areas."""
-        return np.zeros(self._surface.face_count)
-
-    def slopes(self, domain: Domain, points: wp.array) -> Numbers:
-        """Return nothing: the factor takes no derivatives of areas."""
-        return np.empty(0)
-
-    def factor(self, workspace: Workspace | None = None) -> SaddlePointFactor:
-        """Return what factorises matrices of the vertices' coordinates alone; multipliers stay 0."""
-        return VertexFactor(surface_factor(self._surface, block=2, workspace=workspace))
 
 
 __all__ = ["Cells", "MeasuredRings", "RingCells", "TriangleCells"]

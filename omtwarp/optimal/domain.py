@@ -7,12 +7,14 @@ a frame, two directions of unit length at right angles: matrices are written in 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.start import wp
+from omtwarp.device.sums import Reading
 from omtwarp.mesh.surface import Surface
 from omtwarp.untangling.steps import FlipFreeSteps
 
@@ -42,32 +44,36 @@ class Domain(Protocol):
     def area_slopes(self, points: wp.array) -> wp.array:
         """Return the derivatives of every area by its corners, in their frames, vec2d, shape [F, 3]."""
 
-    def coordinates(self, base: wp.array, vectors: Numbers) -> Numbers:
-        """Return vectors, shape [V, D], in the frames at ``base``, shape [V, 2]."""
+    def coordinates(self, points: wp.array, vectors: wp.array) -> wp.array:
+        """Return vectors, shape [V], in the frames at ``points``, float64, shape [V, 2]."""
 
-    def vectors(self, points: wp.array, coordinates: Numbers) -> Numbers:
-        """Return the vectors with these coordinates in the frames at ``points``, shape [V, D]."""
+    def vectors(self, points: wp.array, coordinates: wp.array) -> wp.array:
+        """Return the vectors with these coordinates, float64, shape [V, 2], in the frames at ``points``, shape [V]."""
 
     def steps(self) -> FlipFreeSteps:
         """Return an object that moves maps along vectors without flipping triangles."""
 
 
 class VertexCost(Protocol):
-    """A cost of every vertex's place."""
+    """A cost of every vertex's place; arrays are float64 on the device."""
 
-    def values(self, points: wp.array) -> Numbers:
+    def values(self, points: wp.array) -> wp.array:
         """Return the cost of every vertex, shape [V]."""
 
-    def gradient(self, points: wp.array, masses: Numbers, potential: Numbers) -> Numbers:
-        """Return the gradient of Σ masses_v cost_v + Σ potential_f area_f by the vertices, shape [V, D].
+    def gradient(
+        self, points: wp.array, masses: wp.array, potential: wp.array, further: wp.array, weight: float
+    ) -> wp.array:
+        """Return the gradient of Σ masses_v cost_v + Σ potential_f area_f by the vertices, shape [V].
 
-        Masses, shape [V], and the potential of every triangle, shape [F], are taken as constant.
+        Masses, shape [V], and the potential of every triangle, shape [F], are taken as constant. ``weight`` times a
+        further gradient is added.
         """
 
-    def hessian(self, points: wp.array, masses: Numbers, least: float) -> Numbers:
-        """Return the second derivative of what :meth:`gradient` differentiates, at the optimum, shape [V, 2, 2].
+    def hessian(self, points: wp.array, masses: wp.array, least: float) -> wp.array:
+        """Return the second derivative of what :meth:`gradient` differentiates, at the optimum, shape [V, 4].
 
-        Eigenvalues are raised to ``least`` times twice the mass.
+        Of each 2x2 matrix row by row, in the frame of the point. Eigenvalues are raised to ``least`` times twice the
+        mass.
         """
 
 
@@ -95,8 +101,8 @@ class ShapeTerms(Protocol):
 class Shape(Protocol):
     """The distortion of the triangles of one surface's maps."""
 
-    def terms(self, points: wp.array) -> ShapeTerms:
-        """Return the distortion of a map."""
+    def begin(self, points: wp.array, reading: Reading) -> Callable[[Numbers], ShapeTerms]:
+        """Begin to measure the distortion of a map; return what makes its terms of the numbers that are read."""
 
     def gradient(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
         """Return the gradient by the vertices of the total of ``terms``."""

@@ -23,20 +23,27 @@ symmetric and positive at the optimum (Ma, Trudinger and Wang 2005): :func:`omtw
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.device.arrays import empty
 from omtwarp.device.memory import Workspace
 from omtwarp.device.start import wp
+from omtwarp.device.sums import Reading, sums_for
+from omtwarp.device.threads import Arguments, cut, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.optimal.cells import Cells
+from omtwarp.optimal.combination import combine, scaled
 from omtwarp.optimal.domain import Domain, Shape, ShapeTerms, VertexCost
+from omtwarp.optimal.kernels import area_errors, raise_diagonal, vertex_entries
 from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
-from omtwarp.solvers.triangle_newton.newton import TriangleSums
+from omtwarp.solvers.saddle_matrix import COORDINATES, SaddleMatrix
+from omtwarp.solvers.triangle_newton.newton_kernels import gather_edge_blocks
 from omtwarp.untangling.steps import FlipFreeSteps
 
 Numbers = NDArray[np.float64]
@@ -57,15 +64,31 @@ STIFFER = (0.0, 1e-9, 1e-6, 1e-3)
 class MapTerms:
     """The terms of a map's energy: areas, squared distances and distortion.
 
+    Arrays are float64 on the device, numbers are on the host.
+
     Attributes:
         areas: of the cells, a_c, shape [N].
+        missing: errors of the areas, a_c - A_c, shape [N].
+        relative: the same over A_c, shape [N].
         cost: of moving every vertex, d(x_v, y_v)² or the soft distance, shape [V].
         shape: terms of the distortion of the triangles.
+        moved: Σ m_v cost_v, where the masses sum to 4π.
+        charged: Σ a_c times the mean cost of the cell.
+        squares: Σ (a_c - A_c)² / A_c.
+        largest: the largest relative error of an area.
+        pressed: Σ p_c (a_c - A_c) with the multipliers that the terms were asked for with; 0 without.
     """
 
-    areas: Numbers
-    cost: Numbers
+    areas: wp.array
+    missing: wp.array
+    relative: wp.array
+    cost: wp.array
     shape: ShapeTerms
+    moved: float
+    charged: float
+    squares: float
+    largest: float
+    pressed: float
 
 
 class TransportEnergy:
@@ -84,6 +107,8 @@ class TransportEnergy:
     Attributes:
         surface: what is mapped, V vertices, F faces and E edges.
         device: a Warp device.
+        reading: numbers on their way from the device.
+        matrix: of the last Newton step.
         exact_tolerance: largest relative error after :func:`omtwarp.optimal.restoration.restore_areas`.
         has_local_steps: whether :class:`omtwarp.optimal.local.LocalSteps` may move single vertices of the maps; they
             know the energy of :func:`omtwarp.optimal.sphere.energy_on_sphere` alone.
@@ -107,9 +132,16 @@ class TransportEnergy:
         self.shape_weight, self.cost_weight, self.area_weight = shape_weight, cost_weight, area_weight
         self.surface, self.device = domain.surface, domain.device
         self.has_local_steps = False
+        self.reading = Reading(self.device)
         self._workspace = workspace
-        self._sums = TriangleSums.of_surface(domain.surface)
         self._covered = float(cells.wanted.sum())
+        self._wanted, self._masses = (
+            wp.array(numbers, dtype=wp.float64, device=self.device)
+            for numbers in (cells.wanted, self.surface.vertex_areas)
+        )
+        sizes = self.surface.vertex_count, len(self.surface.edges), cells.multipliers, cells.slope_count
+        self.matrix = SaddleMatrix(*sizes, self.device)
+        self._total = wp.zeros(1, dtype=wp.float64, device=self.device)
 
     @property
     def wanted(self) -> Numbers:
@@ -124,89 +156,148 @@ class TransportEnergy:
         """Return an object that moves maps along directions without flipping triangles."""
         return self.domain.steps()
 
-    def terms(self, points: wp.array) -> MapTerms:
-        """Return the areas of cells, costs of vertices and distortion of a map, shape [V]."""
+    def terms(self, points: wp.array, multipliers: wp.array | None = None) -> MapTerms:
+        """Return the areas of cells, costs of vertices and distortion of a map, shape [V].
+
+        Args:
+            points: the map.
+            multipliers: p_c, float64 on the device, shape [N].
+        """
+        return self.begin(points, multipliers)(self.reading.read())
+
+    def begin(self, points: wp.array, multipliers: wp.array | None = None) -> Callable[[Numbers], MapTerms]:
+        """Begin to compute what :meth:`terms` returns; return a function of the numbers that :attr:`reading` reads."""
         areas = self.cells.areas(self.domain.areas(points))
-        return MapTerms(areas, self.vertex_cost.values(points), self.shape.terms(points))
+        missing, relative = (empty(areas.size, wp.float64, self.device) for _ in range(2))
+        inputs, outputs = [areas, self._wanted], [missing, relative]
+        wp.launch(area_errors, dim=areas.size, inputs=inputs, outputs=outputs, device=self.device)
+        cost, shape, reading = self.vertex_cost.values(points), self.shape.begin(points, self.reading), self.reading
+        moved, charged = reading.dot(self._masses, cost), reading.dot(areas, self.cells.means(cost))
+        squares, largest = reading.dot(missing, relative), reading.largest(relative)
+        pressed = None if multipliers is None else reading.dot(multipliers, missing)
 
-    def potential(self, terms: MapTerms, multipliers: Numbers) -> Numbers:
+        def finish(numbers: Numbers) -> MapTerms:
+            return MapTerms(
+                areas,
+                missing,
+                relative,
+                cost,
+                shape(numbers),
+                moved=float(numbers[moved]),
+                charged=float(numbers[charged]),
+                squares=float(numbers[squares]),
+                largest=float(numbers[largest]),
+                pressed=0.0 if pressed is None else float(numbers[pressed]),
+            )
+
+        return finish
+
+    def potential(self, terms: MapTerms, multipliers: wp.array) -> wp.array:
         """Return P_c, p_c plus the mean cost of a cell over Σ A: the potential at its image, shape [N]."""
-        return multipliers + self.cost_weight / self._covered * self.cells.means(terms.cost)
+        return combine(1.0, multipliers, self.cost_weight / self._covered, self.cells.means(terms.cost))
 
-    def lagrangian(self, terms: MapTerms, multipliers: Numbers) -> float:
-        """Return the Lagrangian C' + Σ p_c (a_c - A_c) + β S."""
-        cost = float(self._masses(terms) @ terms.cost)
-        return cost + float(multipliers @ self.missing(terms)) + self.shape_weight * terms.shape.total(self.area_weight)
-
-    def missing(self, terms: MapTerms) -> Numbers:
-        """Return the error of every constrained area, a_c - A_c, shape [N]."""
-        return terms.areas - self.wanted
+    def lagrangian(self, terms: MapTerms) -> float:
+        """Return the Lagrangian C' + Σ p_c (a_c - A_c) + β S with the multipliers that the terms were asked for."""
+        cost = self.cost_weight / self._covered * terms.charged
+        return cost + terms.pressed + self.shape_weight * terms.shape.total(self.area_weight)
 
     def area_errors(self, terms: MapTerms) -> tuple[float, float]:
         """Return the root mean square (weighted by area) and the largest of the relative errors a_c / A_c - 1."""
-        relative = self.missing(terms) / self.wanted
-        return float(np.sqrt((self.wanted * relative**2).sum() / self.wanted.sum())), float(np.abs(relative).max())
+        return float(np.sqrt(terms.squares / self._covered)), terms.largest
 
     def cost(self, terms: MapTerms) -> float:
         """Return the transport cost Σ m_v d(x_v, y_v)², where the masses sum to 4π."""
-        return float(self.surface.vertex_areas @ terms.cost)
+        return terms.moved
 
-    def gradient(self, points: wp.array, terms: MapTerms, multipliers: Numbers) -> Numbers:
-        """Return the gradient of the Lagrangian with respect to the vertices, shape [V, 3], or [V, 2] in the plane."""
+    def gradient(self, points: wp.array, terms: MapTerms, multipliers: wp.array) -> wp.array:
+        """Return the gradient of the Lagrangian by the vertices, vec3d, or vec2d in the plane, shape [V]."""
         potential = self.cells.on_triangles(self.potential(terms, multipliers))
-        transport = self.vertex_cost.gradient(points, self._masses(terms), potential)
-        return transport + self.shape_weight * self.shape.gradient(points, terms.shape, self.area_weight).numpy()
+        masses = self.cells.masses(terms.areas, self.cost_weight / SPHERE_AREA)
+        further = self.shape.gradient(points, terms.shape, self.area_weight)
+        return self.vertex_cost.gradient(points, masses, potential, further, self.shape_weight)
 
-    def blocks(self, points: wp.array, terms: MapTerms) -> tuple[Numbers, Numbers, Numbers]:
-        """Return the second derivative of the Lagrangian and the first derivatives of the areas, in the points' frames.
+    def blocks(self, points: wp.array, terms: MapTerms) -> None:
+        """Write the second derivative of the Lagrangian and the areas' first derivatives to :attr:`matrix`.
+
+        Both are in the points' frames; of the second derivative a positive semidefinite part is taken.
 
         Args:
             points: the map, shape [V].
             terms: the terms of the map.
-
-        Returns:
-            The blocks of the vertices, shape [V, 2, 2], and of the edges, shape [E, 2, 2], of a positive semidefinite
-            matrix; and the areas' derivatives as :meth:`omtwarp.solvers.cholesky.SaddleFactor.factorise` takes them.
         """
-        hessians = self.shape.hessian(points, terms.shape, self.area_weight)
-        diagonal, off_diagonal = (self.shape_weight * blocks for blocks in self._sums.assemble(hessians.numpy()))
-        diagonal += self.vertex_cost.hessian(points, self._masses(terms), LEAST_EIGENVALUE)
-        return diagonal, off_diagonal, self.cells.slopes(self.domain, points)
+        matrix, mesh = self.matrix, self.surface.on(self.device)
+        hessians, weight = self.shape.hessian(points, terms.shape, self.area_weight), wp.float64(self.shape_weight)
+        metric, diagonal = self.vertex_metric(points, terms), matrix.diagonal.reshape((-1, COORDINATES))
 
-    def factorise(
-        self,
-        factor: SaddlePointFactor,
-        points: wp.array,
-        terms: MapTerms,
-        compliance: Numbers,
-    ) -> Numbers:
+        def of_vertices(part: slice) -> Arguments:
+            return [*mesh.vertex_corners, hessians, weight, metric, part.start], [diagonal, matrix.inner]
+
+        def of_edges(part: slice) -> Arguments:
+            inputs = [cut(mesh.edges, part), mesh.faces, cut(mesh.edge_corners, part), hessians, weight]
+            return inputs, [cut(matrix.off_diagonal, part)]
+
+        launch_parts(vertex_entries, matrix.vertices, of_vertices, self.device)
+        launch_parts(gather_edge_blocks, len(matrix.off_diagonal), of_edges, self.device)
+        if matrix.slopes.size:
+            self.cells.slopes(self.domain.area_slopes(points), matrix.slopes)
+
+    def vertex_metric(self, points: wp.array, terms: MapTerms) -> wp.array:
+        """Return the second derivative of what depends on single vertices, float64, shape [V, 4]."""
+        masses = self.cells.masses(terms.areas, self.cost_weight / SPHERE_AREA)
+        return self.vertex_cost.hessian(points, masses, LEAST_EIGENVALUE)
+
+    def factorise(self, factor: SaddlePointFactor, points: wp.array, terms: MapTerms, compliance: wp.array) -> None:
         """Factorise the matrix of a map, with a larger diagonal where rounding made a pivot's sign wrong.
 
         Args:
             factor: as of :meth:`saddle_factor`.
             points, terms: as of :meth:`blocks`.
-            compliance: how far areas may be off, C of the saddle-point system, shape [N].
-
-        Returns:
-            The blocks of the vertices, shape [V, 2, 2].
+            compliance: how far areas may be off, C of the saddle-point system, float64 on the device, shape [N].
 
         Raises:
             OmtwarpError: the second derivative is not finite.
         """
-        diagonal, off_diagonal, gradients = self.blocks(points, terms)
-        own = diagonal[:, [0, 1], [0, 1]]
+        self.blocks(points, terms)
+        matrix = self.matrix
+        if matrix.compliance.size:
+            scaled(compliance, -1.0, matrix.compliance)
+        sums_for(self.device).total(matrix.diagonal, self._total)
+        count, added = matrix.diagonal.size, REGULARISATION
         for part in STIFFER:
-            diagonal[:, [0, 1], [0, 1]] = own * (1.0 + part) + REGULARISATION * own.mean()
+            inputs = [self._total, wp.float64(added / count), wp.float64(part)]
+            wp.launch(raise_diagonal, dim=count, inputs=inputs, outputs=[matrix.diagonal], device=self.device)
             try:
-                factor.factorise(diagonal, off_diagonal, gradients, compliance)
+                factor.factorise(matrix)
             except NotPositiveDefinite:
+                added = 0.0
                 continue
-            return diagonal
+            return
         raise OmtwarpError("the second derivative of the transport cost is not finite")
 
-    def _masses(self, terms: MapTerms) -> Numbers:
-        """Return the factor of every vertex's cost in the Lagrangian, shape [V]."""
-        return self.cost_weight / SPHERE_AREA * self.cells.masses(terms.areas)
+    def newton_step(
+        self, factor: SaddlePointFactor, points: wp.array, gradient: wp.array | None, missing: wp.array | None
+    ) -> tuple[wp.array, wp.array]:
+        """Return the right-hand side and the solution of a factorised system: coordinates, multipliers, [2 V + N].
+
+        Args:
+            factor: of the system.
+            points: the map, in whose frames coordinates are.
+            gradient: with its sign turned the first right-hand side, shape [V]; none for 0.
+            missing: the second, likewise, shape [N].
+        """
+        first, size = COORDINATES * self.surface.vertex_count, self._wanted.size
+        right = wp.zeros(first + size, dtype=wp.float64, device=self.device)
+        if gradient is not None:
+            coordinates = self.domain.coordinates(points, gradient)
+            scaled(coordinates.flatten(), -1.0, right[:first])
+        if missing is not None:
+            scaled(missing, -1.0, right[first:])
+        return right, factor.solve(right)
+
+    def direction(self, points: wp.array, solution: wp.array) -> wp.array:
+        """Return the step of every vertex, vec3d, or vec2d in the plane, shape [V], from a system's solution."""
+        first = COORDINATES * self.surface.vertex_count
+        return self.domain.vectors(points, solution[:first].reshape((-1, COORDINATES)))
 
 
 __all__ = ["AREA_WEIGHT", "LEAST_EIGENVALUE", "MapTerms", "TransportEnergy"]

@@ -74,7 +74,7 @@ def exact_map(
     where = resolve_device(device)
     given, x = (as_unit_vectors(points, quartered.surface.vertex_count) for points in (sphere, start))
     soft = softness(quartered.surface.vertex_areas, given, x, cost)
-    cells = TriangleCells(quartered)
+    cells = TriangleCells(quartered, where)
     energy = energy_on_sphere(quartered.surface, vectors(x, where), where, shape_weight, cells=cells, softness=soft)
     return minimise_cells(energy, given, multipliers=multipliers, gain=gain, iterations=iterations, progress=progress)
 

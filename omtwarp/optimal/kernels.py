@@ -7,6 +7,7 @@ to be 3 m_v; P_v is the potential of the target at y_v. See :mod:`omtwarp.optima
 # mypy: ignore-errors
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import TINY, logarithm, oriented_volume
+from omtwarp.solvers.triangle_newton.newton_kernels import vertex_block
 from omtwarp.solvers.triangle_newton.triangle import first_tangent
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -96,13 +97,16 @@ def transport_gradient(
     offsets: wp.array[wp.int32],
     corners: wp.array[wp.int32],
     softness: wp.float64,
+    further: wp.array[wp.vec3d],
+    weight: wp.float64,
     first: int,
     # Data out:
     gradient: wp.array[wp.vec3d],
 ):
     """Compute the gradient of Σ masses_v cost_v + Σ P_f area_f by the vertices, tangent to the sphere, shape [V].
 
-    ``masses`` and ``potential``, P_f of every triangle, are taken as constant.
+    ``masses`` and ``potential``, P_f of every triangle, are taken as constant; ``weight`` times a further gradient is
+    added.
     """
     v, _compiled_once = wp.tid()
     v += first
@@ -115,7 +119,7 @@ def transport_gradient(
         total += potential[corner // 3] * area_gradient(
             y, points[face[(corner + 1) % 3]], points[face[(corner + 2) % 3]]
         )
-    gradient[v] = total
+    gradient[v] = total + weight * further[v]
 
 
 @wp.kernel
@@ -142,16 +146,16 @@ def edge_slopes(
     faces: wp.array[wp.vec3i],
     edges: wp.array[wp.vec2i],
     edge_corners: wp.array[wp.vec2i],
+    first: int,
     # Data out:
-    forward: wp.array[wp.vec2d],
-    backward: wp.array[wp.vec2d],
+    of_edges: wp.array3d[wp.float64],
 ):
-    """Sum the derivatives of triangles' areas to those of the areas around the ends of every edge, shape [E] each.
+    """Sum the derivatives of triangles' areas to those of the areas around the ends of every edge, shape [2, E, 2].
 
-    ``forward`` holds the derivative of the first end's area by the second end's coordinates, ``backward`` that of the
-    second end's area by the first end's coordinates. Both are sums over the two triangles of the edge.
+    First come the derivatives of the first end's area by the second end's coordinates, then those of the second end's
+    area by the first end's coordinates. Both are sums over the two triangles of the edge.
     """
-    e = wp.tid()
+    e = first + wp.tid()
     by_first, by_second = wp.vec2d(), wp.vec2d()
     for k in range(2):
         corner = edge_corners[e][k]
@@ -164,8 +168,111 @@ def edge_slopes(
         else:
             by_first += slopes[f, other]
             by_second += slopes[f, one]
-    forward[e] = by_second
-    backward[e] = by_first
+    for axis in range(2):
+        of_edges[0, e, axis] = by_second[axis]
+        of_edges[1, e, axis] = by_first[axis]
+
+
+@wp.kernel
+def corner_sums(
+    values: wp.array[wp.float64],
+    faces: wp.array[wp.vec3i],
+    # Data out:
+    sums: wp.array[wp.float64],
+):
+    """Sum a number per vertex over the corners of every triangle, shape [F]."""
+    f = wp.tid()
+    sums[f] = values[faces[f][0]] + values[faces[f][1]] + values[faces[f][2]]
+
+
+@wp.kernel
+def area_errors(
+    areas: wp.array[wp.float64],
+    wanted: wp.array[wp.float64],
+    # Data out:
+    missing: wp.array[wp.float64],
+    relative: wp.array[wp.float64],
+):
+    """Compute the errors of areas, and the same over the wanted areas."""
+    c = wp.tid()
+    missing[c] = areas[c] - wanted[c]
+    relative[c] = missing[c] / wanted[c]
+
+
+@wp.kernel
+def linear_combination(
+    factor: wp.float64,
+    one: wp.array[wp.float64],
+    other_factor: wp.float64,
+    other: wp.array[wp.float64],
+    # Data out:
+    sums: wp.array[wp.float64],
+):
+    """Compute factor times one plus other_factor times the other."""
+    i = wp.tid()
+    sums[i] = factor * one[i] + other_factor * other[i]
+
+
+@wp.kernel
+def vertex_entries(
+    offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    blocks: wp.array2d[wp.float64],
+    weight: wp.float64,
+    metric: wp.array2d[wp.float64],
+    first: int,
+    # Data out:
+    diagonal: wp.array2d[wp.float64],
+    inner: wp.array[wp.float64],
+):
+    """Compute the entries of every vertex: weight times those of the triangles around it, plus its own."""
+    v = first + wp.tid()
+    block = weight * vertex_block(v, offsets, corners, blocks)
+    diagonal[v, 0] = block[0] + metric[v, 0]
+    diagonal[v, 1] = block[3] + metric[v, 3]
+    inner[v] = block[1] + metric[v, 1]
+
+
+@wp.kernel
+def raise_diagonal(
+    total: wp.array[wp.float64],
+    of_total: wp.float64,
+    share: wp.float64,
+    # Data in and out:
+    diagonal: wp.array[wp.float64],
+):
+    """Add a share of the diagonal's sum to every entry, and a share of the entry itself."""
+    i = wp.tid()
+    diagonal[i] = diagonal[i] * (ONE + share) + of_total * total[0]
+
+
+@wp.kernel
+def local_state(
+    points: wp.array[wp.vec3d],
+    areas: wp.array[wp.float64],
+    multipliers: wp.array[wp.float64],
+    relative: wp.array[wp.float64],
+    missing: wp.array[wp.float64],
+    stiffness: wp.float64,
+    gradient: wp.array2d[wp.float64],
+    diagonal: wp.array2d[wp.float64],
+    inner: wp.array[wp.float64],
+    # Data out:
+    state: wp.array2d[wp.float64],
+):
+    """Gather what local steps read of a vertex: position, area around it, multiplier, gain, in this order, [V, 6].
+
+    The gain is what a Newton step of the vertex alone would bring, and the penalty on its own area.
+    """
+    v = wp.tid()
+    for k in range(3):
+        state[v, k] = points[v][k]
+    state[v, 3] = areas[v]
+    state[v, 4] = multipliers[v]
+    g0, g1, off = gradient[v, 0], gradient[v, 1], inner[v]
+    h00, h11 = diagonal[v, 0], diagonal[v, 1]
+    alone = (g0 * g0 * h11 - TWO * g0 * g1 * off + g1 * g1 * h00) / (h00 * h11 - off * off)
+    state[v, 5] = alone + stiffness * missing[v] * relative[v]
 
 
 @wp.func

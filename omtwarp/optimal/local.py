@@ -12,11 +12,11 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from omtwarp.device.arrays import vectors
 from omtwarp.device.start import wp
 from omtwarp.mesh.patches import Patches, grow, sides_of
 from omtwarp.mesh.surface import SPHERE_AREA
-from omtwarp.optimal.energy import LEAST_EIGENVALUE, MapTerms, TransportEnergy
+from omtwarp.optimal.domain import ShapeTerms
+from omtwarp.optimal.energy import LEAST_EIGENVALUE, TransportEnergy
 from omtwarp.optimal.kernels import Fit
 from omtwarp.optimal.patch_kernels import LocalEnergy, LocalScratch, SaddlePatches, settle_small_patches
 from omtwarp.optimal.sphere import GeodesicCost, SphereShape
@@ -69,8 +69,9 @@ class LocalSteps:
     Args:
         energy: the energy that is minimised.
         patches: what may move.
-        points: the map, vec3d, shape [V], on the device.
-        terms: the terms of the map.
+        points: the map, shape [V, 3].
+        shape: terms of its distortion.
+        areas: around the vertices, shape [V].
         multipliers: p_v, shape [V].
         stiffness: weights of the squared area errors, shape [V].
         constrained: whether steps change the multipliers; with a penalty in place of constraints they do not.
@@ -80,15 +81,16 @@ class LocalSteps:
         self,
         energy: TransportEnergy,
         patches: Patches,
-        points: wp.array,
-        terms: MapTerms,
+        points: Numbers,
+        shape: ShapeTerms,
+        areas: Numbers,
         multipliers: Numbers,
         stiffness: Numbers,
         constrained: bool,
     ):
         assert isinstance(energy.vertex_cost, GeodesicCost) and isinstance(energy.shape, SphereShape)
-        assert isinstance(terms.shape, Terms)
-        self._energy, self._whole, self._constrained, self._shape = energy, points, constrained, terms.shape
+        assert isinstance(shape, Terms)
+        self._energy, self._whole, self._constrained, self._shape = energy, points, constrained, shape
         self._cost, self._distortion = energy.vertex_cost, energy.shape.distortion
         sides = sides_of(patches.faces)
         sides = sides[(sides[:, 0] < patches.free) | (sides[:, 1] < patches.free)]
@@ -106,7 +108,7 @@ class LocalSteps:
         self._faces, self._triangles = place[patches.faces[by_patch]], patches.triangles[by_patch]
         self._vertices, self._free = patches.vertices[order], order < patches.free
         self.multipliers, self._stiffness = multipliers[self._vertices], stiffness[self._vertices]
-        self._ring = terms.areas[self._vertices]
+        self._ring = areas[self._vertices]
 
     @property
     def worthwhile(self) -> bool:
@@ -114,7 +116,7 @@ class LocalSteps:
         # Operations are counted for blocks of two unknowns.
         return float(self._envelopes.operations.max()) * (UNKNOWNS / 2.0) ** 3 <= MAX_OPERATIONS
 
-    def run(self, enough: float, most: int = MAX_STEPS) -> tuple[wp.array, NDArray[np.intp], Numbers]:
+    def run(self, enough: float, most: int = MAX_STEPS) -> tuple[Numbers, NDArray[np.intp], Numbers]:
         """Take Newton steps of every patch until its expected gain is small.
 
         Args:
@@ -122,7 +124,7 @@ class LocalSteps:
             most: largest number of steps.
 
         Returns:
-            The whole map, vec3d, shape [V]; the vertices of the patches, shape [P]; and their multipliers, shape [P].
+            The whole map, shape [V, 3]; the vertices of the patches, shape [P]; and their multipliers, shape [P].
         """
         energy = self._energy
         given = LocalEnergy()
@@ -132,12 +134,12 @@ class LocalSteps:
         given.cost_factor = energy.cost_weight / (3.0 * SPHERE_AREA)
         given.least, given.regularisation, given.enough = LEAST_EIGENVALUE, REGULARISATION, enough / self._count
         given.steps, given.halvings, given.constrained = most, MAX_HALVINGS, self._constrained
-        whole = self._whole.numpy().copy()
+        whole = self._whole.copy()
         moved, tried = whole[self._vertices], whole[self._vertices]
         state = [shared(moved, wp.vec3d), shared(tried, wp.vec3d), shared(self.multipliers, wp.float64)]
         launch_patches(settle_small_patches, self._sizes, [self._patches(), given], [*state, self._scratch()])
         whole[self._vertices[self._free]] = moved[self._free]
-        return vectors(whole, energy.device), self._vertices, self.multipliers
+        return whole, self._vertices, self.multipliers
 
     def _patches(self) -> SaddlePatches:
         """Return what the kernel reads of the patches."""
@@ -147,7 +149,7 @@ class LocalSteps:
         patches = SaddlePatches()
         patches.starts, patches.first, patches.rows = self._envelopes.upload()
         patches.face_starts, patches.faces = shared(face_starts, wp.int32), shared(self._faces, wp.vec3i)
-        patches.frames = shared(self._distortion.triangles.frames.numpy()[triangles], wp.vec3d)
+        patches.frames = shared(self._distortion.frames[triangles], wp.vec3d)
         patches.areas = shared(self._distortion.areas[triangles], wp.float64)
         patches.free = shared(self._free, wp.bool)
         patches.start = shared(self._cost.start[vertices], wp.vec3d)

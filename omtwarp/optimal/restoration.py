@@ -53,7 +53,8 @@ def restore_areas(
     terms = energy.terms(points)
     steps = energy.flip_free_steps()
     factor = energy.saddle_factor()
-    compliance = energy.wanted * energy.wanted.sum() / STIFFNESS
+    numbers = energy.wanted * energy.wanted.sum() / STIFFNESS
+    compliance = wp.array(numbers, dtype=wp.float64, device=energy.device)
     for number in range(rounds):
         if _right(energy, terms):
             return points.numpy().copy(), True
@@ -74,22 +75,17 @@ def _step(
     energy: TransportEnergy, steps: FlipFreeSteps, factor: SaddlePointFactor, points: wp.array, terms: MapTerms
 ) -> tuple[wp.array, MapTerms] | None:
     """Return the map and its terms after the longest share of a Newton step that reduces area errors, or None."""
-    coordinates, _ = factor.solve(np.zeros((len(points), 2)), -energy.missing(terms))
-    direction = energy.domain.sent(energy.domain.vectors(points, coordinates))
-    before, length = _error(energy, terms), 1.0
+    _, solution = energy.newton_step(factor, points, None, terms.missing)
+    direction = energy.direction(points, solution)
+    before, length = np.sqrt(terms.squares), 1.0
     for _ in range(MAX_HALVINGS):
         held = steps.held_back(points, direction, terms.shape.d_volume, length)
         if held is not None:
             after = energy.terms(held[0])
-            if _error(energy, after) <= (1.0 - SUFFICIENT * length) * before:
+            if np.sqrt(after.squares) <= (1.0 - SUFFICIENT * length) * before:
                 return held[0], after
         length *= 0.5
     return None
-
-
-def _error(energy: TransportEnergy, terms: MapTerms) -> float:
-    """Return the norm of the area errors, each over the square root of the wanted area."""
-    return float(np.sqrt((energy.missing(terms) ** 2 / energy.wanted).sum()))
 
 
 def _right(energy: TransportEnergy, terms: MapTerms) -> bool:

@@ -12,8 +12,8 @@ does not is halved. After each step the few vertices that have the most to gain 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,16 +27,20 @@ from omtwarp.mesh.arrays import real_number, real_numbers, whole_number
 from omtwarp.mesh.checks import MeshLike, as_surface, as_unit_vectors
 from omtwarp.mesh.patches import Patches
 from omtwarp.mesh.surface import SPHERE_AREA
+from omtwarp.optimal.combination import combine, scaled
 from omtwarp.optimal.energy import AREA_WEIGHT, MapTerms, TransportEnergy
+from omtwarp.optimal.kernels import local_state
 from omtwarp.optimal.local import LocalSteps, freed_vertices
 from omtwarp.optimal.sphere import energy_on_sphere
 from omtwarp.options import Cost, Progress, Record
+from omtwarp.solvers.saddle_matrix import COORDINATES
 from omtwarp.solvers.triangle_newton.line_search import SUFFICIENT_DECREASE
 
 Numbers = NDArray[np.float64]
 
 SHAPE_WEIGHT = 0.01  # β: on scans the optimal cost rises by some 0.04 %, and the map is smooth
 PENALTY = 1000.0  # μ: weight of the remaining area errors beside the cost
+STATE = 6  # numbers of a vertex that local steps read
 LEAST_PENALTY = 1e-12  # in place of 0, by which saddle-point systems divide
 MIN_COST = 1e-6  # radians²: gains are compared with the cost, or with this where the cost is smaller
 MAX_HALVINGS = 20  # of a step, down to a millionth
@@ -61,16 +65,14 @@ class _Step:
         terms: of the map.
         length: share of the direction that was taken.
         corrected: vertices untangled or held back.
-        merit: of the map, with the multipliers before the step.
-        multipliers: after the step, shape [V].
+        multipliers: after the step, float64, shape [N], on the device.
     """
 
     points: wp.array
     terms: MapTerms
     length: float
     corrected: int
-    merit: float
-    multipliers: Numbers
+    multipliers: wp.array
 
 
 @dataclass(frozen=True)
@@ -238,6 +240,9 @@ def minimise(
 class _Newton:
     """State of one minimisation: the multipliers, and the factorised matrix of the map at hand.
 
+    Maps, terms and systems stay on the device. For every step the host reads the numbers of each length tried, once,
+    and where single vertices go on alone what these read of the map.
+
     Args:
         energy, gain, area_penalty, penalty: as of :func:`minimise`.
     """
@@ -257,11 +262,12 @@ class _Newton:
         # Weights of the squared area errors in the augmented Lagrangian: μ over the wanted areas, which sum to 12π for
         # rings.
         weight = area_penalty if penalty is None else max(penalty, LEAST_PENALTY)
-        self.stiffness = weight / energy.wanted.sum() / energy.wanted
+        self.stiffness = weight / float(energy.wanted.sum())  # of squares over wanted areas
+        self.compliance = wp.array(energy.wanted / self.stiffness, dtype=wp.float64, device=self.device)
         # With a light penalty steps may lower cost at the expense of areas; the map at the end must not be worse than
         # the one given by the usual penalty.
         self.strictness = max(1.0, PENALTY / area_penalty) if self.constrained else 1.0
-        self.multipliers = np.zeros(len(energy.wanted))
+        self.multipliers = wp.zeros(len(energy.wanted), dtype=wp.float64, device=self.device)
         self.max_rms, self.max_error = energy.cells.tolerances
 
     def run(
@@ -276,28 +282,26 @@ class _Newton:
         points = self.domain.sent(given)
         terms = energy.terms(points)
         if multipliers is not None:
-            self.multipliers = multipliers
+            self.multipliers = wp.array(multipliers, dtype=wp.float64, device=self.device)
         elif self.constrained:  # estimated from a potential of zero
-            self.multipliers = -energy.potential(terms, self.multipliers)
+            self.multipliers = scaled(energy.potential(terms, self.multipliers), -1.0)
         first = self._penalised_energy(terms, self.strictness)
         history = [self._record(terms, 0.0, 0.0, 0, 0)]
         ended, converged, factorisations = "most steps taken", False, 0
-        compliance = 1.0 / self.stiffness
         for number in range(iterations):
-            self.base, self.own = points, energy.factorise(self.factor, points, terms, compliance)
+            energy.factorise(self.factor, points, terms, self.compliance)
             factorisations += 1
             if number == 0 and multipliers is None and self.constrained:
                 self._estimate(points, terms)
-            direction, q, decrement = self._direction(points, terms)
-            step = self._search(points, terms, direction, q, decrement) if decrement > 0.0 else None
+            step, q, decrement = self._search(points, terms)
             if step is None:
                 converged = self._reached(terms, decrement) or self._helpless(terms, q, decrement)
                 ended = "optimal" if converged else "no step lowers the cost"
                 break
-            points, terms, self.multipliers, settled = step.points, step.terms, step.multipliers, 0
+            before, points, terms, self.multipliers, settled = points, step.points, step.terms, step.multipliers, 0
             converged = self._reached(terms, decrement)
             if not converged:
-                points, terms, settled = self._settled(points, terms, decrement)
+                points, terms, settled = self._settled(before, points, terms, decrement)
             history.append(self._record(terms, decrement, step.length, step.corrected, settled))
             if progress is not None:
                 progress(self.stage, number + 1, iterations, history[-1])
@@ -308,7 +312,7 @@ class _Newton:
         better, as_good = last <= first, last <= first + MIN_COST
         return OptimalMap(
             points.numpy().copy() if better else given,
-            self.multipliers,
+            self.multipliers.numpy().copy(),
             tuple(history),
             converged and as_good,
             ended if as_good else f"{ended}; the map given was better",
@@ -316,33 +320,40 @@ class _Newton:
             self.steps.gave_up,
         )
 
-    def _settled(self, points: wp.array, terms: MapTerms, expected: float) -> tuple[wp.array, MapTerms, int]:
+    def _settled(
+        self, before: wp.array, points: wp.array, terms: MapTerms, expected: float
+    ) -> tuple[wp.array, MapTerms, int]:
         """Move the few vertices that have the most to gain; return the map, its terms, and the number of them.
 
-        The gain that was ``expected`` of the last step limits that of single vertices.
+        The matrix at hand is that of the map ``before``. The gain that was ``expected`` of the last step limits that of
+        single vertices.
         """
-        energy = self.energy
+        energy, matrix, count = self.energy, self.energy.matrix, self.surface.vertex_count
         if not energy.has_local_steps:
             return points, terms, 0
-        gradient = self.domain.coordinates(self.base, energy.gradient(points, terms, self.multipliers))
-        (g0, g1), (h00, h01, h11) = gradient.T, self.own.reshape(-1, 4)[:, [0, 1, 3]].T
-        alone = (g0**2 * h11 - 2.0 * g0 * g1 * h01 + g1**2 * h00) / (h00 * h11 - h01**2)
-        gains = alone + self.stiffness * energy.missing(terms) ** 2
+        gradient = self.domain.coordinates(before, energy.gradient(points, terms, self.multipliers))
+        of_map = [points, terms.areas, self.multipliers, terms.relative, terms.missing, wp.float64(self.stiffness)]
+        inputs = [*of_map, gradient, matrix.diagonal.reshape((-1, COORDINATES)), matrix.inner]
+        out = wp.empty((count, STATE), dtype=wp.float64, device=self.device)
+        wp.launch(local_state, dim=count, inputs=inputs, outputs=[out], device=self.device)
+        state = out.numpy()
+        areas, multipliers, gains = state[:, 3:].T
         freed = freed_vertices(self.surface.faces, gains, expected)
         if freed is None:
             return points, terms, 0
         patches = Patches.of_vertices(self.surface.faces, freed)
-        setting = energy, patches, points, terms, self.multipliers, self.stiffness, self.constrained
-        steps = LocalSteps(*setting)
+        setting = np.ascontiguousarray(state[:, :3]), terms.shape, areas, multipliers, self.stiffness / energy.wanted
+        steps = LocalSteps(energy, patches, *setting, constrained=self.constrained)
         if not steps.worthwhile:
             return points, terms, 0
-        moved, vertices, of_patches = steps.run(LOCAL_GAIN_SHARE * self._enough(terms))
-        multipliers = self.multipliers.copy()
-        multipliers[vertices] = of_patches
+        whole, vertices, of_patches = steps.run(LOCAL_GAIN_SHARE * self._enough(terms))
+        moved = self.domain.sent(whole)
         after = energy.terms(moved)
         if not self._penalised_energy(after) < self._penalised_energy(terms):
             return points, terms, 0
-        self.multipliers = multipliers
+        multipliers = multipliers.copy()
+        multipliers[vertices] = of_patches
+        self.multipliers = wp.array(multipliers, dtype=wp.float64, device=self.device)
         return moved, after, int(freed.sum())
 
     def _enough(self, terms: MapTerms) -> float:
@@ -359,78 +370,80 @@ class _Newton:
         rms, largest = self.energy.area_errors(terms)
         return enough and rms <= self.max_rms and largest <= self.max_error
 
-    def _helpless(self, terms: MapTerms, q: Numbers, decrement: float) -> bool:
+    def _helpless(self, terms: MapTerms, q: wp.array, decrement: float) -> bool:
         """Return whether a step that gains nothing leaves small errors of the areas nearly as they are.
 
         So it is where symmetry holds every vertex, as on a sphere of 80 triangles, whose areas are flat.
         """
         if not self.constrained or decrement > self._enough(terms):
             return False
-        missing = self.energy.missing(terms)
-        left = float(self.stiffness @ (q / self.stiffness) ** 2)  # B u = C q - missing
+        left = float(self.compliance.numpy() @ q.numpy() ** 2)  # B u = C q - missing
         small = self.energy.area_errors(terms)[1] <= self.max_error
-        return small and left > (1.0 - LEAST_AREA_GAIN) * float(self.stiffness @ missing**2)
+        return small and left > (1.0 - LEAST_AREA_GAIN) * self.stiffness * terms.squares
 
     def _penalised_energy(self, terms: MapTerms, strictness: float = 1.0) -> float:
         """Return cost plus shape plus penalty on area errors, times strictness; it needs no multipliers."""
-        energy, missing = self.energy, self.energy.missing(terms)
+        energy = self.energy
         cost = energy.cost_weight * energy.cost(terms) / SPHERE_AREA
-        penalty = 0.5 * strictness * float(self.stiffness @ missing**2)
+        penalty = 0.5 * strictness * self.stiffness * terms.squares
         return cost + energy.shape_weight * terms.shape.total(energy.area_weight) + penalty
 
     def _merit(self, terms: MapTerms) -> float:
         """Return the augmented Lagrangian of a map, which steps have to lower."""
-        missing = self.energy.missing(terms)
-        return self.energy.lagrangian(terms, self.multipliers) + 0.5 * float(self.stiffness @ missing**2)
+        return self.energy.lagrangian(terms) + 0.5 * self.stiffness * terms.squares
 
     def _estimate(self, points: wp.array, terms: MapTerms) -> None:
         """Add to the multipliers what makes the gradient of the Lagrangian smallest in the metric of the matrix."""
         gradient = self.energy.gradient(points, terms, self.multipliers)
-        _, q = self.factor.solve(-self.domain.coordinates(points, gradient), np.zeros(len(self.multipliers)))
-        self.multipliers = self.multipliers + q
+        _, solution = self.energy.newton_step(self.factor, points, gradient, None)
+        self.multipliers = combine(1.0, self.multipliers, 1.0, solution[-self.multipliers.size :])
 
-    def _direction(self, points: wp.array, terms: MapTerms) -> tuple[wp.array, Numbers, float]:
-        """Return the Newton step (vectors on the device), the multipliers' change, and the expected gain."""
-        missing = self.energy.missing(terms)
-        gradient = self.energy.gradient(points, terms, self.multipliers)
-        u, q = self.factor.solve(-self.domain.coordinates(points, gradient), -missing)
-        step = self.domain.vectors(points, u)
+    def _search(self, points: wp.array, terms: MapTerms) -> tuple[_Step | None, wp.array, float]:
+        """Halve the Newton step until it lowers the merit without flipping a triangle.
+
+        Returns:
+            The step, None where no length does; the change of the multipliers; and the gain expected.
+        """
+        energy, reading = self.energy, self.energy.reading
+        gradient = energy.gradient(points, terms, self.multipliers)
+        right, solution = energy.newton_step(self.factor, points, gradient, terms.missing)
+        direction, q = energy.direction(points, solution), solution[-self.multipliers.size :]
         # The slope of the penalty along u is that of B u = C q - missing.
-        slope = float((gradient * step).sum()) + float(missing @ q) - float(self.stiffness @ missing**2)
-        return self.domain.sent(step), q, -slope
-
-    def _search(
-        self, points: wp.array, terms: MapTerms, direction: wp.array, q: Numbers, decrement: float
-    ) -> _Step | None:
-        """Halve a step until it lowers the merit without flipping a triangle; return None where none does."""
-        before, length = self._merit(terms), 1.0
-        for _ in range(MAX_HALVINGS + 1):
-            enough = before - SUFFICIENT_DECREASE * length * decrement
-            for step in self._moved(points, terms, direction, q, length):
-                if step.merit <= enough:
-                    return step
+        slope, pressed = reading.dot(right, solution), reading.dot(self.multipliers, terms.missing)
+        volume, length, decrement, merit = terms.shape.d_volume, 1.0, 0.0, 0.0
+        for halvings in range(MAX_HALVINGS + 1):
+            moved, marks, troubled = self.steps.tried(points, direction, volume, length, reading)
+            finish = energy.begin(moved, self.multipliers)
+            numbers = reading.read()
+            if halvings == 0:
+                decrement = float(numbers[slope]) + self.stiffness * terms.squares
+                merit = self._merit(replace(terms, pressed=float(numbers[pressed])))
+                if not decrement > 0.0:
+                    break
+            enough = merit - SUFFICIENT_DECREASE * length * decrement
+            if numbers[troubled] == 0.0:
+                maps: Iterable[tuple[wp.array, MapTerms, int]] = [(moved, finish(numbers), 0)]
+            else:
+                maps = self._corrected(points, direction, volume, length, moved, marks)
+            for there, after, corrected in maps:
+                if self._merit(after) <= enough:
+                    change = length if self.constrained else 0.0
+                    multipliers = combine(1.0, self.multipliers, change, q)
+                    return _Step(there, after, length, corrected, multipliers), q, decrement
             length *= 0.5
-        return None
+        return None, q, decrement
 
-    def _moved(
-        self, points: wp.array, terms: MapTerms, direction: wp.array, q: Numbers, length: float
-    ) -> Iterator[_Step]:
-        """Yield the flip-free maps at a share of the direction: with triangles untangled, with vertices held back."""
-        volume = terms.shape.d_volume
-        multipliers = self.multipliers + length * q if self.constrained else self.multipliers
-
-        def step_to(there: wp.array, corrected: int) -> _Step:
-            after = self.energy.terms(there)
-            return _Step(there, after, length, corrected, self._merit(after), multipliers)
-
-        found = self.steps.untangled(points, direction, volume, length, self.energy.area_weight)
+    def _corrected(
+        self, points: wp.array, direction: wp.array, volume: wp.array, length: float, moved: wp.array, marks: wp.array
+    ) -> Iterator[tuple[wp.array, MapTerms, int]]:
+        """Yield the flip-free maps near a step that flips triangles: with these untangled, with vertices held back."""
+        found = self.steps.untangled(moved, marks, self.energy.area_weight)
         if found is not None:
-            yield step_to(*found)
-            if found[1] == 0:
-                return
+            yield found[0], self.energy.terms(found[0], self.multipliers), found[1]
         held = self.steps.held_back(points, direction, volume, length)
         if held is not None:
-            yield step_to(held[0], int((held[1].numpy() < 1.0).sum()))
+            count = int((held[1].numpy() < 1.0).sum())
+            yield held[0], self.energy.terms(held[0], self.multipliers), count
 
     def _record(self, terms: MapTerms, decrement: float, length: float, corrected: int, settled: int) -> Record:
         """Return the entry of the history for a step, as :class:`OptimalMap` describes it."""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.arrays import empty, vectors
 from omtwarp.device.start import wp
-from omtwarp.device.threads import cut, launch_parts
+from omtwarp.device.sums import Reading
+from omtwarp.device.threads import Arguments, cut, launch_parts
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.arrays import normalised
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
@@ -48,7 +51,7 @@ class Sphere:
     def areas(self, points: wp.array) -> wp.array:
         """Return the solid angle of every triangle, float64, shape [F]; valid until the next call."""
 
-        def of_triangles(part: slice) -> tuple[list[object], list[object]]:
+        def of_triangles(part: slice) -> Arguments:
             return [points, cut(self._faces, part)], [cut(self._areas, part)]
 
         launch_parts(solid_angles, self.surface.face_count, of_triangles, self.device)
@@ -58,25 +61,23 @@ class Sphere:
         """Return the derivatives of every solid angle by its corners, in their frames, vec2d, shape [F, 3]."""
         slopes = wp.empty((self.surface.face_count, 3), dtype=wp.vec2d, device=self.device)
 
-        def of_triangles(part: slice) -> tuple[list[object], list[object]]:
+        def of_triangles(part: slice) -> Arguments:
             return [points, self._faces, part.start], [slopes]
 
         launch_parts(area_slopes, self.surface.face_count, of_triangles, self.device)
         return slopes
 
-    def coordinates(self, base: wp.array, tangent: Numbers) -> Numbers:
-        """Return vectors, shape [V, 3], in the tangent bases at ``base``, shape [V, 2]."""
-        out = wp.empty((len(tangent), 2), dtype=wp.float64, device=self.device)
-        inputs = [base, self.sent(tangent)]
-        wp.launch(to_tangent, dim=len(tangent), inputs=inputs, outputs=[out], device=self.device)
-        return out.numpy()
+    def coordinates(self, points: wp.array, vectors: wp.array) -> wp.array:
+        """Return vectors, vec3d, shape [V], in the tangent bases at ``points``, float64, shape [V, 2]."""
+        out = wp.empty((len(vectors), 2), dtype=wp.float64, device=self.device)
+        wp.launch(to_tangent, dim=len(vectors), inputs=[points, vectors], outputs=[out], device=self.device)
+        return out
 
-    def vectors(self, points: wp.array, coordinates: Numbers) -> Numbers:
-        """Return the vectors with these coordinates in the tangent bases at ``points``, shape [V, 3]."""
-        out = empty(len(coordinates), wp.vec3d, self.device)
-        inputs = [points, wp.array(coordinates, dtype=wp.float64, device=self.device)]
-        wp.launch(from_tangent, dim=len(coordinates), inputs=inputs, outputs=[out], device=self.device)
-        return np.asarray(out.numpy())
+    def vectors(self, points: wp.array, coordinates: wp.array) -> wp.array:
+        """Return the vectors with these coordinates in the tangent bases at ``points``, vec3d, shape [V]."""
+        out = empty(len(points), wp.vec3d, self.device)
+        wp.launch(from_tangent, dim=len(points), inputs=[points, coordinates], outputs=[out], device=self.device)
+        return out
 
     def steps(self) -> FlipFreeSteps:
         """Return an object that moves maps along tangent vectors without flipping triangles."""
@@ -103,53 +104,50 @@ class GeodesicCost:
         self._mesh = surface.on(device)
         self._metric = wp.empty((self._count, 4), dtype=wp.float64, device=device)
 
-    def values(self, points: wp.array) -> Numbers:
+    def values(self, points: wp.array) -> wp.array:
         """Return the cost of every vertex, shape [V]."""
         cost = empty(self._count, wp.float64, self._device)
 
-        def of_vertices(part: slice) -> tuple[list[object], list[object]]:
+        def of_vertices(part: slice) -> Arguments:
             return [cut(self._start, part), cut(points, part), self.softness], [cut(cost, part)]
 
         launch_parts(vertex_costs, self._count, of_vertices, self._device)
-        return cost.numpy()
+        return cost
 
-    def gradient(self, points: wp.array, masses: Numbers, potential: Numbers) -> Numbers:
-        """Return the gradient of Σ masses_v cost_v + Σ potential_f area_f, tangent to the sphere, shape [V, 3]."""
+    def gradient(
+        self, points: wp.array, masses: wp.array, potential: wp.array, further: wp.array, weight: float
+    ) -> wp.array:
+        """Return the gradient of Σ masses_v cost_v + Σ potential_f area_f and a further one, vec3d, shape [V]."""
         gradient = empty(self._count, wp.vec3d, self._device)
-        weights = [self._sent(masses), self._sent(potential)]
 
-        def around(part: slice) -> tuple[list[object], list[object]]:
-            mesh = [self._start, points, self._mesh.faces, *weights, *self._mesh.vertex_corners]
-            return [*mesh, self.softness, part.start], [gradient]
+        def around(part: slice) -> Arguments:
+            mesh = [self._start, points, self._mesh.faces, masses, potential, *self._mesh.vertex_corners]
+            return [*mesh, self.softness, further, wp.float64(weight), part.start], [gradient]
 
         launch_parts(transport_gradient, self._count, around, self._device)
-        return gradient.numpy()
+        return gradient
 
-    def hessian(self, points: wp.array, masses: Numbers, least: float) -> Numbers:
-        """Return the second derivative at the optimum, with raised eigenvalues, shape [V, 2, 2]."""
-        weights = self._sent(masses)
+    def hessian(self, points: wp.array, masses: wp.array, least: float) -> wp.array:
+        """Return the second derivative at the optimum, with raised eigenvalues, float64, shape [V, 4]."""
 
-        def around(part: slice) -> tuple[list[object], list[object]]:
-            mesh = [self._start, points, self._mesh.faces, weights, *self._mesh.vertex_corners]
+        def around(part: slice) -> Arguments:
+            mesh = [self._start, points, self._mesh.faces, masses, *self._mesh.vertex_corners]
             return [*mesh, wp.float64(least), self.softness, part.start], [self._metric]
 
         launch_parts(cost_metric, self._count, around, self._device)
-        return self._metric.numpy().reshape(-1, 2, 2)
-
-    def _sent(self, values: Numbers) -> wp.array:
-        return wp.array(np.ascontiguousarray(values), dtype=wp.float64, device=self._device, copy=False)
+        return self._metric
 
 
 class NoCost(GeodesicCost):
     """A cost that counts nothing: it and its second derivative are 0, and areas alone have a gradient."""
 
-    def values(self, points: wp.array) -> Numbers:
+    def values(self, points: wp.array) -> wp.array:
         """Return zeros, shape [V]."""
-        return np.zeros(self._count)
+        return wp.zeros(self._count, dtype=wp.float64, device=self._device)
 
-    def hessian(self, points: wp.array, masses: Numbers, least: float) -> Numbers:
-        """Return zeros, shape [V, 2, 2]."""
-        return np.zeros((self._count, 2, 2))
+    def hessian(self, points: wp.array, masses: wp.array, least: float) -> wp.array:
+        """Return zeros, shape [V, 4]."""
+        return wp.zeros((self._count, 4), dtype=wp.float64, device=self._device)
 
 
 class SphereShape:
@@ -162,9 +160,9 @@ class SphereShape:
     def __init__(self, distortion: DistortionEnergy):
         self.distortion = distortion
 
-    def terms(self, points: wp.array) -> Terms:
-        """Return the distortion of a map."""
-        return self.distortion.terms(points)
+    def begin(self, points: wp.array, reading: Reading) -> Callable[[Numbers], Terms]:
+        """Begin to measure the distortion of a map."""
+        return self.distortion.begin(points, reading)
 
     def gradient(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
         """Return the gradient by the vertices, tangent to the sphere, vec3d, shape [V]."""
@@ -240,12 +238,13 @@ class ShapeEnergy(TransportEnergy):
         """Return 4π, a mean of 1: gains are compared with the distortion, not with a cost."""
         return SPHERE_AREA
 
-    def blocks(self, points: wp.array, terms: MapTerms) -> tuple[Numbers, Numbers, Numbers]:
-        """Return what the base class does, with the term at vertices on the diagonal."""
-        diagonal, off_diagonal, gradients = super().blocks(points, terms)
+    def vertex_metric(self, points: wp.array, terms: MapTerms) -> wp.array:
+        """Return the second derivative of the term at vertices, float64, shape [V, 4]; zeros without one."""
         assert isinstance(terms.shape, Terms)
         further = self.distortion.vertex_blocks(points, terms.shape)
-        return (diagonal if further is None else diagonal + further), off_diagonal, gradients
+        if further is None:
+            return super().vertex_metric(points, terms)
+        return wp.array(further.reshape(-1, 4), dtype=wp.float64, device=self.device)
 
 
 __all__ = ["GeodesicCost", "ShapeEnergy", "Sphere", "SphereShape", "energy_on_sphere"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,11 +12,12 @@ from omtwarp.device.arrays import empty, vectors
 from omtwarp.device.memory import Workspace
 from omtwarp.device.policy import shares_host_memory
 from omtwarp.device.start import wp
+from omtwarp.device.sums import Reading
 from omtwarp.device.threads import Arguments, cut, launch_parts
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, scaled_areas
 from omtwarp.refine.kernels import gather_tangent, triangle_gradient, triangle_hessian, triangle_terms
+from omtwarp.refine.step_kernels import distortion_summands
 from omtwarp.refine.strain import StrainBarrier
-from omtwarp.refine.sums import DistortionSums
 from omtwarp.refine.vertex_term import VertexDerivatives, VertexTerm, tangent_blocks
 from omtwarp.solvers.triangle_newton.frames import triangle_frames
 
@@ -167,6 +169,7 @@ class DistortionEnergy:
 
     Attributes:
         workspace: on the host, for Hessians and the fronts of factorisations.
+        frames: of the triangles, on the host, shape [F, 3].
     """
 
     def __init__(
@@ -181,13 +184,12 @@ class DistortionEnergy:
         self.surface = surface
         self.device = device
         self.areas = surface.face_areas if areas is None else scaled_areas(areas, surface.face_count)
-        count = surface.face_count
         self.workspace = Workspace()
         mesh = surface.on(device)
-        own = wp.array(triangle_frames(surface), dtype=wp.vec3d, device=device, copy=False)
+        self.frames = triangle_frames(surface)
+        own = wp.array(self.frames, dtype=wp.vec3d, device=device, copy=False)
         counted = mesh.face_areas if areas is None else wp.array(self.areas, dtype=wp.float64, device=device)
         self.triangles = TriangleKernels(mesh.faces, own, counted, mesh.vertex_corners, self.workspace)
-        self._sums = None if shares_host_memory(device) else DistortionSums(count, device)
         self._barrier: StrainBarrier | None = None
         if most_strain is not None:
             self._barrier = StrainBarrier(mesh.faces, own, counted, mesh.vertex_corners, most_strain)
@@ -207,25 +209,42 @@ class DistortionEnergy:
 
     def terms(self, points: wp.array) -> Terms:
         """Return the distortions and per-triangle ratios of a map."""
-        outputs = self.triangles.terms(points)
-        if self._sums is not None:
-            angle, total, area, inverse_sum, needle = self._sums(self.triangles.areas, *outputs)
-            scale = SPHERE_AREA / total
-        else:
-            angles, ratio, _, steepness = (array.numpy() for array in outputs)
-            scale = SPHERE_AREA / float(self.areas @ ratio)
-            scaled = scale * ratio
-            with np.errstate(divide="ignore", invalid="ignore"):
-                # (r - 1)² / r = r + 1/r - 2 without cancellation
-                area = float(self.areas @ ((scaled - 1.0) ** 2 / scaled))
-                inverse_sum = float((self.areas / ratio).sum())
-            angle, needle = float(self.areas @ angles), float(self.areas @ steepness)
+        reading = Reading(self.device)
+        return self.begin(points, reading)(reading.read())
+
+    def begin(self, points: wp.array, reading: Reading) -> Callable[[NDArray[np.float64]], Terms]:
+        """Begin to compute what :meth:`terms` returns; return what makes it of the numbers that are read."""
+        angles, ratio, volume, steepness = self.triangles.terms(points)
+        areas = self.triangles.areas
+        place, total = reading.place()
+        reading.add(areas, ratio, total)
+        excess, inverse = (empty(ratio.size, wp.float64, self.device) for _ in range(2))
+
+        def of_triangles(part: slice) -> Arguments:
+            return [cut(ratio, part), total], [cut(excess, part), cut(inverse, part)]
+
+        launch_parts(distortion_summands, ratio.size, of_triangles, self.device)
+        places = [place, *(reading.dot(areas, summand) for summand in (angles, excess, steepness, inverse))]
         strain = 0.0 if self._barrier is None else self._barrier.value(points)
         further = None
         if self._vertex_term is not None and np.isfinite(strain):
             further = self._vertex_term.at(points.numpy())
-        angle, area, needle = angle / SPHERE_AREA, area / SPHERE_AREA, needle / SPHERE_AREA
-        return Terms(angle, area, scale, inverse_sum, outputs[1], outputs[2], needle, strain, further)
+
+        def finish(numbers: NDArray[np.float64]) -> Terms:
+            whole, angle, area, needle, inverse_sum = (float(x) for x in numbers[places])
+            return Terms(
+                angle / SPHERE_AREA,
+                area / SPHERE_AREA,
+                scale=SPHERE_AREA / whole,
+                inverse_sum=inverse_sum,
+                d_ratio=ratio,
+                d_volume=volume,
+                needle=needle / SPHERE_AREA,
+                strain=strain,
+                at_vertices=further,
+            )
+
+        return finish
 
     def gradient(self, points: wp.array, terms: Terms, weight: float) -> wp.array:
         """Return the gradient of the energy by the vertices, tangent to the sphere, vec3d, shape [V]."""

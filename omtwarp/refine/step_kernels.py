@@ -1,4 +1,4 @@
-"""The kernel that computes what the distortion of a map sums up, where the map is on a GPU."""
+"""The kernel that computes what the distortion of a map sums up."""
 
 from omtwarp.device.start import KERNEL_OPTIONS, ONE, wp
 from omtwarp.mesh import surface

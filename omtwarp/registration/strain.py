@@ -105,10 +105,7 @@ def kept_within(
 def _relaxed(energy: ShapeEnergy, sphere: Floats, freed: NDArray[np.bool_]) -> Floats:
     """Move vertices, given as a mask of shape [V], to where they hold less distortion."""
     surface = energy.surface
-    points = energy.domain.sent(np.ascontiguousarray(sphere))
-    terms, none = energy.terms(points), np.zeros(surface.vertex_count)
-    patches = Patches.of_vertices(surface.faces, freed)
-    steps = LocalSteps(energy, patches, points, terms, none, LEAST_PENALTY / energy.wanted, constrained=False)
-    if not steps.worthwhile:
-        return sphere
-    return steps.run(0.0, STEPS)[0].numpy().copy()
+    terms, none = energy.terms(energy.domain.sent(sphere)), np.zeros(surface.vertex_count)
+    patches, stiffness = Patches.of_vertices(surface.faces, freed), LEAST_PENALTY / energy.wanted
+    steps = LocalSteps(energy, patches, sphere, terms.shape, terms.areas.numpy(), none, stiffness, constrained=False)
+    return steps.run(0.0, STEPS)[0] if steps.worthwhile else sphere

@@ -102,7 +102,15 @@ class CudssFactor:
             NotPositiveDefinite: a pivot has the wrong sign, to round-off.
         """
         flat = np.concatenate([np.ravel(diagonal), np.ravel(off_diagonal)])
-        given = wp.array(flat, dtype=wp.float64, device=self.device)
+        self.factorise_entries(wp.array(flat, dtype=wp.float64, device="cpu", copy=False))
+
+    def factorise_entries(self, entries: wp.array) -> None:
+        """Factorise a matrix whose diagonal and couplings are in one array, on any device.
+
+        Raises:
+            NotPositiveDefinite: a pivot has the wrong sign, to round-off.
+        """
+        given = entries.to(self.device)
         inputs = [given, self._source]
         wp.launch(gather_entries, dim=len(self._values), inputs=inputs, outputs=[self._values], device=self.device)
         phase = self._library.Phase
@@ -129,6 +137,14 @@ class CudssFactor:
             self._run(self._library.Phase.SOLVE)
             out[:] = self._solution.numpy()
         return np.ascontiguousarray(solved.T).reshape(np.shape(right))
+
+    def solve_entries(self, right: wp.array) -> wp.array:
+        """Solve for a right-hand side of all unknowns, on its device."""
+        wp.copy(self._given, right)
+        self._run(self._library.Phase.SOLVE)
+        solved = wp.empty(self._size, dtype=wp.float64, device=right.device)
+        wp.copy(solved, self._solution)
+        return solved
 
     def _run(self, phase: int) -> None:
         library = self._library

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import numpy as np
 import scipy.sparse as sparse
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.memory import Workspace
 from omtwarp.device.policy import solves_with_cudss, solves_with_scipy
+from omtwarp.device.start import wp
 from omtwarp.device.threads import pool
 from omtwarp.mesh.surface import Surface
 from omtwarp.solvers.cholesky import (
@@ -25,13 +26,15 @@ from omtwarp.solvers.cholesky import (
     part_dissection,
     surface_dissection,
 )
-from omtwarp.solvers.cholesky.cell_saddle import CellSaddleFactor
-from omtwarp.solvers.cholesky.multifrontal import SymmetricFactor
-from omtwarp.solvers.cholesky.saddle import SaddleFactor, expand
+from omtwarp.solvers.cholesky.saddle import expand, expand_with_cells
 from omtwarp.solvers.cudss import CudssFactor
+from omtwarp.solvers.saddle_matrix import COORDINATES, SaddleMatrix
 
 if TYPE_CHECKING:
     from scipy.sparse.linalg import SuperLU
+
+Numbers = NDArray[np.float64]
+SaddleOrder: TypeAlias = tuple[Dissection, NDArray[np.int32]]
 
 BEGUN_ORDER = "saddle-point order, begun"  # name under which a surface keeps it while it is computed
 
@@ -47,48 +50,48 @@ class MeshFactor(Protocol):
 
 
 class SaddlePointFactor(Protocol):
-    """A factorisation of saddle-point matrices, see :class:`omtwarp.solvers.cholesky.saddle.SaddleFactor`."""
+    """A factorisation of matrices of Newton steps, made again for every matrix."""
 
-    def factorise(
-        self,
-        diagonal: NDArray[np.float64],
-        off_diagonal: NDArray[np.float64],
-        gradients: NDArray[np.float64],
-        compliance: NDArray[np.float64],
-    ) -> None:
-        """Factorise one matrix."""
+    def factorise(self, matrix: SaddleMatrix) -> None:
+        """Factorise one matrix.
 
-    def solve(
-        self, first: NDArray[np.float64], second: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Solve for coordinates, shape [V, 2], and multipliers, shape [N]."""
+        Raises:
+            NotPositiveDefinite: A is not positive definite, to round-off.
+        """
+
+    def solve(self, right: wp.array) -> wp.array:
+        """Solve for a right-hand side, on its device: coordinates, then multipliers, float64, shape [2 V + N].
+
+        The multipliers of a matrix that has none are 0.
+        """
 
 
-class VertexFactor:
-    """A factorisation of the coordinates alone in place of one of saddle-point matrices; multipliers stay 0.
+class OrderedSaddleFactor:
+    """A factorisation in the order of a dissection, by the built-in solver or by cuDSS.
 
     Args:
-        factor: of two unknowns per vertex.
+        order: of the unknowns, and how many of every front's are multipliers
+            (:func:`omtwarp.solvers.cholesky.saddle.expand`).
+        workspace: see :class:`MultifrontalCholesky`.
     """
 
-    def __init__(self, factor: MeshFactor):
-        self._factor = factor
+    def __init__(self, order: SaddleOrder, workspace: Workspace | None = None):
+        unknowns, multipliers = order
+        made = CudssFactor if solves_with_cudss() else MultifrontalCholesky
+        self._size = unknowns.vertex_count
+        self._factor = made(unknowns, workspace=workspace, negative=multipliers if multipliers.any() else None)
 
-    def factorise(
-        self,
-        diagonal: NDArray[np.float64],
-        off_diagonal: NDArray[np.float64],
-        gradients: NDArray[np.float64],
-        compliance: NDArray[np.float64],
-    ) -> None:
-        """Factorise the matrix of the coordinates; derivatives of areas do not count."""
-        self._factor.factorise(diagonal, off_diagonal)
+    def factorise(self, matrix: SaddleMatrix) -> None:
+        """Factorise one matrix; see :class:`SaddlePointFactor`."""
+        self._factor.factorise_entries(matrix.entries)
 
-    def solve(
-        self, first: NDArray[np.float64], second: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Solve for coordinates, shape [V, 2]; multipliers are 0, shape [N]."""
-        return self._factor.solve(first), np.zeros_like(second)
+    def solve(self, right: wp.array) -> wp.array:
+        """Solve for a right-hand side; see :class:`SaddlePointFactor`."""
+        if right.size == self._size:
+            return self._factor.solve_entries(right)
+        whole = wp.zeros(right.size, dtype=wp.float64, device=right.device)
+        wp.copy(whole, self._factor.solve_entries(right[: self._size]), count=self._size)
+        return whole
 
 
 class SparseFactor:
@@ -132,13 +135,13 @@ class SparseFactor:
 
 
 class SparseSaddleFactor:
-    """Factorises saddle-point matrices [A, Bᵀ; B, -C] on a mesh by SuperLU, with its own pivoting.
+    """Factorises matrices [A, Bᵀ; B, -C] on a mesh by SuperLU, with its own pivoting.
 
     Args:
         count: number of vertices V.
         edges: every edge (i, j) once, shape [E, 2].
-        multipliers: of every entry of B, in the order of ``gradients``: its row, shape [J].
-        vertices: the vertex of every entry, shape [J].
+        multipliers: of every pair of entries of B, in the order of the matrix's slopes: its row, shape [J].
+        vertices: the vertex of every pair, shape [J].
     """
 
     def __init__(
@@ -153,36 +156,39 @@ class SparseSaddleFactor:
         self._columns = (2 * np.asarray(vertices, dtype=np.int64)[:, None] + np.arange(2)).ravel()
         self._lu: SuperLU | None = None
 
-    def factorise(
-        self,
-        diagonal: NDArray[np.float64],
-        off_diagonal: NDArray[np.float64],
-        gradients: NDArray[np.float64],
-        compliance: NDArray[np.float64],
-    ) -> None:
-        """Factorise one matrix; arguments as of :meth:`omtwarp.solvers.cholesky.saddle.SaddleFactor.factorise`.
+    def factorise(self, matrix: SaddleMatrix) -> None:
+        """Factorise one matrix.
 
         Raises:
-            NotPositiveDefinite: the matrix is singular.
+            NotPositiveDefinite: it is singular.
         """
         from scipy.sparse.linalg import splu  # takes a hundredth of a second to import
 
-        first = _block_matrix(self._count, self._edges, diagonal, off_diagonal, 2)
-        shape = (len(compliance), 2 * self._count)
-        coupling = sparse.coo_matrix((gradients.ravel(), (self._rows, self._columns)), shape=shape)
-        matrix = sparse.bmat([[first, coupling.T], [coupling, sparse.diags(-compliance)]], format="csc")
+        own, others, slopes, compliance = matrix.on_host()
+        whole = _block_matrix(self._count, self._edges, own, others, 2)
+        if len(compliance):
+            shape = (len(compliance), 2 * self._count)
+            coupling = sparse.coo_matrix((slopes, (self._rows, self._columns)), shape=shape)
+            whole = sparse.bmat([[whole, coupling.T], [coupling, sparse.diags(-compliance)]], format="csc")
         try:
-            self._lu = splu(matrix)
+            self._lu = splu(whole)
         except RuntimeError as error:
             raise NotPositiveDefinite("the matrix is singular") from error
 
-    def solve(
-        self, first: NDArray[np.float64], second: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Solve [A, Bᵀ; B, -C] [u; q] = [first; second]: coordinates u, shape [V, 2], and multipliers q, shape [N]."""
+    def solve(self, right: wp.array) -> wp.array:
+        """Solve for a right-hand side; see :class:`SaddlePointFactor`."""
         assert self._lu is not None, "factorise first"
-        solved = self._lu.solve(np.concatenate([np.ravel(first), np.ravel(second)]))
-        return solved[: 2 * self._count].reshape(-1, 2), solved[2 * self._count :]
+        numbers = right.numpy()
+        solved = np.zeros_like(numbers)
+        solved[: self._lu.shape[0]] = self._lu.solve(numbers[: self._lu.shape[0]])
+        return wp.array(solved, dtype=wp.float64, device=right.device)
+
+
+def solve_parts(factor: SaddlePointFactor, first: Numbers, second: Numbers) -> tuple[Numbers, Numbers]:
+    """Solve on the host for coordinates, shape [V, 2], and multipliers, shape [N]."""
+    right = np.concatenate([first.ravel(), second])
+    solved = factor.solve(wp.array(right, dtype=wp.float64, device="cpu", copy=False)).numpy()
+    return solved[: first.size].reshape(first.shape), solved[first.size :]
 
 
 def _block_matrix(
@@ -251,35 +257,43 @@ def surface_factor(
 
 
 def surface_saddle_factor(surface: Surface, workspace: Workspace | None = None) -> SaddlePointFactor:
-    """Create the chosen factorisation of a surface's saddle-point matrices; ``workspace`` as of :func:`mesh_factor`."""
+    """Create the chosen factorisation with a multiplier for every vertex; ``workspace`` as of :func:`mesh_factor`."""
     if solves_with_scipy():
-        i, j = surface.edges.T
-        return SparseSaddleFactor(surface.vertex_count, surface.edges, np.r_[i, j], np.r_[j, i])
+        return vertex_saddle_factor(surface.vertex_count, surface.edges, lambda: surface_dissection(surface))
     order = surface.cached("saddle-point order", lambda: begin_saddle_order(surface).result())
     surface.let_go(BEGUN_ORDER)
-    return SaddleFactor(surface_dissection(surface), workspace, order, _surface_factor_maker())
+    return OrderedSaddleFactor(order, workspace)
 
 
-def _surface_factor_maker() -> SymmetricFactor:
-    """Return what makes factorisations of whole surfaces: cuDSS where it is asked for, and the built-in one."""
-    return CudssFactor if solves_with_cudss() else MultifrontalCholesky
-
-
-def begin_saddle_order(surface: Surface) -> Future[Dissection]:
+def begin_saddle_order(surface: Surface) -> Future[SaddleOrder]:
     """Begin to compute the order of a surface's saddle-point systems on another thread.
 
     It takes 0.04 seconds for 12,000 vertices, most of them beside parts of Moser's flow that run on one thread.
     """
 
-    def begin() -> Future[Dissection]:
+    def begin() -> Future[SaddleOrder]:
         order = surface_dissection(surface)
         return pool().submit(expand, order)
 
     return surface.cached(BEGUN_ORDER, begin)
 
 
-def saddle_factor(count: int, edges: NDArray[np.int32], dissection: Callable[[], Dissection]) -> SaddlePointFactor:
-    """Create the chosen factorisation of saddle-point matrices on the edges of any mesh.
+def coordinate_factor(surface: Surface, workspace: Workspace | None = None) -> SaddlePointFactor:
+    """Create the chosen factorisation without multipliers; ``workspace`` as of :func:`mesh_factor`."""
+    if solves_with_scipy():
+        none = np.empty(0, dtype=np.int64)
+        return SparseSaddleFactor(surface.vertex_count, surface.edges, none, none)
+
+    def order() -> SaddleOrder:
+        return expand(surface_dissection(surface), COORDINATES)
+
+    return OrderedSaddleFactor(surface.cached("order of coordinates", order), workspace)
+
+
+def vertex_saddle_factor(
+    count: int, edges: NDArray[np.int32], dissection: Callable[[], Dissection]
+) -> SaddlePointFactor:
+    """Create the chosen factorisation with a multiplier for every vertex of any mesh.
 
     Args:
         count, edges, dissection: as of :func:`mesh_factor`; edges are pairs (i, j).
@@ -287,18 +301,13 @@ def saddle_factor(count: int, edges: NDArray[np.int32], dissection: Callable[[],
     if solves_with_scipy():
         i, j = edges.T
         return SparseSaddleFactor(count, edges, np.r_[i, j], np.r_[j, i])
-    return SaddleFactor(dissection())
+    return OrderedSaddleFactor(expand(dissection()))
 
 
-def cell_saddle_factor(surface: Surface, cells: NDArray[np.int32]) -> SaddlePointFactor:
-    """Create the chosen factorisation with a multiplier for every cell, a group of vertices; shape [N, K]."""
-    return saddle_factor_of_cells(surface.scaled_vertices, surface.edges, cells)
-
-
-def saddle_factor_of_cells(
+def cell_saddle_factor(
     points: NDArray[np.float64], edges: NDArray[np.int32], cells: NDArray[np.int32]
 ) -> SaddlePointFactor:
-    """Create the chosen factorisation of saddle-point matrices on the edges and cells of any mesh.
+    """Create the chosen factorisation with a multiplier for every cell of any mesh.
 
     Args:
         points: positions of the vertices, shape [V, 3]; used only for which are near one another.
@@ -308,20 +317,21 @@ def saddle_factor_of_cells(
     if solves_with_scipy():
         multipliers = np.repeat(np.arange(len(cells)), cells.shape[1])
         return SparseSaddleFactor(len(points), edges, multipliers, cells.ravel())
-    return CellSaddleFactor(points, edges, cells, factor=_surface_factor_maker())
+    return OrderedSaddleFactor(expand_with_cells(points, edges, cells))
 
 
 __all__ = [
     "MeshFactor",
+    "OrderedSaddleFactor",
     "SaddlePointFactor",
     "SparseFactor",
     "SparseSaddleFactor",
-    "VertexFactor",
     "begin_saddle_order",
     "cell_saddle_factor",
+    "coordinate_factor",
     "mesh_factor",
-    "saddle_factor",
-    "saddle_factor_of_cells",
+    "solve_parts",
     "surface_factor",
     "surface_saddle_factor",
+    "vertex_saddle_factor",
 ]

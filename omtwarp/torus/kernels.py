@@ -215,10 +215,15 @@ def plane_transport_gradient(
     potential: wp.array[wp.float64],
     offsets: wp.array[wp.int32],
     corners: wp.array[wp.int32],
+    further: wp.array[wp.vec2d],
+    weight: wp.float64,
     # Data out:
     gradient: wp.array[wp.vec2d],
 ):
-    """Compute the gradient of Σ masses_v |y_v - x_v|² + Σ P_f area_f by the vertices, shape [V]."""
+    """Compute the gradient of Σ masses_v |y_v - x_v|² + Σ P_f area_f by the vertices, shape [V].
+
+    ``weight`` times a further gradient is added.
+    """
     v = wp.tid()
     total = TWO * masses[v] * (points[v] - start[v])
     for c in range(offsets[v], offsets[v + 1]):
@@ -226,7 +231,7 @@ def plane_transport_gradient(
         k = corners[c] - 3 * f
         after = corner_place(points, shift, faces, f, (k + 1) % 3)
         total += potential[f] * area_by_corner(after, corner_place(points, shift, faces, f, (k + 2) % 3))
-    gradient[v] = total
+    gradient[v] = total + weight * further[v]
 
 
 @wp.kernel
@@ -248,15 +253,13 @@ def plane_trouble(
     areas: wp.array[wp.float64],
     before: wp.array[wp.float64],
     # Data out:
-    trouble: wp.array[wp.int32],
-    count: wp.array[wp.int32],
+    trouble: wp.array[wp.float64],
 ):
-    """Mark with 1 where a step turns a triangle over or takes nearly all its area, shape [F], and count them."""
+    """Mark with 1 where a step turns a triangle over or takes nearly all its area, shape [F]."""
     f = wp.tid()
-    trouble[f] = wp.int32(0)
+    trouble[f] = ZERO
     if not keeps_volume(areas[f], before[f]):
-        trouble[f] = wp.int32(1)
-        wp.atomic_add(count, 0, wp.int32(1))  # of integers: the same in any order
+        trouble[f] = ONE
 
 
 @wp.kernel

@@ -8,12 +8,14 @@ Comptes Rendus 329, 1999).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.start import wp
+from omtwarp.device.sums import Reading
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.cells import Cells, RingCells
 from omtwarp.optimal.domain import ShapeTerms
@@ -64,13 +66,13 @@ class Plane:
         self.launch(kernels.plane_area_slopes, points, [], [slopes])
         return slopes
 
-    def coordinates(self, base: wp.array, vectors: Floats) -> Floats:
-        """Return the vectors: in the plane all frames are the axes."""
-        return vectors
+    def coordinates(self, points: wp.array, vectors: wp.array) -> wp.array:
+        """Return the vectors, float64, shape [V, 2]: in the plane all frames are the axes."""
+        return wp.array(vectors.numpy(), dtype=wp.float64, device=self.device, copy=False)
 
-    def vectors(self, points: wp.array, coordinates: Floats) -> Floats:
-        """Return the coordinates: in the plane all frames are the axes."""
-        return coordinates
+    def vectors(self, points: wp.array, coordinates: wp.array) -> wp.array:
+        """Return the coordinates as vec2d, shape [V]: in the plane all frames are the axes."""
+        return wp.array(coordinates.numpy().reshape(-1, 2), dtype=wp.vec2d, device=self.device, copy=False)
 
     def steps(self) -> FlipFreeSteps:
         """Return an object that moves maps along vectors without turning triangles over."""
@@ -90,12 +92,9 @@ class PlaneSteps(FlipFreeSteps):
         super().__init__(plane.surface, plane.device)
         self._plane = plane
 
-    def untangled(
-        self, points: wp.array, direction: wp.array, volume: wp.array, length: float, weight: float
-    ) -> tuple[wp.array, int] | None:
-        """Move points by the whole step; return None where it turns triangles over, as patches are for spheres."""
-        moved = self._moved(points, direction, None, length)
-        return (moved, 0) if self._marked(moved, volume) is None else None
+    def untangled(self, moved: wp.array, marks: wp.array, weight: float) -> tuple[wp.array, int] | None:
+        """Return None, as patches are for spheres."""
+        return None
 
     def _moved(self, points: wp.array, direction: wp.array, share: wp.array | None, length: float) -> wp.array:
         shares = wp.full(len(points), 1.0, dtype=wp.float64, device="cpu") if share is None else share
@@ -104,13 +103,11 @@ class PlaneSteps(FlipFreeSteps):
         wp.launch(kernels.move_in_plane, dim=len(points), inputs=inputs, outputs=[moved], device="cpu")
         return moved
 
-    def _marked(self, moved: wp.array, volume: wp.array) -> wp.array | None:
+    def _marks(self, moved: wp.array, volume: wp.array) -> wp.array:
         areas = self._plane.areas(moved)
-        trouble = wp.empty(len(areas), dtype=wp.int32, device="cpu")
-        count = wp.zeros(1, dtype=wp.int32, device="cpu")
-        inputs, outputs = [areas, volume], [trouble, count]
-        wp.launch(kernels.plane_trouble, dim=len(areas), inputs=inputs, outputs=outputs, device="cpu")
-        return trouble if int(count.numpy()[0]) else None
+        marks = wp.empty(len(areas), dtype=wp.float64, device="cpu")
+        wp.launch(kernels.plane_trouble, dim=len(areas), inputs=[areas, volume], outputs=[marks], device="cpu")
+        return marks
 
 
 class PlaneCost:
@@ -125,26 +122,28 @@ class PlaneCost:
         self._plane = plane
         self._start = _kept(start, wp.vec2d)
 
-    def values(self, points: wp.array) -> Floats:
+    def values(self, points: wp.array) -> wp.array:
         """Return |y_v - x_v|², shape [V]."""
-        return np.asarray(((points.numpy() - self._start.numpy()) ** 2).sum(axis=1))
+        return _kept(((points.numpy() - self._start.numpy()) ** 2).sum(axis=1), wp.float64)
 
-    def gradient(self, points: wp.array, masses: Floats, potential: Floats) -> Floats:
-        """Return the gradient of Σ masses_v cost_v + Σ potential_f area_f by the vertices, shape [V, 2]."""
-        gradient = wp.empty(len(points), dtype=wp.vec2d, device="cpu")
-        plane, weights = self._plane, [_kept(masses, wp.float64), _kept(potential, wp.float64)]
-        inputs = [self._start, points, plane.shift, plane.mesh.faces, *weights, *plane.mesh.vertex_corners]
+    def gradient(
+        self, points: wp.array, masses: wp.array, potential: wp.array, further: wp.array, weight: float
+    ) -> wp.array:
+        """Return the gradient of Σ masses_v cost_v + Σ potential_f area_f and a further one, vec2d, shape [V]."""
+        gradient, plane = wp.empty(len(points), dtype=wp.vec2d, device="cpu"), self._plane
+        mesh = [self._start, points, plane.shift, plane.mesh.faces, masses, potential, *plane.mesh.vertex_corners]
+        inputs = [*mesh, further, wp.float64(weight)]
         wp.launch(kernels.plane_transport_gradient, dim=len(points), inputs=inputs, outputs=[gradient], device="cpu")
-        return gradient.numpy()
+        return gradient
 
-    def hessian(self, points: wp.array, masses: Floats, least: float) -> Floats:
-        """Return the second derivative at the optimum, with raised eigenvalues, shape [V, 2, 2]."""
+    def hessian(self, points: wp.array, masses: wp.array, least: float) -> wp.array:
+        """Return the second derivative at the optimum, with raised eigenvalues, float64, shape [V, 4]."""
         metric = wp.empty((len(points), 4), dtype=wp.float64, device="cpu")
         mesh = self._plane.mesh
-        weights = [_kept(masses, wp.float64), *mesh.vertex_corners, wp.float64(least)]
+        weights = [masses, *mesh.vertex_corners, wp.float64(least)]
         inputs = [self._start, points, self._plane.shift, mesh.faces, *weights]
         wp.launch(kernels.plane_cost_metric, dim=len(points), inputs=inputs, outputs=[metric], device="cpu")
-        return metric.numpy().reshape(-1, 2, 2)
+        return metric
 
 
 @dataclass(frozen=True)
@@ -177,14 +176,14 @@ class PlaneShape:
         self._frames = _kept(triangle_frames(surface), wp.vec3d)
         self._weights = _kept(surface.face_areas / SPHERE_AREA, wp.float64)
 
-    def terms(self, points: wp.array) -> PlaneTerms:
-        """Return the distortion of a map."""
+    def begin(self, points: wp.array, reading: Reading) -> Callable[[Floats], PlaneTerms]:
+        """Begin to measure the distortion of a map."""
         areas, angle, area = (
             wp.empty(self._plane.surface.face_count, dtype=wp.float64, device="cpu") for _ in range(3)
         )
         self._plane.launch(kernels.plane_triangles, points, [self._frames], [areas, angle, area])
-        shares = self._weights.numpy()
-        return PlaneTerms(float(shares @ angle.numpy()), float(shares @ area.numpy()), areas)
+        mean_angle, mean_area = (reading.dot(self._weights, distortion) for distortion in (angle, area))
+        return lambda numbers: PlaneTerms(float(numbers[mean_angle]), float(numbers[mean_area]), areas)
 
     def gradient(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
         """Return the gradient by the vertices, vec2d, shape [V]."""

@@ -12,6 +12,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.device.start import wp
 from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.cells import TriangleCells
@@ -111,7 +112,7 @@ def exact_on_torus(
         shape_weight: weight of the distortion of the parts.
         progress: called as ``progress(done, most, record)``.
     """
-    start, cells = torus.coordinates @ torus.lattice, TriangleCells(quartered)
+    start, cells = torus.coordinates @ torus.lattice, TriangleCells(quartered, wp.get_device("cpu"))
     energy = energy_on_torus(quartered.surface, torus, start, shape_weight, cells=cells)
     return minimise_cells(energy, points, gain=CELL_GAIN, iterations=ITERATIONS, progress=_shown(progress))
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.arrays import empty, vectors
 from omtwarp.device.start import wp
+from omtwarp.device.sums import Reading
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.surface import Surface
 from omtwarp.solvers.triangle_newton.motion_kernels import LEAST_SHARE, hold_back, retract_to_sphere, triangle_trouble
@@ -40,6 +41,8 @@ class FlipFreeSteps:
 
     def __init__(self, surface: Surface, device: wp.Device, partial: bool = True):
         self._surface, self._device, self._partial = surface, device, partial
+        self._reading = Reading(device)
+        self._examined = surface.face_count  # the first triangles, which are looked at after a step
         mesh = surface.on(device)
         self._faces, self._rows = mesh.faces, mesh.vertex_corners
         # Of the budget of one repair, for all steps of a minimisation: a body with eight thin arms takes four fifths of
@@ -48,27 +51,39 @@ class FlipFreeSteps:
         self._successes, self._refused = 0, False
         self._useful = 0  # what of the budget was spent at the last success
 
-    def untangled(
-        self, points: wp.array, direction: wp.array, volume: wp.array, length: float, weight: float
-    ) -> tuple[wp.array, int] | None:
-        """Move points by the whole step, and untangle the patches around triangles that it flips.
-
-        Holding a few vertices back while those around them move would tangle them more.
+    def tried(
+        self, points: wp.array, direction: wp.array, volume: wp.array, length: float, reading: Reading
+    ) -> tuple[wp.array, wp.array, int]:
+        """Move points by the whole step, and begin to look for triangles that it flips or nearly flattens.
 
         Args:
             points: a map without flips, vec3d, shape [V].
             direction: tangent to the sphere, vec3d, shape [V].
             volume: det[s0, s1, s2] of the triangles of the map, shape [F].
             length: of the step.
+            reading: of numbers from the device.
+
+        Returns:
+            The map, marks of these triangles, float64, shape [F], and the place of the largest in what is read.
+        """
+        moved = self._moved(points, direction, None, length)
+        marks = self._marks(moved, volume)
+        return moved, marks, reading.largest(marks)
+
+    def untangled(self, moved: wp.array, marks: wp.array, weight: float) -> tuple[wp.array, int] | None:
+        """Untangle the patches around triangles that a step flips.
+
+        Holding a few vertices back while those around them move would tangle them more.
+
+        Args:
+            moved: the map after the step, vec3d, shape [V].
+            marks: of these triangles, as of :meth:`tried`.
             weight: λ of the energy that untangling minimises.
 
         Returns:
             The map and how many vertices were untangled; None where that fails.
         """
-        moved = self._moved(points, direction, None, length)
-        seeds = self._trouble(moved, volume)
-        if seeds is None:
-            return moved, 0
+        seeds = marks.numpy() > 0
         count, taken = 0, 0
         for schedule in REPAIRS:
             if not seeds.any():
@@ -118,9 +133,11 @@ class FlipFreeSteps:
     ) -> tuple[wp.array, wp.array] | None:
         """Move points by the largest shares of the step, halved corner by corner, that keep every triangle.
 
+        Args:
+            points, direction, volume, length: as of :meth:`tried`.
+
         Returns:
-            The map and the shares, float64, shape [V], on the device; None where no shares were found. Arguments as of
-            :meth:`untangled`.
+            The map and the shares, float64, shape [V], on the device; None where no shares were found.
         """
         holds = 30  # halvings of the shares of corners of triangles in trouble
         count, device = self._surface.vertex_count, self._device
@@ -143,7 +160,7 @@ class FlipFreeSteps:
         volume: wp.array,
         length: float,
         moved: wp.array,
-        trouble: NDArray[np.int32],
+        trouble: NDArray[np.float64],
         rounds: int,
     ) -> tuple[wp.array, wp.array] | None:
         """Go on holding back on the host, where only the surroundings of triangles in trouble are looked at again.
@@ -178,13 +195,10 @@ class FlipFreeSteps:
             first = np.cumsum(counts) - counts
             around = corners[np.arange(counts.sum()) + np.repeat(offsets[held] - first, counts)] // 3
             near = np.unique(around)
-            marks, nearby = (
-                empty(len(near), wp.int32, device),
-                wp.zeros(1, dtype=wp.int32, device=device),
-            )
+            marks = empty(len(near), wp.float64, device)
             triangles = wp.array(faces[near], dtype=wp.vec3i, device=device)
             inputs = [moved, triangles, wp.array(before[near], dtype=wp.float64, device=device)]
-            wp.launch(triangle_trouble, dim=len(near), inputs=inputs, outputs=[marks, nearby], device=device)
+            wp.launch(triangle_trouble, dim=len(near), inputs=inputs, outputs=[marks], device=device)
             bad = near[marks.numpy() > 0]
             if not len(bad):
                 return moved, wp.array(shares, dtype=wp.float64, device=device)
@@ -207,15 +221,15 @@ class FlipFreeSteps:
         wp.launch(retract_to_sphere, dim=count, inputs=inputs, outputs=[moved], device=self._device)
         return moved
 
-    def _trouble(self, moved: wp.array, volume: wp.array) -> NDArray[np.bool_] | None:
-        """Return a mask of the triangles that a step flips or nearly flattens, shape [F]; None where there are none."""
-        marks = self._marked(moved, volume)
-        return None if marks is None else marks.numpy() > 0
-
     def _marked(self, moved: wp.array, volume: wp.array) -> wp.array | None:
-        """Return the mask on the device, of integers."""
-        trouble = empty(self._surface.face_count, wp.int32, self._device)
-        count = wp.zeros(1, dtype=wp.int32, device=self._device)
-        inputs, outputs = [moved, self._faces, volume], [trouble, count]
-        wp.launch(triangle_trouble, dim=trouble.size, inputs=inputs, outputs=outputs, device=self._device)
-        return trouble if int(count.numpy()[0]) else None
+        """Return marks of the triangles that a step flips or nearly flattens; None where there are none."""
+        marks = self._marks(moved, volume)
+        place = self._reading.largest(marks)
+        return marks if self._reading.read()[place] > 0.0 else None
+
+    def _marks(self, moved: wp.array, volume: wp.array) -> wp.array:
+        """Return 1 for these triangles and 0 for others, float64, shape [F]."""
+        marks = wp.zeros(self._surface.face_count, dtype=wp.float64, device=self._device)
+        inputs = [moved, self._faces, volume]
+        wp.launch(triangle_trouble, dim=self._examined, inputs=inputs, outputs=[marks], device=self._device)
+        return marks

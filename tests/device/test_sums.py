@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from omtwarp.device.policy import shares_host_memory
 from omtwarp.device.start import wp
-from omtwarp.device.sums import MAX_PARTIAL_ROWS, DeviceSum, HostSum, RowSums
+from omtwarp.device.sums import MAX_PARTIAL_ROWS, DeviceSum, HostSum, Reading, RowSums
 
 LENGTHS = [1, 64, 65, 4096, 4097, 20_000, 300_000]
 
@@ -35,13 +36,26 @@ def test_sums_agree_between_devices(device):
 def test_sums_of_numbers_and_products(device, count):
     a, b = np.random.default_rng(count).normal(size=(2, count))
     one, other = (wp.array(v, dtype=wp.float64, device=device) for v in (a, b))
-    for adder in (DeviceSum(wp.get_device(device)), HostSum()):
-        out = wp.empty(2, dtype=wp.float64, device=device)
+    adders = [DeviceSum(wp.get_device(device))]
+    if shares_host_memory(wp.get_device(device)):
+        adders.append(HostSum())
+    for adder in adders:
+        out = wp.empty(3, dtype=wp.float64, device=device)
         adder.dot(one, other, out)
         adder.total(one, out[1:])
-        product, total = out.numpy()
+        adder.largest(one, out[2:])
+        product, total, largest = out.numpy()
         assert product == pytest.approx(a @ b, abs=1e-12 * np.abs(a * b).sum())
         assert total == pytest.approx(a.sum(), abs=1e-12 * np.abs(a).sum())
+        assert largest == np.abs(a).max()
+
+
+def test_a_reading_brings_all_numbers_at_once_and_begins_anew(device):
+    reading = Reading(wp.get_device(device))
+    a, b = (wp.array(v, dtype=wp.float64, device=device) for v in ([1.0, -2.0, 3.0], [2.0, 2.0, 2.0]))
+    for _ in range(2):
+        places = reading.dot(a, b), reading.largest(a), reading.place()[0], reading.dot(b, b)
+        assert reading.read()[list(places)].tolist() == [4.0, 3.0, 0.0, 12.0]
 
 
 def test_one_adder_for_arrays_of_any_length(device):

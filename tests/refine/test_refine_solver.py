@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mapping.pipeline import map_to_sphere
+from omtwarp.mesh.patches import Patches
 from omtwarp.mesh.shapes import blob, icosphere, limbs, noisy, tube
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.optimal.refinement import refine_map, refinement_weight
-from omtwarp.solvers.triangle_newton.newton import TriangleSums
+from omtwarp.solvers.triangle_newton.newton import PatchMatrix
 from omtwarp.start.hierarchical import hierarchical_embedding
 from omtwarp.untangling.untangle import untangle
 
@@ -179,7 +180,7 @@ def test_refuses_flipped_maps_and_unknown_weights():
 
 
 def test_newton_matrix_sums_blocks():
-    """The Newton matrix agrees with a dense sum of the same blocks."""
+    """The Newton matrix of a patch is the dense sum of the same blocks."""
     surface = icosphere(2)
     count = surface.vertex_count
     rng = np.random.default_rng(0)
@@ -189,12 +190,11 @@ def test_newton_matrix_sums_blocks():
     for face, block in zip(surface.faces, blocks, strict=True):
         index = (2 * face[:, None] + np.arange(2)).ravel()
         dense[np.ix_(index, index)] += block
-    sums = TriangleSums.of_surface(surface)
-    packed = np.ascontiguousarray(blocks[:, *np.triu_indices(6)])
-    diagonal, off_diagonal = sums.assemble(packed)
-    square = dense.reshape(count, 2, count, 2).transpose(0, 2, 1, 3)
-    assert np.allclose(diagonal, square[np.arange(count), np.arange(count)])
-    assert np.allclose(off_diagonal, square[surface.edges[:, 0], surface.edges[:, 1]])
+    patches = Patches.of_vertices(surface.faces, np.ones(count, dtype=bool))
+    assert np.array_equal(patches.vertices, np.arange(count)) and np.array_equal(patches.faces, surface.faces)
+    matrix, right = PatchMatrix(patches, surface, 0.0), rng.normal(size=(count, 2))
+    matrix.factorise(np.ascontiguousarray(blocks[:, *np.triu_indices(6)]))
+    assert np.allclose(matrix.solve(right).ravel(), np.linalg.solve(dense, right.ravel()))
 
 
 def ring_rms(surface, sphere):

@@ -11,7 +11,14 @@ from omtwarp.mesh.patches import Patches
 from omtwarp.mesh.shapes import blob
 from omtwarp.options import Solver
 from omtwarp.solvers.cholesky import NotPositiveDefinite
-from omtwarp.solvers.mesh_factor import SparseFactor, cell_saddle_factor, surface_factor, surface_saddle_factor
+from omtwarp.solvers.mesh_factor import (
+    SparseFactor,
+    cell_saddle_factor,
+    solve_parts,
+    surface_factor,
+    surface_saddle_factor,
+)
+from omtwarp.solvers.saddle_matrix import SaddleMatrix
 from omtwarp.solvers.triangle_newton.newton import PatchMatrix
 from omtwarp.transport.polish import polish_transport
 
@@ -66,8 +73,8 @@ def test_saddle_points_are_solved_alike():
     for solver in (Solver.SCIPY, Solver.CHOLESKY):
         with solving_with(solver):
             factor = surface_saddle_factor(SURFACE)
-            factor.factorise(diagonal, off, gradients, compliance)
-            answers.append(factor.solve(first, second))
+            factor.factorise(SaddleMatrix.of(diagonal, off, gradients, compliance))
+            answers.append(solve_parts(factor, first, second))
     for one, other in zip(*answers, strict=True):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-13)
 
@@ -81,9 +88,9 @@ def test_saddle_points_with_cells_are_solved_alike():
     answers = []
     for solver in (Solver.SCIPY, Solver.CHOLESKY):
         with solving_with(solver):
-            factor = cell_saddle_factor(SURFACE, SURFACE.faces)
-            factor.factorise(diagonal, off, gradients, compliance)
-            answers.append(factor.solve(first, second))
+            factor = cell_saddle_factor(SURFACE.scaled_vertices, SURFACE.edges, SURFACE.faces)
+            factor.factorise(SaddleMatrix.of(diagonal, off, gradients, compliance))
+            answers.append(solve_parts(factor, first, second))
     for one, other in zip(*answers, strict=True):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-13)
 
@@ -133,7 +140,7 @@ def test_a_map_to_the_torus_is_the_same_to_round_off(solver):
 
 def test_scipy_carries_a_whole_map_alone(monkeypatch):
     """A whole map with ``--solver scipy`` creates no built-in solver."""
-    for name in ("MultifrontalCholesky", "SaddleFactor"):
+    for name in ("MultifrontalCholesky", "OrderedSaddleFactor"):
         made = f"omtwarp.solvers.mesh_factor.{name}"
         monkeypatch.setattr(made, lambda *_, **__: pytest.fail("a built-in solver was made"))
     mesh = SURFACE.vertices, SURFACE.faces

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
 from scipy import ndimage
 from texture_truths import jumps_across_edges
 
@@ -310,7 +309,7 @@ def test_intrinsic_delaunay_weights_of_a_twisted_grid():
 
 
 def test_a_warning_names_the_line_that_asked_for_the_map():
-    ring = trimesh.creation.torus(1.0, 0.4, major_sections=12, minor_sections=6)
+    ring = omtwarp.shapes.rings(1, cell=0.4)
     with pytest.warns(omtwarp.OmtwarpWarning, match="no map with the area distortion") as caught:
         omtwarp.map_surface(ring, domain="torus", refine="match:5")
     assert [warning.filename for warning in caught] == [__file__]

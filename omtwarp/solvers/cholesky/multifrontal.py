@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Hashable
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -228,6 +227,19 @@ class MultifrontalCholesky:
         if failed >= 0:
             raise NotPositiveDefinite(f"pivot of front {failed} of {len(self._own)} is not positive")
 
+    def factorise_entries(self, entries: wp.array) -> None:
+        """Factorise a matrix with one unknown per vertex whose diagonal and couplings are in one array, on any device.
+
+        Raises:
+            NotPositiveDefinite: it is not, to round-off.
+        """
+        numbers, count = entries.numpy(), self.dissection.vertex_count
+        self.factorise(numbers[:count], numbers[count:])
+
+    def solve_entries(self, right: wp.array) -> wp.array:
+        """Solve for a right-hand side, shape [V], with one unknown per vertex, on its device."""
+        return wp.array(self.solve(right.numpy()), dtype=wp.float64, device=right.device, copy=False)
+
     def _share(self, front: int, data: list[wp.array], workspace: NDArray[np.float64]) -> int:
         """Eliminate one front on all threads and keep its columns; return the front if that fails, or -1."""
         assembled = wp.array(np.array([front], dtype=np.int32), dtype=wp.int32, device="cpu")
@@ -276,25 +288,6 @@ class MultifrontalCholesky:
         out = np.empty_like(flat)
         out[d.order] = self._x.transpose(1, 2, 0)
         return out.reshape(np.shape(right))
-
-
-class QuasiDefiniteFactor(Protocol):
-    """A factorisation of symmetric matrices with known signs of their pivots, made again for every matrix."""
-
-    def factorise(self, diagonal: NDArray[np.float64], off_diagonal: NDArray[np.float64]) -> None:
-        """Factorise the matrix with these blocks of vertices and edges; see :class:`MultifrontalCholesky`."""
-
-    def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Solve for right-hand sides."""
-
-
-class SymmetricFactor(Protocol):
-    """What makes such a factorisation: :class:`MultifrontalCholesky`, or :class:`omtwarp.solvers.cudss.CudssFactor`."""
-
-    def __call__(
-        self, dissection: Dissection, *, workspace: Workspace | None, negative: NDArray[np.int32] | None
-    ) -> QuasiDefiniteFactor:
-        """Make it for an order of elimination."""
 
 
 class _Launches:

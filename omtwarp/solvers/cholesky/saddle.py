@@ -1,8 +1,9 @@
-"""Factorise saddle-point matrices [A, Bᵀ; B, -C] on a mesh: two coordinates and one multiplier for every vertex.
+"""Order of elimination of saddle-point matrices [A, Bᵀ; B, -C] on a mesh.
 
 With A and C positive definite the matrix is quasi-definite: it has a factorisation L S Lᵀ, S diagonal with entries 1
 and -1, in every symmetric order of elimination, without pivoting [1]. The order is the mesh's nested dissection; inside
-a front the coordinates come before the multipliers, whose pivots then are Schur complements.
+a front the coordinates come before the multipliers, whose pivots then are Schur complements. Unknowns and couplings are
+numbered as :class:`omtwarp.solvers.saddle_matrix.SaddleMatrix` has them.
 
 References:
     [1] R. J. Vanderbei, "Symmetric quasi-definite matrices", SIAM Journal on Optimization 5(1), 1995.
@@ -13,96 +14,118 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.device.memory import Workspace
-from omtwarp.solvers.cholesky.dissection import Dissection, edge_blocks, of_unknowns
-from omtwarp.solvers.cholesky.multifrontal import MultifrontalCholesky, SymmetricFactor
+from omtwarp.solvers.cholesky.dissection import Dissection, dissect, edge_blocks, of_unknowns
+from omtwarp.solvers.saddle_matrix import COORDINATES
 
-UNKNOWNS = 3  # of a vertex: two coordinates, one multiplier
+UNKNOWNS = 3  # of a vertex that has a multiplier of its own
 
 
-class SaddleFactor:
-    """Factorises saddle-point matrices of one mesh; order and storage are kept from one matrix to the next.
+def expand(d: Dissection, each: int = UNKNOWNS) -> tuple[Dissection, NDArray[np.int32]]:
+    """Return the order of elimination of the unknowns of vertices.
 
     Args:
-        dissection: the order of elimination of the mesh's V vertices; E edges.
-        workspace: see :class:`MultifrontalCholesky`.
-        expanded: the order of the unknowns, where it is known: :func:`expand` of the dissection.
-        factor: makes the factorisation of the matrices of all unknowns.
+        d: of the vertices.
+        each: unknowns of a vertex, 3 with a multiplier for each or 2 without.
+
+    Returns:
+        The dissection of the unknowns, and how many of those that a front eliminates are multipliers, shape [fronts].
     """
-
-    def __init__(
-        self,
-        dissection: Dissection,
-        workspace: Workspace | None = None,
-        expanded: Dissection | None = None,
-        factor: SymmetricFactor = MultifrontalCholesky,
-    ):
-        self._count = dissection.vertex_count
-        expanded = expand(dissection) if expanded is None else expanded
-        negative = (expanded.owned // UNKNOWNS).astype(np.int32)
-        self._factor = factor(expanded, workspace=workspace, negative=negative)
-        edges = len(dissection.edges)
-        self._diagonal = np.empty((self._count, UNKNOWNS))
-        self._couplings = np.empty(8 * edges + self._count)
-        self._blocks = self._couplings[: 4 * edges].reshape(edges, 2, 2)
-        self._gradients = self._couplings[4 * edges : 8 * edges].reshape(2, edges, 2)
-        self._inner = self._couplings[8 * edges :]
-
-    def factorise(
-        self,
-        diagonal: NDArray[np.float64],
-        off_diagonal: NDArray[np.float64],
-        gradients: NDArray[np.float64],
-        compliance: NDArray[np.float64],
-    ) -> None:
-        """Factorise one matrix.
-
-        Args:
-            diagonal: A's blocks of the vertices, shape [V, 2, 2].
-            off_diagonal: A's blocks of the edges (i, j), rows of i, columns of j, shape [E, 2, 2].
-            gradients: B's entries of the edges: row i by the coordinates of j, then row j by those of i,
-                shape [2, E, 2]. B has none on its diagonal.
-            compliance: C's diagonal, positive, shape [V].
-
-        Raises:
-            NotPositiveDefinite: A is not positive definite, to round-off.
-        """
-        self._diagonal[:, 0], self._diagonal[:, 1] = diagonal[:, 0, 0], diagonal[:, 1, 1]
-        np.negative(compliance, out=self._diagonal[:, 2])
-        self._inner[:] = diagonal[:, 0, 1]
-        self._blocks[:] = off_diagonal
-        self._gradients[:] = gradients
-        self._factor.factorise(self._diagonal.ravel(), self._couplings)
-
-    def solve(
-        self, first: NDArray[np.float64], second: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Solve [A, Bᵀ; B, -C] [u; q] = [first; second]: coordinates u, shape [V, 2], and multipliers q, shape [V]."""
-        right = np.concatenate([first.reshape(-1, 2), second.reshape(-1, 1)], axis=1)
-        solved = self._factor.solve(right.ravel()).reshape(-1, UNKNOWNS)
-        return np.ascontiguousarray(solved[:, :2]), np.ascontiguousarray(solved[:, 2])
-
-
-def expand(d: Dissection) -> Dissection:
-    """Return the order of elimination of three unknowns for every vertex, as a dissection of unknowns.
-
-    Unknown 3v + c is coordinate c of vertex v, or its multiplier where c is 2. Couplings are numbered as
-    :class:`SaddleFactor` has them: four for each edge's block, two for each of its two gradients, and one for each
-    vertex between its coordinates.
-    """
-    count, total = d.vertex_count, UNKNOWNS * d.vertex_count
-    fronts = len(d.owned)
+    count, total = d.vertex_count, each * d.vertex_count
+    fronts, multipliers = len(d.owned), each - COORDINATES
     front_of = np.repeat(np.arange(fronts), d.owned)  # of every place of a vertex
-    begin, inside = UNKNOWNS * d.first[front_of], np.arange(count) - d.first[front_of]
-    # Places of a vertex's three unknowns, by its own place.
-    places = np.stack([begin + 2 * inside, begin + 2 * inside + 1, begin + 2 * d.owned[front_of] + inside], axis=1)
+    begin, inside = each * d.first[front_of], np.arange(count) - d.first[front_of]
+    own: NDArray[np.int64] = np.arange(count, dtype=np.int64)
+    # Places of a vertex's unknowns, by its own place, and the unknowns.
+    places = [begin + 2 * inside, begin + 2 * inside + 1, begin + 2 * d.owned[front_of] + inside][:each]
+    unknowns = [2 * d.order, 2 * d.order + 1, 2 * count + d.order][:each]
+    of_vertices = np.stack(places, axis=1)
     order = np.empty(total, dtype=np.int64)
-    order[places] = UNKNOWNS * d.order[:, None] + np.arange(UNKNOWNS)
-    of_row = np.repeat(np.arange(fronts), UNKNOWNS * np.diff(d.starts))
-    i, j = (UNKNOWNS * d.edges[:, k].astype(np.int64) for k in range(2))
-    gradients = [np.stack([np.stack([p + 2, q + b], axis=1) for b in range(2)], axis=1) for p, q in ((i, j), (j, i))]
-    vertices = UNKNOWNS * np.arange(count, dtype=np.int64)
-    inner = np.stack([vertices, vertices + 1], axis=1)
-    couplings = [edge_blocks(d.edges, UNKNOWNS), *(part.reshape(-1, 2) for part in gradients), inner]
-    row_keys = of_row * total + places[d.rows].ravel()
-    return of_unknowns(d, order, UNKNOWNS * d.first, UNKNOWNS * d.owned, row_keys, np.concatenate(couplings))
+    order[of_vertices] = np.stack(unknowns, axis=1)
+    of_row = np.repeat(np.arange(fronts), each * np.diff(d.starts))
+    i, j = (d.edges[:, k].astype(np.int64) for k in range(2))
+    ends = [(i, j), (j, i)][: 2 * multipliers]
+    slopes = [np.stack([np.stack([2 * count + p, 2 * q + b], axis=1) for b in range(2)], axis=1) for p, q in ends]
+    inner = np.stack([2 * own, 2 * own + 1], axis=1)
+    couplings = [edge_blocks(d.edges, COORDINATES), *(part.reshape(-1, 2) for part in slopes), inner]
+    row_keys = of_row * total + of_vertices[d.rows].ravel()
+    expanded = of_unknowns(d, order, each * d.first, each * d.owned, row_keys, np.concatenate(couplings))
+    return expanded, (multipliers * d.owned).astype(np.int32)
+
+
+def expand_with_cells(
+    points: NDArray[np.float64], edges: NDArray[np.int32], cells: NDArray[np.int32]
+) -> tuple[Dissection, NDArray[np.int32]]:
+    """Return the order of elimination of the coordinates of vertices and of one multiplier for every cell.
+
+    Vertices and cells are dissected together, as the nodes of one graph, a cell coupled with the vertices of its own.
+
+    Args:
+        points: positions of the vertices, by which they are ordered, shape [V, 3].
+        edges: of the mesh, shape [E, 2].
+        cells: the vertices of every cell, shape [N, K].
+
+    Returns:
+        As :func:`expand`.
+    """
+    numbers = len(points) + np.repeat(np.arange(len(cells)), cells.shape[1])
+    joints = np.stack([cells.ravel(), numbers], axis=1)
+    places = np.concatenate([points, points[cells].mean(axis=1)])
+    nodes = dissect(places, np.concatenate([edges, joints]).astype(np.int32))
+    return _expand_nodes(nodes, len(points), edges, joints)
+
+
+def _expand_nodes(
+    d: Dissection, vertices: int, edges: NDArray[np.int32], joints: NDArray[np.int64]
+) -> tuple[Dissection, NDArray[np.int32]]:
+    """Order the unknowns of vertices and cells as their nodes are ordered.
+
+    Args:
+        d: of the nodes, the first ``vertices`` of which are vertices and the others cells.
+        vertices: V.
+        edges: of the mesh, shape [E, 2].
+        joints: vertex and cell, as nodes, of every coupling between them, shape [J, 2].
+
+    Returns:
+        The dissection of the unknowns, and how many of those that a front eliminates are multipliers, shape [fronts].
+        Inside a front the coordinates come first.
+    """
+    nodes, fronts = d.vertex_count, len(d.owned)
+    total = COORDINATES * vertices + (nodes - vertices)
+    front_of = np.repeat(np.arange(fronts), d.owned)  # of every place of a node
+    is_cell = d.order >= vertices
+    own_cells = np.bincount(front_of[is_cell], minlength=fronts)
+    owned = COORDINATES * (d.owned - own_cells) + own_cells
+    first = np.cumsum(owned) - owned
+    # Rank of a node among those of its kind in its front.
+    cells_before: NDArray[np.int64] = np.cumsum(is_cell) - is_cell
+    cell_rank: NDArray[np.int64] = cells_before - cells_before[d.first[front_of]]
+    vertex_rank = np.arange(nodes) - d.first[front_of] - cell_rank
+    begin = first[front_of]
+    place = np.where(
+        is_cell,
+        begin + COORDINATES * (d.owned - own_cells)[front_of] + cell_rank,
+        begin + COORDINATES * vertex_rank,
+    )  # of the first unknown of the node in every place
+    unknown = np.where(is_cell, vertices + d.order, COORDINATES * d.order)  # 2 V + c = V + node
+    count = np.where(is_cell, 1, COORDINATES)
+
+    order = np.empty(total, dtype=np.int64)
+    order[place] = unknown
+    order[place[~is_cell] + 1] = unknown[~is_cell] + 1
+
+    of_node_row = np.repeat(np.arange(fronts), np.diff(d.starts))
+    copies = count[d.rows]
+    of_row = np.repeat(of_node_row, copies)
+    within = np.arange(len(of_row)) - np.repeat(np.cumsum(copies) - copies, copies)
+    row_keys = of_row * total + np.repeat(place[d.rows], copies) + within
+
+    v, c = COORDINATES * joints[:, 0].astype(np.int64), vertices + joints[:, 1].astype(np.int64)
+    gradients = np.stack([np.stack([c, v + b], axis=1) for b in range(2)], axis=1)
+    own = COORDINATES * np.arange(vertices, dtype=np.int64)
+    inner = np.stack([own, own + 1], axis=1)
+    couplings = np.concatenate([edge_blocks(edges, COORDINATES), gradients.reshape(-1, 2), inner])
+    expanded = of_unknowns(d, order, first, owned, row_keys, couplings)
+    return expanded, own_cells.astype(np.int32)
+
+
+__all__ = ["UNKNOWNS", "expand", "expand_with_cells"]

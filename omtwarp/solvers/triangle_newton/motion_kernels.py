@@ -1,6 +1,6 @@
 """Kernels that move a map along tangent vectors, and find the triangles that a step flips or nearly flattens."""
 
-from omtwarp.device.start import HALF, KERNEL_OPTIONS, wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
 from omtwarp.geometry.spherical import oriented_volume
 from omtwarp.solvers.triangle_newton.triangle import first_tangent
 
@@ -44,35 +44,33 @@ def triangle_trouble(
     faces: wp.array[wp.vec3i],
     volume: wp.array[wp.float64],
     # Data out:
-    trouble: wp.array[wp.int32],
-    count: wp.array[wp.int32],
+    trouble: wp.array[wp.float64],
 ):
-    """Mark with 1 where a step flips a triangle or takes nearly all its volume, shape [F], and how many there are."""
+    """Mark with 1 where a step flips a triangle or takes nearly all its volume, shape [F]."""
     t = wp.tid()
     face = faces[t]
     after = oriented_volume(moved[face[0]], moved[face[1]], moved[face[2]])
     if keeps_volume(after, volume[t]):
-        trouble[t] = wp.int32(0)
+        trouble[t] = ZERO
     else:
-        trouble[t] = wp.int32(1)
-        wp.atomic_add(count, 0, wp.int32(1))  # of integers: the same in any order
+        trouble[t] = ONE
 
 
 @wp.kernel
 def hold_back(
     offsets: wp.array[wp.int32],
     corners: wp.array[wp.int32],
-    trouble: wp.array[wp.int32],
+    trouble: wp.array[wp.float64],
     share: wp.array[wp.float64],
     # Data out:
     held: wp.array[wp.float64],
 ):
     """Halve the share of every vertex of a triangle in trouble; small shares become zero."""
     i = wp.tid()
-    any_trouble = int(0)
+    any_trouble = wp.float64(0.0)
     for k in range(offsets[i], offsets[i + 1]):
         any_trouble = wp.max(any_trouble, trouble[corners[k] // 3])
-    if any_trouble > 0:
+    if any_trouble > ZERO:
         held[i] = HALF * share[i]
         if held[i] < LEAST_SHARE:
             held[i] = wp.float64(0.0)

@@ -1,4 +1,4 @@
-"""Newton matrices gathered from triangles; those of patches are factorised in an order that is kept."""
+"""Newton matrices of patches, gathered from triangles and factorised in an order that is kept."""
 
 from __future__ import annotations
 
@@ -17,45 +17,6 @@ from omtwarp.solvers.triangle_newton.newton_kernels import gather_edge_blocks, g
 
 # Where rounding still leaves a pivot that is not positive, the diagonal grows by these parts of itself.
 DIAGONAL_SHIFTS = (0.0, 1e-12, 1e-9, 1e-6, 1e-3)
-
-
-class TriangleSums:
-    """Sums blocks of triangles to those of a matrix with two tangent coordinates per vertex, in memory that is kept.
-
-    Args:
-        faces: triangles by the unknown vertices at their corners, vec3i, shape [F]; -1 for a corner that stays where it
-            is. This and what follows is on the host.
-        edges: every edge between unknown vertices once, vec2i, shape [E].
-        edge_corners: the two corners opposite to every edge, vec2i, shape [E].
-        vertex_corners: corners around every unknown vertex as compressed rows, int32.
-    """
-
-    def __init__(self, faces: wp.array, edges: wp.array, edge_corners: wp.array, vertex_corners: list[wp.array]):
-        self._rows, self._sides = vertex_corners, [edges, faces, edge_corners]
-        self._diagonal = wp.empty((len(vertex_corners[0]) - 1, 4), dtype=wp.float64, device="cpu")
-        self._off_diagonal = wp.empty((len(edges), 4), dtype=wp.float64, device="cpu")
-
-    @classmethod
-    def of_surface(cls, surface: Surface) -> TriangleSums:
-        """Return the sums over all vertices of a surface."""
-        mesh = surface.on("cpu")
-        return cls(mesh.faces, mesh.edges, mesh.edge_corners, mesh.vertex_corners)
-
-    def assemble(self, blocks: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Sum blocks of triangles, [F, 21], to the matrix as blocks of vertices, [V, 2, 2], and of edges, [E, 2, 2]."""
-        source = wp.array(np.ascontiguousarray(blocks), dtype=wp.float64, device="cpu", copy=False)
-        (offsets, corners), (edges, faces, edge_corners) = self._rows, self._sides
-
-        def of_vertices(part: slice) -> Arguments:
-            rows = cut(offsets, slice(part.start, part.stop + 1))
-            return [rows, corners, source], [cut(self._diagonal, part)]
-
-        def of_edges(part: slice) -> Arguments:
-            return [cut(edges, part), faces, cut(edge_corners, part), source], [cut(self._off_diagonal, part)]
-
-        launch_parts(gather_vertex_blocks, self._diagonal.shape[0], of_vertices, "cpu")
-        launch_parts(gather_edge_blocks, self._off_diagonal.shape[0], of_edges, "cpu")
-        return self._diagonal.numpy().reshape(-1, 2, 2), self._off_diagonal.numpy().reshape(-1, 2, 2)
 
 
 class PatchMatrix:
@@ -84,12 +45,13 @@ class PatchMatrix:
         def shared(values: NDArray[np.int32], dtype: type) -> wp.array:
             return wp.array(values, dtype=dtype, device="cpu", copy=False)
 
-        sides = shared(own, wp.vec3i), shared(edges, wp.vec2i), shared(edge_corners, wp.vec2i)
-        rows = [shared(offsets, wp.int32), shared(corners, wp.int32)]
+        self._sides = [shared(edges, wp.vec2i), shared(own, wp.vec3i), shared(edge_corners, wp.vec2i)]
+        self._rows = [shared(offsets, wp.int32), shared(corners, wp.int32)]
+        self._blocks = [wp.empty((n, 4), dtype=wp.float64, device="cpu") for n in (count, len(edges))]
         factor = mesh_factor(
             count, edges, lambda: part_dissection(surface, patches.vertices[:count], edges), 2, Workspace()
         )
-        self._growth, self._factor, self._sums = growth, factor, TriangleSums(*sides, rows)
+        self._growth, self._factor = growth, factor
 
     def factorise(self, blocks: NDArray[np.float64]) -> None:
         """Factorise the matrix of the given blocks of triangles, with a diagonal that grows until it is definite.
@@ -99,7 +61,7 @@ class PatchMatrix:
         Raises:
             OmtwarpError: the blocks are not finite, or far from semidefinite.
         """
-        diagonal, off_diagonal = self._sums.assemble(blocks)
+        diagonal, off_diagonal = self._assembled(blocks)
         own = diagonal[:, [0, 1], [0, 1]]
         of_vertices = own.mean(axis=1, keepdims=True)
         for part in DIAGONAL_SHIFTS:
@@ -111,6 +73,24 @@ class PatchMatrix:
             except NotPositiveDefinite:
                 continue
         raise OmtwarpError("the distortion of the map is not finite")
+
+    def _assembled(self, blocks: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Sum blocks of triangles, [F, 21], to those of vertices, [V, 2, 2], and of edges, [E, 2, 2]."""
+        source = wp.array(np.ascontiguousarray(blocks), dtype=wp.float64, device="cpu", copy=False)
+        of_vertices, of_edges = self._blocks
+        (offsets, corners), (edges, faces, edge_corners) = self._rows, self._sides
+
+        def at_vertices(part: slice) -> Arguments:
+            rows = cut(offsets, slice(part.start, part.stop + 1))
+            return [rows, corners, source], [cut(of_vertices, part)]
+
+        def at_edges(part: slice) -> Arguments:
+            inputs = [cut(edges, part), faces, cut(edge_corners, part), source, wp.float64(1.0)]
+            return inputs, [cut(of_edges, part)]
+
+        launch_parts(gather_vertex_blocks, len(of_vertices), at_vertices, "cpu")
+        launch_parts(gather_edge_blocks, len(of_edges), at_edges, "cpu")
+        return of_vertices.numpy().reshape(-1, 2, 2), of_edges.numpy().reshape(-1, 2, 2)
 
     def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
         """Solve for tangent coordinates, shape [V, 2]."""

@@ -81,11 +81,12 @@ def gather_edge_blocks(
     faces: wp.array[wp.vec3i],
     corners: wp.array[wp.vec2i],
     blocks: wp.array2d[wp.float64],
+    weight: wp.float64,
     # Data out:
     off_diagonal: wp.array2d[wp.float64],
 ):
-    """Compute the block of every edge, rows of its first end."""
+    """Compute the block of every edge, rows of its first end, times a weight."""
     e = wp.tid()
-    block = edge_block(edges[e][0], corners[e], faces, blocks)
+    block = weight * edge_block(edges[e][0], corners[e], faces, blocks)
     for q in range(4):
         off_diagonal[e, q] = block[q]

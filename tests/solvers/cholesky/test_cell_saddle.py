@@ -8,7 +8,9 @@ from scipy.sparse.linalg import spsolve
 from omtwarp.mesh.quarter import quarter
 from omtwarp.mesh.shapes import icosphere, random_sphere
 from omtwarp.solvers.cholesky import NotPositiveDefinite
-from omtwarp.solvers.cholesky.cell_saddle import CellSaddleFactor
+from omtwarp.solvers.cholesky.saddle import expand_with_cells
+from omtwarp.solvers.mesh_factor import OrderedSaddleFactor, solve_parts
+from omtwarp.solvers.saddle_matrix import SaddleMatrix
 
 
 def random_saddle(count, edges, cells, seed):
@@ -43,12 +45,12 @@ def test_solution_is_scipys(surface):
     cut = quarter(surface)
     cells = np.concatenate([surface.faces, cut.middles], axis=1)
     parts, matrix = random_saddle(cut.surface.vertex_count, cut.surface.edges, cells, 1)
-    factor = CellSaddleFactor(cut.surface.scaled_vertices, cut.surface.edges, cells)
+    factor = OrderedSaddleFactor(expand_with_cells(cut.surface.scaled_vertices, cut.surface.edges, cells))
     rng = np.random.default_rng(9)
     first, second = rng.normal(size=(cut.surface.vertex_count, 2)), rng.normal(size=len(cells))
     for _ in range(2):  # storage is used again
-        factor.factorise(*parts)
-        u, q = factor.solve(first, second)
+        factor.factorise(SaddleMatrix.of(*parts))
+        u, q = solve_parts(factor, first, second)
     expected = spsolve(matrix, np.concatenate([first.ravel(), second]))
     found = np.concatenate([u.ravel(), q])
     assert np.abs(found - expected).max() < 1e-10 * np.abs(expected).max()
@@ -59,6 +61,6 @@ def test_indefinite_coordinates_are_refused():
     cut = quarter(surface)
     cells = np.concatenate([surface.faces, cut.middles], axis=1)
     (diagonal, *rest), _ = random_saddle(cut.surface.vertex_count, cut.surface.edges, cells, 1)
-    factor = CellSaddleFactor(cut.surface.scaled_vertices, cut.surface.edges, cells)
+    factor = OrderedSaddleFactor(expand_with_cells(cut.surface.scaled_vertices, cut.surface.edges, cells))
     with pytest.raises(NotPositiveDefinite):
-        factor.factorise(-diagonal, *rest)
+        factor.factorise(SaddleMatrix.of(-diagonal, *rest))

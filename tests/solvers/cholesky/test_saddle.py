@@ -6,9 +6,12 @@ import scipy.sparse as sparse
 from scipy.sparse.linalg import spsolve
 
 from omtwarp.mesh.shapes import icosphere
-from omtwarp.solvers.cholesky import NotPositiveDefinite, SaddleFactor
+from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.solvers.cholesky.dissection import surface_dissection
 from omtwarp.solvers.cholesky.lapack import eliminate_together
+from omtwarp.solvers.cholesky.saddle import expand
+from omtwarp.solvers.mesh_factor import OrderedSaddleFactor, solve_parts
+from omtwarp.solvers.saddle_matrix import SaddleMatrix
 
 
 def _random_saddle(surface, seed):
@@ -45,12 +48,12 @@ def _random_saddle(surface, seed):
 def test_solution_is_scipys(level):
     surface = icosphere(level)
     parts, matrix = _random_saddle(surface, level)
-    factor = SaddleFactor(surface_dissection(surface))
+    factor = OrderedSaddleFactor(expand(surface_dissection(surface)))
     rng = np.random.default_rng(9)
     first, second = rng.normal(size=(surface.vertex_count, 2)), rng.normal(size=surface.vertex_count)
     for _ in range(2):  # storage is used again
-        factor.factorise(*parts)
-        u, q = factor.solve(first, second)
+        factor.factorise(SaddleMatrix.of(*parts))
+        u, q = solve_parts(factor, first, second)
     expected = spsolve(matrix, np.concatenate([first.ravel(), second]))
     found = np.concatenate([u.ravel(), q])
     assert np.abs(found - expected).max() < 1e-10 * np.abs(expected).max()
@@ -59,8 +62,9 @@ def test_solution_is_scipys(level):
 def test_indefinite_coordinates_are_refused():
     surface = icosphere(2)
     (diagonal, off, gradients, compliance), _ = _random_saddle(surface, 0)
+    factor = OrderedSaddleFactor(expand(surface_dissection(surface)))
     with pytest.raises(NotPositiveDefinite):
-        SaddleFactor(surface_dissection(surface)).factorise(-diagonal, off, gradients, compliance)
+        factor.factorise(SaddleMatrix.of(-diagonal, off, gradients, compliance))
 
 
 @pytest.mark.parametrize(("own", "negative", "size"), [(500, 170, 900), (300, 300, 310), (410, 0, 700)])
