@@ -1,14 +1,12 @@
 """Kernels of the Lagrangian transport flow: its cost, its force and the motion along a stream function."""
 
-from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
-from omtwarp.geometry.spherical import logarithm, triple_product
-from omtwarp.location import spherical_coordinates
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, wp
+from omtwarp.geometry.spherical import logarithm
 from omtwarp.transport.cost import area_error, centre
 from omtwarp.transport.descent_kernels import FlowState
+from omtwarp.wavelets.kernels import triangle_near
 
 wp.set_module_options(KERNEL_OPTIONS)
-
-SIXTH = wp.constant(wp.float64(1.0 / 6.0))
 
 
 @wp.kernel
@@ -74,65 +72,6 @@ def cost_and_force(
         turned[f] = wp.cross(-TWO * mass * pull, y)
 
 
-@wp.func
-def find_triangle(
-    p: wp.vec3d,
-    nodes: wp.array[wp.vec3d],
-    faces: wp.array2d[wp.int32],
-    level_starts: wp.array[wp.int32],
-):
-    """Return the triangle of the finest level that holds p, as a row of ``faces``.
-
-    It is found by descent through the hierarchy; child 3 of a triangle is the middle one, whose corners are the
-    midpoints that separate it from the other three.
-    """
-    face = int(0)
-    best = -LARGE
-    for f in range(level_starts[1]):
-        w = spherical_coordinates(nodes[faces[f, 0]], nodes[faces[f, 1]], nodes[faces[f, 2]], p)
-        inside = wp.min(w[0], wp.min(w[1], w[2]))
-        if inside > best:
-            best = inside
-            face = int(f)
-        if best > ZERO:
-            break
-    for level in range(level_starts.shape[0] - 2):
-        middle = level_starts[level + 1] + 4 * face + 3
-        ab, bc, ca = nodes[faces[middle, 0]], nodes[faces[middle, 1]], nodes[faces[middle, 2]]
-        child = int(3)
-        if triple_product(ab, ca, p) > ZERO:
-            child = int(0)
-        elif triple_product(bc, ab, p) > ZERO:
-            child = int(1)
-        elif triple_product(ca, bc, p) > ZERO:
-            child = int(2)
-        face = 4 * face + child
-    return level_starts[level_starts.shape[0] - 2] + face
-
-
-@wp.func
-def triangle_near(
-    p: wp.vec3d,
-    hint: int,
-    nodes: wp.array[wp.vec3d],
-    faces: wp.array2d[wp.int32],
-    level_starts: wp.array[wp.int32],
-):
-    """Return the triangle of the finest level that a point lies in, and unnormalised barycentric coordinates there.
-
-    The triangle ``hint`` is tried first, unless it is -1.
-    """
-    g = int(hint)
-    w = wp.vec3d()
-    if g >= 0:
-        w = spherical_coordinates(nodes[faces[g, 0]], nodes[faces[g, 1]], nodes[faces[g, 2]], p)
-    if g < 0 or wp.min(w) <= ZERO:
-        g = find_triangle(p, nodes, faces, level_starts)
-        w = spherical_coordinates(nodes[faces[g, 0]], nodes[faces[g, 1]], nodes[faces[g, 2]], p)
-        w = wp.vec3d(wp.max(w[0], ZERO), wp.max(w[1], ZERO), wp.max(w[2], ZERO))
-    return g, w
-
-
 @wp.func(inline=True)
 def stream_velocity(
     p: wp.vec3d,
@@ -177,7 +116,7 @@ def advect_points(
     k3, f3 = stream_velocity(wp.normalize(p + half * k2), f2, nodes, faces, level_starts, gradients)
     k4, f4 = stream_velocity(wp.normalize(p + step * k3), f3, nodes, faces, level_starts, gradients)
     hints[v] = f4
-    moved[v] = wp.normalize(p + step * SIXTH * (k1 + TWO * k2 + TWO * k3 + k4))
+    moved[v] = wp.normalize(p + step * wp.float64(1.0 / 6.0) * (k1 + TWO * k2 + TWO * k3 + k4))
 
 
 @wp.kernel

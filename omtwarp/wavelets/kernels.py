@@ -121,19 +121,63 @@ def dense_product(
 
 
 @wp.func
-def child_of(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, p: wp.vec3d) -> wp.int32:
-    """Return the number, among a spherical triangle's four children, of the one that holds ``p``.
+def find_triangle(
+    p: wp.vec3d,
+    nodes: wp.array[wp.vec3d],
+    faces: wp.array2d[wp.int32],
+    level_starts: wp.array[wp.int32],
+):
+    """Return the triangle of the finest level that holds p, as a row of ``faces``.
 
-    Points on the arcs between midpoints belong to the middle one.
+    It is found by descent through the hierarchy; child 3 of a triangle is the middle one, whose corners are the
+    midpoints that separate it from the other three.
     """
-    ab, bc, ca = wp.normalize(a + b), wp.normalize(b + c), wp.normalize(c + a)
-    if triple_product(ab, ca, p) > ZERO:
-        return 0
-    if triple_product(bc, ab, p) > ZERO:
-        return 1
-    if triple_product(ca, bc, p) > ZERO:
-        return 2
-    return 3
+    face = int(0)
+    best = -LARGE
+    for f in range(level_starts[1]):
+        w = spherical_coordinates(nodes[faces[f, 0]], nodes[faces[f, 1]], nodes[faces[f, 2]], p)
+        inside = wp.min(w[0], wp.min(w[1], w[2]))
+        if inside > best:
+            best = inside
+            face = int(f)
+        if best > ZERO:
+            break
+    for level in range(level_starts.shape[0] - 2):
+        middle = level_starts[level + 1] + 4 * face + 3
+        ab, bc, ca = nodes[faces[middle, 0]], nodes[faces[middle, 1]], nodes[faces[middle, 2]]
+        child = int(3)
+        if triple_product(ab, ca, p) > ZERO:
+            child = int(0)
+        elif triple_product(bc, ab, p) > ZERO:
+            child = int(1)
+        elif triple_product(ca, bc, p) > ZERO:
+            child = int(2)
+        face = 4 * face + child
+    return level_starts[level_starts.shape[0] - 2] + face
+
+
+@wp.func
+def triangle_near(
+    p: wp.vec3d,
+    hint: int,
+    nodes: wp.array[wp.vec3d],
+    faces: wp.array2d[wp.int32],
+    level_starts: wp.array[wp.int32],
+):
+    """Return the triangle of the finest level that a point lies in, and unnormalised barycentric coordinates there.
+
+    The triangle ``hint`` is tried first, unless it is -1. Round-off may put a point on an edge slightly outside:
+    coordinates are clamped.
+    """
+    g = int(hint)
+    w = wp.vec3d()
+    if g >= 0:
+        w = spherical_coordinates(nodes[faces[g, 0]], nodes[faces[g, 1]], nodes[faces[g, 2]], p)
+    if g < 0 or wp.min(w) <= ZERO:
+        g = find_triangle(p, nodes, faces, level_starts)
+        w = spherical_coordinates(nodes[faces[g, 0]], nodes[faces[g, 1]], nodes[faces[g, 2]], p)
+        w = wp.vec3d(wp.max(w[0], ZERO), wp.max(w[1], ZERO), wp.max(w[2], ZERO))
+    return g, w
 
 
 @wp.kernel
@@ -148,32 +192,10 @@ def locate_points(
     coordinates: wp.array[wp.vec3d],
 ):
     i = wp.tid()
-    p = wp.normalize(points[i])
     # Points seldom leave their triangle between two steps.
-    face = point_faces[i]
     finest = level_starts[level_starts.shape[0] - 2]
-    w = spherical_coordinates(
-        nodes[faces[finest + face, 0]], nodes[faces[finest + face, 1]], nodes[faces[finest + face, 2]], p
-    )
-    if wp.min(w) <= ZERO:
-        face = int(0)
-        best = -LARGE
-        for f in range(level_starts[1]):
-            w = spherical_coordinates(nodes[faces[f, 0]], nodes[faces[f, 1]], nodes[faces[f, 2]], p)
-            inside = wp.min(w[0], wp.min(w[1], w[2]))
-            if inside > best:
-                best = inside
-                face = f
-            if best > ZERO:
-                break
-        for level in range(level_starts.shape[0] - 2):
-            g = level_starts[level] + face
-            face = 4 * face + child_of(nodes[faces[g, 0]], nodes[faces[g, 1]], nodes[faces[g, 2]], p)
-        g = finest + face
-        w = spherical_coordinates(nodes[faces[g, 0]], nodes[faces[g, 1]], nodes[faces[g, 2]], p)
-    # Round-off may put a point on an edge slightly outside: coordinates are clamped.
-    w = wp.vec3d(wp.max(w[0], ZERO), wp.max(w[1], ZERO), wp.max(w[2], ZERO))
-    point_faces[i] = face
+    g, w = triangle_near(wp.normalize(points[i]), finest + point_faces[i], nodes, faces, level_starts)
+    point_faces[i] = g - finest
     coordinates[i] = w / (w[0] + w[1] + w[2])
 
 
