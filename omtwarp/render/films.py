@@ -40,7 +40,7 @@ from omtwarp.render.subject import (
 from omtwarp.render.upright import posed
 from omtwarp.texturing.adaptive import rasterize
 from omtwarp.texturing.image import PictureLike
-from omtwarp.texturing.smooth import grid_points, grid_triangles, smooth_map
+from omtwarp.texturing.smooth import grid_shares, grid_triangles, smooth_map
 
 if TYPE_CHECKING:
     from omtwarp.maps.torus_map import TorusMap
@@ -515,8 +515,7 @@ def _on_torus(
 
 def _evenly(faces: Ints, count: int, divisions: int) -> tuple[Ints, csr_matrix]:
     """Divide triangles, each by itself; return the parts and their points as combinations of ``count`` vertices."""
-    points = grid_points(divisions)
-    share = np.column_stack([divisions - points.sum(axis=1), points]) / divisions
+    share = grid_shares(divisions)
     rows = np.repeat(np.arange(len(faces) * len(share)), 3)
     columns = np.repeat(faces, len(share), axis=0).ravel()
     weights = csr_matrix((np.tile(share, (len(faces), 1)).ravel(), (rows, columns)), (len(faces) * len(share), count))

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeAlias, TypedDict, TypeVar, Unpack
+from typing import TypeAlias, TypedDict, TypeVar, Unpack, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -85,27 +85,22 @@ class PreviewOptions(PanelOptions, total=False):
     captions: bool | Sequence[str]
 
 
-PANEL_DEFAULTS: PanelOptions = {
-    "size": PICTURE_SIZE,
-    "views": None,
-    "camera": None,
-    "up": None,
-    "front": None,
-    "light": None,
-    "background": BACKGROUND,
-    "transparent": False,
-    "wireframe": False,
-    "image": None,
-    "scalar": None,
-    "colormap": "viridis",
-    "scalar_range": None,
-    "scalar_label": "",
-    "color_bar": True,
-    "arrows": None,
-    "samples": None,
-    "backend": Backend.AUTO,
-    "device": "auto",
-}
+PANEL_DEFAULTS = cast(
+    PanelOptions,
+    dict.fromkeys(inspect.get_annotations(PanelOptions))
+    | {
+        "size": PICTURE_SIZE,
+        "background": BACKGROUND,
+        "transparent": False,
+        "wireframe": False,
+        "colormap": "viridis",
+        "scalar_label": "",
+        "color_bar": True,
+        "backend": Backend.AUTO,
+        "device": "auto",
+    },
+)
+"""Values of the options that are not None."""
 PREVIEW_DEFAULTS: PreviewOptions = {**PANEL_DEFAULTS, "frames": None, "fps": FILM_RATE, "captions": True}
 
 

@@ -15,7 +15,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.render import ray_kernels as kernels
 from omtwarp.render.camera import Shot
-from omtwarp.render.scene import Part, RenderJob
+from omtwarp.render.scene import Appearance, Part, RenderJob
 
 
 def draw(job: RenderJob, device: str = "auto") -> list[NDArray[np.uint8]]:
@@ -37,8 +37,9 @@ def draw(job: RenderJob, device: str = "auto") -> list[NDArray[np.uint8]]:
     where = resolve_device(device)
     together = job.parts[:1] if job.one_each else job.parts
     shape, mesh = _geometry(together, where)
-    images = [part for part in together if part.image is not None]
-    kept = [_picture(part, where) for part in images] or [_picture(None, where)]
+    images: list[Appearance] = [part for part in together if part.image is not None]
+    grey = Appearance(kind="color", value=np.empty(0), image=np.full((1, 1, 3), 128, np.uint8), mipmaps=False)
+    kept = [_picture(part, where) for part in images or [grey]]
     pictures = wp.array(kept, dtype=kernels.Picture, device=where)
     look = _look(job, where)
     drawn = []
@@ -98,33 +99,23 @@ def _geometry(parts: list[Part], where: wp.Device) -> tuple[kernels.Geometry, wp
     return shape, mesh
 
 
-def _picture(part: Part | None, where: wp.Device) -> kernels.Picture:
-    """Return a part's image with its mip levels; a single grey texel for none."""
-    image = part.image if part is not None and part.image is not None else np.full((1, 1, 3), 128, np.uint8)
+def _picture(part: Appearance, where: wp.Device) -> kernels.Picture:
+    """Return a part's image with its mip levels."""
+    image = np.asarray(part.image)
     sizes = [(image.shape[1], image.shape[0])]
-    if part is not None and part.mipmaps:
-        while sizes[-1] != (1, 1):
-            width, height = sizes[-1]
-            sizes.append((max(width // 2, 1), max(height // 2, 1)))
+    while part.mipmaps and sizes[-1] != (1, 1):
+        width, height = sizes[-1]
+        sizes.append((max(width // 2, 1), max(height // 2, 1)))
     counts = [width * height for width, height in sizes]
     offsets = np.cumsum([0, *counts])
     decode = wp.array(to_linear(np.arange(256) / 255.0).astype(np.float32), dtype=wp.float32, device=where)
     texels = wp.empty((int(offsets[-1]), 3), dtype=wp.uint8, device=where)
     wp.copy(texels, wp.array(image.reshape(-1, 3), dtype=wp.uint8, device=where), count=3 * counts[0])
     for level in range(1, len(sizes)):
-        (source_width, source_height), (width, height) = sizes[level - 1], sizes[level]
         wp.launch(
             kernels.halve_texels,
-            (height, width),
-            inputs=[
-                decode,
-                int(offsets[level - 1]),
-                source_width,
-                source_height,
-                int(offsets[level]),
-                width,
-                height,
-            ],
+            sizes[level][::-1],
+            inputs=[decode, int(offsets[level - 1]), *sizes[level - 1], int(offsets[level]), *sizes[level]],
             outputs=[texels],
             device=where,
         )
@@ -135,9 +126,8 @@ def _picture(part: Part | None, where: wp.Device) -> kernels.Picture:
     picture.widths = wp.array(np.array([width for width, _ in sizes], np.int32), dtype=wp.int32, device=where)
     picture.heights = wp.array(np.array([height for _, height in sizes], np.int32), dtype=wp.int32, device=where)
     picture.levels = len(sizes)
-    picture.repeat = int(part is not None and part.repeat)
-    picture.repeat_rows = int(part is not None and part.repeat_rows)
-    tint = to_linear(np.array(part.tint if part is not None else (1.0, 1.0, 1.0)))
+    picture.repeat, picture.repeat_rows = int(part.repeat), int(part.repeat_rows)
+    tint = to_linear(np.array(part.tint))
     picture.tint = wp.vec3(*(float(channel) for channel in tint))
     return picture
 

@@ -552,16 +552,13 @@ def flag_edges(
     column = number % width
     flag = wp.uint8(0)
     for way in range(4):
+        step = 2 * (way % 2) - 1
         r = row
         q = column
-        if way == 0:
-            q = (column + 1) % width
-        elif way == 1:
-            q = (column + width - 1) % width
-        elif way == 2:
-            r = wp.min(row + 1, height - 1)
+        if way < 2:
+            q = (column + width + step) % width
         else:
-            r = wp.max(row - 1, 0)
+            r = wp.clamp(row + step, 0, height - 1)
         for c in range(picture.shape[1]):
             if wp.abs(int(picture[r * width + q, c]) - int(picture[number, c])) > threshold:
                 flag = wp.uint8(1)

@@ -47,7 +47,7 @@ from omtwarp.texturing.image import (
 from omtwarp.texturing.materials import WHITE, Material, corner_tangents
 from omtwarp.texturing.painted import PaintedMesh
 from omtwarp.texturing.patterns import Pattern
-from omtwarp.texturing.smooth import SmoothMap, grid_points, grid_triangles, smooth_map
+from omtwarp.texturing.smooth import SmoothMap, grid_shares, grid_triangles, smooth_map
 from omtwarp.texturing.textured import SphereMap, TexturedSurface, as_map, spheres_of, texture
 from omtwarp.texturing.unwrap import pack_rows
 
@@ -559,8 +559,6 @@ def _divided(smooth: SmoothMap, which: NDArray, uv: Floats) -> tuple[Ints, Float
     Returns:
         Shapes [T n², 3] and [T n², 3, 2]: the picture of a triangle is divided as the triangle is.
     """
-    points = grid_points(smooth.parts)
-    share = np.column_stack([smooth.parts - points.sum(axis=1), points]) / smooth.parts
-    corners = share[grid_triangles(smooth.parts)]
+    corners = grid_shares(smooth.parts)[grid_triangles(smooth.parts)]
     faces = smooth.faces.reshape(-1, len(corners), 3)[which]
     return faces.reshape(-1, 3), np.einsum("pkc,tcj->tpkj", corners, uv).reshape(-1, 3, 2)

@@ -146,10 +146,6 @@ class CutMesh:
         self.source_face: Ints = np.arange(len(faces), dtype=np.int32)
         self.weights = sparse.identity(len(sphere), dtype=np.float64, format="csr")
 
-    def directions(self) -> Floats:
-        """Return the unit vectors of the vertices, shape [N, 3]."""
-        return normalised(self.points)
-
     def _add_vertices(self, combination: sparse.csr_matrix) -> int:
         first = len(self.points)
         self.points = np.concatenate([self.points, combination @ self.points])

@@ -74,6 +74,12 @@ def grid_points(parts: int) -> NDArray[np.int64]:
     return np.array([(i, j) for i in range(parts + 1) for j in range(parts + 1 - i)], dtype=np.int64)
 
 
+def grid_shares(parts: int) -> Floats:
+    """Return the barycentric coordinates of the points of an evenly divided triangle, shape [K, 3]."""
+    points = grid_points(parts)
+    return np.column_stack([parts - points.sum(axis=1), points]) / parts
+
+
 @lru_cache(maxsize=8)
 def grid_triangles(parts: int) -> NDArray[np.int64]:
     """Return the corners of the parts of an evenly divided triangle, numbers of its points, shape [parts², 3]."""
@@ -174,13 +180,12 @@ class SmoothCurves:
             edge_of = (np.cumsum(kept) - 1)[edge_of]
             ends, towards = ends[kept], towards[kept]
         places, sphere = self.places, self.sphere
-        points = grid_points(parts)
-        share = np.column_stack([parts - points.sum(axis=1), points]) / parts  # of the three corners
+        share = grid_shares(parts)
         on_edge = np.isclose(share, 0.0)
         inner = np.flatnonzero(~on_edge.any(axis=1))
         count, steps = len(sphere), np.arange(1, parts)
         first_inner = count + len(ends) * (parts - 1)
-        grid = np.empty((len(faces), len(points)), dtype=np.int32)
+        grid = np.empty((len(faces), len(share)), dtype=np.int32)
         grid[:, inner] = first_inner + np.arange(len(faces))[:, None] * len(inner) + np.arange(len(inner))
         for k in range(3):
             grid[:, np.flatnonzero(share[:, k] == 1.0)[0]] = faces[:, k]

@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 from omtwarp.mesh.surface import triangle_areas
+from omtwarp.texturing.patterns.checker import Checker
+from omtwarp.texturing.patterns.circles import Circles
 
 POINTS_AT_ONCE = 1 << 20  # bounds memory: the directions of a million points are 24 MB
 
 
-class Cells(Protocol):
-    """A pattern made of numbered cells, such as circles or the fields of a checker."""
-
-    @property
-    def count(self) -> int:
-        """The number of cells."""
-
-    def cells(self, directions: ArrayLike) -> NDArray[np.int64]:
-        """Return the number of the cell of every direction, -1 for none, shape [N]."""
+def cells(pattern: Circles | Checker, directions: ArrayLike) -> NDArray[np.int64]:
+    """Return the circle of every direction, -1 between the circles, or the field, row by row from the north-west."""
+    d = np.asarray(directions, dtype=np.float64)
+    d = d / np.linalg.norm(d, axis=1, keepdims=True)
+    if isinstance(pattern, Circles):
+        distance, index = cKDTree(pattern.centres).query(d)
+        return np.where(distance <= 2.0 * np.sin(0.5 * pattern.radius), index, -1)
+    u, v = 0.5 + np.arctan2(d[:, 1], d[:, 0]) / (2.0 * np.pi), 0.5 - np.arcsin(d[:, 2]) / np.pi
+    column = np.clip(np.floor(u * pattern.columns), 0, pattern.columns - 1)
+    return (np.clip(np.floor(v * pattern.rows), 0, pattern.rows - 1) * pattern.columns + column).astype(np.int64)
 
 
 def cell_areas(
-    pattern: Cells, vertices: ArrayLike, faces: ArrayLike, sphere: ArrayLike, *, subdivision: int = 6
+    pattern: Circles | Checker, vertices: ArrayLike, faces: ArrayLike, sphere: ArrayLike, *, subdivision: int = 6
 ) -> NDArray[np.float64]:
     """Return the area that each cell of a pattern covers on a surface.
 
@@ -40,20 +42,21 @@ def cell_areas(
             cell in which its middle lies.
 
     Returns:
-        Areas in the units of ``vertices`` squared, shape [pattern.count].
+        Areas in the units of ``vertices`` squared, shape [C].
     """
     vertices, sphere = np.asarray(vertices, dtype=np.float64), np.asarray(sphere, dtype=np.float64)
     faces = np.asarray(faces, dtype=np.int32)
     bary = part_middles(subdivision)
     area = triangle_areas(vertices, faces) / len(bary)
-    total = np.zeros(pattern.count)
+    count = pattern.count if isinstance(pattern, Circles) else pattern.columns * pattern.rows
+    total = np.zeros(count)
     step = max(1, POINTS_AT_ONCE // len(bary))
     for start in range(0, len(faces), step):
         part = slice(start, start + step)
-        cell = pattern.cells(np.einsum("bk,fkj->fbj", bary, sphere[faces[part]]).reshape(-1, 3))
+        cell = cells(pattern, np.einsum("bk,fkj->fbj", bary, sphere[faces[part]]).reshape(-1, 3))
         inside = cell >= 0
         weight = np.repeat(area[part], len(bary))
-        total += np.bincount(cell[inside], weight[inside], minlength=pattern.count)
+        total += np.bincount(cell[inside], weight[inside], minlength=count)
     return total
 
 

@@ -7,6 +7,7 @@ import struct
 import numpy as np
 import pytest
 import trimesh
+from pattern_areas import cells
 from PIL import Image
 from texturing_shapes import ellipsoid, unit
 
@@ -108,7 +109,7 @@ def test_all_fields_of_the_checker_are_seen():
     """Every field of the checker appears on the surface, and the sphere's directions say which."""
     checker = pattern("checker", columns=8, rows=4)
     t = texture(ellipsoid(4, strength=0.3), pattern=checker, atlas="equirectangular", size=512)
-    assert set(checker.cells(t.sphere)) == set(range(32))
+    assert set(cells(checker, t.sphere)) == set(range(32))
 
 
 def test_normals_do_not_show_the_seam(surface, textured):

@@ -1,12 +1,8 @@
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator, misc"
 """Fields of a chess board on the sphere."""
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, PI, wp
 from omtwarp.errors import OmtwarpError
-from omtwarp.texturing.image import longitude_latitude
 from omtwarp.texturing.patterns.base import Pattern, cell_of, latitude, longitude, near_multiple, srgb_colours
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -53,18 +49,6 @@ class Checker(Pattern):
             raise OmtwarpError(f"checker: {columns} columns and {rows} rows: columns must be even and both positive")
         self.columns, self.rows = int(columns), int(rows)
         self.colours = srgb_colours("#f3ede2", "#2f5d73")
-
-    @property
-    def count(self) -> int:
-        """The number of fields."""
-        return self.columns * self.rows
-
-    def cells(self, directions: ArrayLike) -> NDArray[np.int64]:
-        """Return the number of the field that each direction lies in, row by row from the north-west, shape [N]."""
-        lon, lat = longitude_latitude(directions)
-        column = np.clip(np.floor((lon / (2.0 * np.pi) + 0.5) * self.columns), 0, self.columns - 1)
-        row = np.clip(np.floor((0.5 - lat / np.pi) * self.rows), 0, self.rows - 1)
-        return (row * self.columns + column).astype(np.int64)
 
     def _tables(self) -> list[object]:
         return [self.columns, self.rows, (self.colours, wp.vec3d)]

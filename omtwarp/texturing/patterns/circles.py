@@ -4,7 +4,7 @@
 from importlib.resources import files
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, wp
 from omtwarp.errors import OmtwarpError
@@ -107,13 +107,6 @@ class Circles(Pattern):
         centres = _even_points(count)
         triangles = ConvexHull(centres).simplices
         return centres, colour_groups(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), len(self.palette))
-
-    def cells(self, directions: ArrayLike) -> NDArray[np.int64]:
-        """Return the number of the circle that each direction lies in, -1 between the circles, shape [N]."""
-        from scipy.spatial import cKDTree
-
-        distance, index = cKDTree(self.centres).query(normalised(np.asarray(directions, dtype=np.float64)))
-        return np.where(distance <= 2.0 * np.sin(0.5 * self.radius), index, -1).astype(np.int64)
 
     def _tables(self) -> list[object]:
         within = 1e-9  # chord that is added to a circle's reach, so that rounding leaves no cell's list without it

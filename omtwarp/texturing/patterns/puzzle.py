@@ -127,12 +127,6 @@ class Puzzle(Pattern):
         """The number of pieces."""
         return 6 * self.side**2
 
-    def middles(self) -> Floats:
-        """Return the directions of the middles of the pieces, shape [count, 3]."""
-        piece = np.arange(self.count)
-        row, column = piece // self.side % self.side, piece % self.side
-        return self._points(piece // self.side**2, column + 0.5, row + 0.5)
-
     def _points(self, face: NDArray, x: NDArray, y: NDArray) -> Floats:
         """Return the directions of points of faces, in pieces from the lower left corner."""
         slope = np.tan((np.stack([x, y], axis=-1) / self.side * 2.0 - 1.0) * np.pi / 4.0)
