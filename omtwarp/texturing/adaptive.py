@@ -7,7 +7,7 @@ in the directions of their atlas, as these are or moved from the linear map of a
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
@@ -193,79 +193,70 @@ def _rasterize_sinusoidal(
     return picture
 
 
-class Bending:
-    """A smooth map divided as finely as the texels of an atlas show.
+def _divided_as_shown(curves: SmoothCurves, atlas: Atlas) -> tuple[Ints, Ints, Ints, Floats]:
+    """Divide a smooth map as finely as the texels of an atlas show.
 
-    Args:
-        curves: the mesh's smooth map.
-        atlas: the picture's layout.
-
-    Attributes:
-        atlas, curves: these.
-        first: where the points of every triangle begin in ``grid``, shape [F].
-        parts: into how many parts its edges are divided, 0 where the map is as good as linear, shape [F].
-        grid: the numbers of the points.
-        points: unit vectors, shape [N, 3].
+    Returns:
+        Where the points of every triangle begin in the grid, shape [F], into how many parts its edges are divided, 0
+        where the map is as good as linear, shape [F], the grid of the numbers of points, and the points, unit vectors,
+        shape [N, 3].
     """
-
-    def __init__(self, curves: SmoothCurves, atlas: Atlas):
-        least_moved = 0.2  # texels: triangles in which the smooth map stays nearer to the linear one are left linear
-        self.curves, self.atlas = curves, atlas
-        texel = atlas.texel_angle
-        away = np.linalg.norm(curves.sphere - curves.given, axis=1)[curves.faces].max(axis=1)
-        bend = curves.bend / texel
-        # Divided into n parts, a curve that leaves a straight one by b texels is followed to b / n² texels.
-        wanted = np.ceil(np.sqrt(bend / 0.1)).astype(np.int64)
-        divided = np.zeros(len(curves.faces), dtype=np.int32)
-        divided[(away > least_moved * texel) | (bend > least_moved)] = 1
-        least = 1
-        # Edges are divided into as many parts; 8 are 45 points in every triangle, and more would turn by less than 5
-        # degrees from one to the next.
-        divisions = (3, 8)
-        for parts in divisions:
-            divided[(divided > 0) & (wanted > least)] = parts
-            least = parts
-        first = np.zeros(len(divided), dtype=np.int32)
-        grids, points, rows, count = [], [curves.sphere], 0, len(curves.sphere)
-        sizes = np.unique(divided[divided > 0]).tolist()
-        # NumPy lets go of the interpreter in long operations.
-        with ThreadPoolExecutor(len(divisions)) as pool:
-            finer = {
-                parts: pool.submit(curves.divided, parts, np.flatnonzero(divided == parts))
-                for parts in sizes
-                if parts > 1
-            }
-        for parts in sizes:
-            which = np.flatnonzero(divided == parts)
-            if parts == 1:
-                grid = curves.faces[which][:, [0, 2, 1]]  # in the order of a grid's points
-            else:
-                made = finer[parts].result()
-                grid = np.where(made.grid < len(curves.sphere), made.grid, made.grid + count - len(curves.sphere))
-                points.append(made.sphere[len(curves.sphere) :])
-                count += len(points[-1])
-            first[which] = rows + np.arange(len(which)) * grid.shape[1]
-            rows += grid.size
-            grids.append(grid.ravel())
-        self.first, self.parts = first, divided
-        self.grid = np.concatenate([*grids, np.zeros(0, dtype=np.int32)])
-        self.points = np.concatenate(points)
+    least_moved = 0.2  # texels: triangles in which the smooth map stays nearer to the linear one are left linear
+    texel = atlas.texel_angle
+    away = np.linalg.norm(curves.sphere - curves.given, axis=1)[curves.faces].max(axis=1)
+    bend = curves.bend / texel
+    # Divided into n parts, a curve that leaves a straight one by b texels is followed to b / n² texels.
+    wanted = np.ceil(np.sqrt(bend / 0.1)).astype(np.int64)
+    divided = np.zeros(len(curves.faces), dtype=np.int32)
+    divided[(away > least_moved * texel) | (bend > least_moved)] = 1
+    least = 1
+    # Edges are divided into as many parts; 8 are 45 points in every triangle, and more would turn by less than 5
+    # degrees from one to the next.
+    divisions = (3, 8)
+    for parts in divisions:
+        divided[(divided > 0) & (wanted > least)] = parts
+        least = parts
+    first = np.zeros(len(divided), dtype=np.int32)
+    grids, points, rows, count = [], [curves.sphere], 0, len(curves.sphere)
+    sizes = np.unique(divided[divided > 0]).tolist()
+    # NumPy lets go of the interpreter in long operations.
+    with ThreadPoolExecutor(len(divisions)) as pool:
+        finer = {
+            parts: pool.submit(curves.divided, parts, np.flatnonzero(divided == parts)) for parts in sizes if parts > 1
+        }
+    for parts in sizes:
+        which = np.flatnonzero(divided == parts)
+        if parts == 1:
+            grid = curves.faces[which][:, [0, 2, 1]]  # in the order of a grid's points
+        else:
+            made = finer[parts].result()
+            grid = np.where(made.grid < len(curves.sphere), made.grid, made.grid + count - len(curves.sphere))
+            points.append(made.sphere[len(curves.sphere) :])
+            count += len(points[-1])
+        first[which] = rows + np.arange(len(which)) * grid.shape[1]
+        rows += grid.size
+        grids.append(grid.ravel())
+    return first, divided, np.concatenate([*grids, np.zeros(0, dtype=np.int32)]), np.concatenate(points)
 
 
 class BentLook(Look):
     """The directions for the texels of a mesh's picture with which the mesh, linear in triangles, shows its smooth map.
 
     Args:
-        bending: the smooth map, for the picture's layout.
-        cut: the mesh unwrapped onto it.
+        curves: the smooth map.
+        atlas: the picture's layout.
+        cutting: gives the mesh unwrapped onto it.
         rotation: turns the function on the sphere, shape [3, 3].
         where: the device.
     """
 
-    def __init__(self, bending: Bending, cut: Unwrapped, rotation: Floats, where: wp.Device):
+    def __init__(
+        self, curves: SmoothCurves, atlas: Atlas, cutting: Future[Unwrapped], rotation: Floats, where: wp.Device
+    ):
         hint_block = 8  # texels along the side of a block that has a triangle of its own at which searches begin
-        atlas, curves = bending.atlas, bending.curves
         super().__init__(atlas, where)
+        first, divided, grid, points = _divided_as_shown(curves, atlas)
+        cut = cutting.result()
         faces, given = curves.faces, curves.given @ rotation
         across, down = -(-atlas.width // hint_block), -(-atlas.height // hint_block)
         corner_uv = cut.uv[cut.faces]
@@ -283,9 +274,9 @@ class BentLook(Look):
                 (faces, wp.vec3i),
                 (face_neighbours(faces, len(given)), wp.vec3i),
                 (given, wp.vec3d),
-                (bending.first, wp.int32),
-                (bending.parts, wp.int32),
-                (bending.grid, wp.int32),
-                (bending.points @ rotation, wp.vec3d),
+                (first, wp.int32),
+                (divided, wp.int32),
+                (grid, wp.int32),
+                (points @ rotation, wp.vec3d),
             )
         ]

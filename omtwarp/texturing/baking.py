@@ -552,7 +552,7 @@ def tiled_copies(uv: Floats) -> tuple[NDArray[np.int64], Floats]:
         square's border, and another one then reaches over the opposite border.
 
     Raises:
-        OmtwarpError: a triangle reaches over more than :data:`MOST_TILES` pictures along a side.
+        OmtwarpError: a triangle reaches over more than 16 pictures along a side.
     """
     # Copies of the picture that one triangle may reach over, along either side.
     most_tiles = 16

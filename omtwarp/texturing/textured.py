@@ -21,7 +21,7 @@ from omtwarp.mesh.checks import as_faces, as_unit_vectors
 from omtwarp.mesh.surface import unit_normals, vertex_normals
 from omtwarp.mesh.write import write_mesh
 from omtwarp.options import AtlasLike, PatternLike, ProjectionLike, TextureFormat
-from omtwarp.texturing.adaptive import Bending, BentLook, bake_bytes
+from omtwarp.texturing.adaptive import BentLook, bake_bytes
 from omtwarp.texturing.atlas import (
     LARGEST_SIZE,
     LARGEST_UNASKED,
@@ -290,8 +290,7 @@ def texture(
             where = resolve_device(device)
             look = Look(layout, where)
             if bends:
-                bending = Bending(smooth_curves(vertices, faces, sphere), layout)
-                look = BentLook(bending, cutting.result(), rotation, where)
+                look = BentLook(smooth_curves(vertices, faces, sphere), layout, cutting, rotation, where)
             texels = bake_bytes(source, look, projection=projection)
         cut = cutting.result()
     return TexturedSurface(
