@@ -41,17 +41,6 @@ def disk_to_cap(disk: Floats, share: float) -> Floats:
     return np.concatenate([disk * radial[:, None], height[:, None]], axis=1)
 
 
-def cap_to_disk(cap: Floats, share: float) -> Floats:
-    """Undo :func:`disk_to_cap`: unit vectors of the cap with this share, shape [V, 3], as points of the unit disk.
-
-    >>> import numpy as np
-    >>> places = np.array([[0.6, -0.8], [0.0, 0.25]])
-    >>> bool(np.abs(cap_to_disk(disk_to_cap(places, 0.7), 0.7) - places).max() < 1e-12)
-    True
-    """
-    return cap[:, :2] / np.sqrt(2.0 * share * (1.0 + cap[:, 2]))[:, None]
-
-
 def to_gnomonic(cap: Floats, share: float) -> Floats:
     """Project a cap with a share below 0.5 to the unit disk so that great circles become straight.
 

@@ -337,31 +337,8 @@ def _exact_on_cap(
     Returns:
         The map, and the largest relative error of an area.
     """
-    mesh, laid = _quartered_mesh(each, wanted), hemisphere_to_disk(_whole(each)[0])
-    points, error = exact_on_cap(
-        _whole(_on_cap(each, share, half))[0], mesh, share, lambda: _exact_in_disk(mesh, laid, laid)[0]
-    )
+    points, error = exact_on_cap(_whole(_on_cap(each, share, half))[0], _quartered_mesh(each, wanted))
     return _with_points(each, points), error
-
-
-def _exact_in_disk(mesh: Quartered, laid: Floats, untangled: Floats) -> tuple[Floats, float]:
-    """Give the original triangles of a quartered map to the disk exact areas.
-
-    Args:
-        mesh: what is mapped.
-        laid: the hemisphere laid flat, shape [V, 2].
-        untangled: the same with flipped triangles untangled, as far as possible.
-
-    Returns:
-        The map, and the largest relative error of an area.
-    """
-
-    def anew() -> Floats:
-        used, faces = mesh.whole
-        surface = Surface(mesh.surface[used], faces, mesh.wanted)
-        return mesh.refined(untangle_in_plane(laid[used], faces, _rim(faces, len(used)), surface)[0], laid)
-
-    return exact_in_plane(untangled, mesh, anew)
 
 
 def _quartered_mesh(each: MapResult, wanted: Floats) -> Quartered:
@@ -730,7 +707,7 @@ def _projected(
                 f"{flips} triangles at the rim turn over where the hemisphere is laid flat: use a finer mesh"
             )
         if wanted is not None:
-            disk, error = _exact_in_disk(_quartered_mesh(result, wanted), laid, disk)
+            disk, error = exact_in_plane(disk, _quartered_mesh(result, wanted))
         result = replace(result, disk=disk[: len(result.vertices)])
     about = result.report["surface"] | ({"share_of_sphere": share} if domain == "cap" else {})
     measured = result.distortion("disk" if domain == "disk" else "sphere").to_dict()

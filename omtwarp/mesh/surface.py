@@ -185,6 +185,22 @@ class Surface:
             raise OmtwarpError("the surface is not closed and manifold: an edge does not have two triangles")
         return self._sides.reshape(-1, 2)
 
+    @cached_property
+    def side_corners(self) -> NDArray[np.int32]:
+        """The corners that lie opposite to every edge, shape [E, 2]; -1 for the second of an edge with one triangle.
+
+        Raises:
+            OmtwarpError: an edge has more than two triangles.
+        """
+        if self._sides is not None:
+            return self.edge_corners
+        order = np.argsort(self._side_keys, kind="stable").astype(np.int32)
+        _, first, count = np.unique(self._side_keys[order], return_index=True, return_counts=True)
+        if count.max() > 2:
+            raise OmtwarpError("the surface is not manifold: an edge has more than two triangles")
+        second = np.where(count == 2, order[np.minimum(first + 1, len(order) - 1)], -1)
+        return np.stack([order[first], second], axis=1).astype(np.int32)
+
     def cached(self, name: str, make: Callable[[], Kind]) -> Kind:
         """Return what ``make`` computes from shape and connectivity, computed once under each name and kept.
 
@@ -235,6 +251,7 @@ _UNWEIGHTED = frozenset(
         "vertex_corners",
         "edges",
         "edge_corners",
+        "side_corners",
         "_kept",
         "_sides",
     }
@@ -324,8 +341,8 @@ class SurfaceArrays:
 
     @property
     def edge_corners(self) -> wp.array:
-        """The corners opposite to every edge, vec2i, shape [E]."""
-        return self._array("edge_corners", wp.vec2i)
+        """The corners opposite to every edge, vec2i, shape [E]; -1 for the second of an edge with one triangle."""
+        return self._array("side_corners", wp.vec2i)
 
 
 def plane_areas(corners: NDArray[np.float64]) -> NDArray[np.float64]:

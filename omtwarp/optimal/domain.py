@@ -1,6 +1,6 @@
 """What the minimisation asks of the place where vertices move, of their cost, and of the shape of triangles.
 
-A sphere (:mod:`omtwarp.optimal.sphere`) and a flat torus (:mod:`omtwarp.torus.plane`) have each a class of the three.
+A sphere (:mod:`omtwarp.optimal.sphere`) and the plane (:mod:`omtwarp.optimal.plane`) have each a class of the three.
 Points and vectors of vertices are arrays on the device, of vec3d on the sphere and vec2d in the plane. Every point has
 a frame, two directions of unit length at right angles: matrices are written in coordinates along them.
 """

@@ -7,7 +7,7 @@ conformal sphere and is mapped to y_v. With a_v(y) the solid angle of the triang
 
 where S is angle plus area distortion of the triangles (:mod:`omtwarp.refine.energy`) and β is small. Some modes of a
 mesh change neither C nor these areas; S determines them. The formulas are the same where other cells than the triangles
-around vertices keep their areas (:mod:`omtwarp.optimal.cells`), and on a torus (:mod:`omtwarp.torus.plane`).
+around vertices keep their areas (:mod:`omtwarp.optimal.cells`), and on a torus (:mod:`omtwarp.optimal.plane`).
 
 The cost is written with the areas of the image in place of the masses, C' = Σ a_v d(x_v, y_v)² / 12π. On maps that keep
 the areas C' = C, so that the problem is the same. But the multipliers p_v of C' belong to the points x_v, and do not

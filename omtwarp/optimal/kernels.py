@@ -159,15 +159,16 @@ def edge_slopes(
     by_first, by_second = wp.vec2d(), wp.vec2d()
     for k in range(2):
         corner = edge_corners[e][k]
-        f = corner // 3
-        # The corner after the apex is an end of the edge, and the next one the other.
-        one, other = (corner + 1) % 3, (corner + 2) % 3
-        if faces[f][one] == edges[e][0]:
-            by_first += slopes[f, one]
-            by_second += slopes[f, other]
-        else:
-            by_first += slopes[f, other]
-            by_second += slopes[f, one]
+        if corner >= 0:
+            f = corner // 3
+            # The corner after the apex is an end of the edge, and the next one the other.
+            one, other = (corner + 1) % 3, (corner + 2) % 3
+            if faces[f][one] == edges[e][0]:
+                by_first += slopes[f, one]
+                by_second += slopes[f, other]
+            else:
+                by_first += slopes[f, other]
+                by_second += slopes[f, one]
     for axis in range(2):
         of_edges[0, e, axis] = by_second[axis]
         of_edges[1, e, axis] = by_first[axis]

@@ -1,6 +1,6 @@
 """The optimal map to a flat torus: least squared distance among the maps that keep the areas around vertices.
 
-The minimisation is that of the sphere (:mod:`omtwarp.optimal.solver`), in the plane (:mod:`omtwarp.torus.plane`).
+The minimisation is that of the sphere (:mod:`omtwarp.optimal.solver`), in the plane (:mod:`omtwarp.optimal.plane`).
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 from omtwarp.device.start import wp
 from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
-from omtwarp.optimal.cells import TriangleCells
-from omtwarp.optimal.energy import TransportEnergy
+from omtwarp.optimal.cells import Cells, RingCells, TriangleCells
+from omtwarp.optimal.energy import AREA_WEIGHT, TransportEnergy
 from omtwarp.optimal.exact import CELL_GAIN, ITERATIONS, minimise_cells
 from omtwarp.optimal.nested import shape_term_by_law
+from omtwarp.optimal.plane import Plane, PlaneCost, PlaneShape
 from omtwarp.optimal.refinement import MATCH_TOLERANCE, MATCH_TRIALS, TRIANGLE_WEIGHT, refinement_weight
 from omtwarp.optimal.restoration import restore_areas
 from omtwarp.optimal.solver import GAIN, OptimalMap, minimise
 from omtwarp.options import AreaMatch, Progress, Record, parse_refinement
 from omtwarp.refine.matching import MOST_WEIGHT, match_area
 from omtwarp.torus.harmonic import FlatTorus
-from omtwarp.torus.plane import energy_on_torus
 
 Floats = NDArray[np.float64]
 Report: TypeAlias = Callable[[int, int, Record], None]
@@ -36,6 +36,31 @@ REFINED = 1e-4  # least expected gain of a step of a refinement
 NO_PENALTY = 1e-9  # in place of zero, so that the matrix keeps its form
 # Weights of areas relative to angles, one after the other, where areas are wrong by more than UNEVEN, rms.
 EASING_WEIGHTS, UNEVEN = (1.0, 100.0), 0.05
+
+
+def energy_on_torus(
+    surface: Surface,
+    torus: FlatTorus,
+    start: Floats,
+    shape_weight: float,
+    *,
+    cells: Cells | None = None,
+    cost_weight: float = 1.0,
+    area_weight: float = AREA_WEIGHT,
+) -> TransportEnergy:
+    """Return the energy of maps of a surface to a torus.
+
+    Args:
+        surface: of genus 1, V vertices; its areas add up to 4π, as the torus's does.
+        torus: the wraps and the lattice.
+        start: x in the plane, shape [V, 2].
+        shape_weight, cost_weight, area_weight: as of :class:`omtwarp.optimal.energy.TransportEnergy`.
+        cells: whose areas are kept; the triangles around vertices by default.
+    """
+    plane = Plane(surface, torus.wraps @ torus.lattice)
+    kept = RingCells(surface, plane.device) if cells is None else cells
+    cost, shape = PlaneCost(plane, start), PlaneShape(plane)
+    return TransportEnergy(plane, kept, cost, shape, shape_weight, cost_weight, area_weight)
 
 
 def transport_on_torus(
@@ -166,4 +191,4 @@ def _shown(report: Report | None) -> Progress | None:
     return None if report is None else lambda _stage, done, most, record: report(done, most, record)
 
 
-__all__ = ["eased_on_torus", "exact_on_torus", "refine_on_torus", "transport_on_torus"]
+__all__ = ["eased_on_torus", "energy_on_torus", "exact_on_torus", "refine_on_torus", "transport_on_torus"]

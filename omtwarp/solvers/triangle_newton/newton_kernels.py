@@ -40,23 +40,24 @@ def edge_block(
     """Sum the 2x2 block of an edge, rows of one end and columns of the other, over its two triangles."""
     s0, s1, s2, s3 = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
     for k in range(2):
-        face = opposite_corners[k] // 3
-        opposite = opposite_corners[k] - 3 * face
-        i = (opposite + 1) % 3
-        j = (opposite + 2) % 3
-        if faces[face][i] != end:
-            i = (opposite + 2) % 3
-            j = (opposite + 1) % 3
-        upper = packed(2 * wp.min(i, j), 2 * wp.max(i, j))
-        lower = packed(2 * wp.min(i, j) + 1, 2 * wp.max(i, j))
-        s0 += blocks[face, upper]
-        s3 += blocks[face, lower + 1]
-        if i < j:
-            s1 += blocks[face, upper + 1]
-            s2 += blocks[face, lower]
-        else:
-            s1 += blocks[face, lower]
-            s2 += blocks[face, upper + 1]
+        if opposite_corners[k] >= 0:
+            face = opposite_corners[k] // 3
+            opposite = opposite_corners[k] - 3 * face
+            i = (opposite + 1) % 3
+            j = (opposite + 2) % 3
+            if faces[face][i] != end:
+                i = (opposite + 2) % 3
+                j = (opposite + 1) % 3
+            upper = packed(2 * wp.min(i, j), 2 * wp.max(i, j))
+            lower = packed(2 * wp.min(i, j) + 1, 2 * wp.max(i, j))
+            s0 += blocks[face, upper]
+            s3 += blocks[face, lower + 1]
+            if i < j:
+                s1 += blocks[face, upper + 1]
+                s2 += blocks[face, lower]
+            else:
+                s1 += blocks[face, lower]
+                s2 += blocks[face, upper + 1]
     return wp.vec4d(s0, s1, s2, s3)
 
 

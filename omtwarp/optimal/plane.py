@@ -1,9 +1,8 @@
-"""Maps to a flat torus: its domain, the cost of squared distances, and the distortion of triangles in the plane.
+"""Maps to the plane, of a torus's universal cover or of a disk: domain, squared distances, distortion of triangles.
 
-The problem is that of :mod:`omtwarp.optimal.energy` in the plane, with y_v - x_v in the universal cover in place of a
-geodesic. A map of least cost is the gradient of a convex function |x|²/2 + φ with φ periodic, so that each point is
-moved to the nearest copy of its image on the torus (D. Cordero-Erausquin, "Sur le transport de mesures périodiques",
-Comptes Rendus 329, 1999).
+A map of least cost to a torus is the gradient of a convex function |x|²/2 + φ with φ periodic, so that each point is
+moved to the nearest copy of its image (D. Cordero-Erausquin, "Sur le transport de mesures périodiques", Comptes Rendus
+329, 1999): y_v - x_v in the universal cover stands in place of a geodesic.
 """
 
 from __future__ import annotations
@@ -17,29 +16,27 @@ from numpy.typing import NDArray
 from omtwarp.device.start import wp
 from omtwarp.device.sums import Reading
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
-from omtwarp.optimal.cells import Cells, RingCells
+from omtwarp.optimal import plane_kernels as kernels
 from omtwarp.optimal.domain import ShapeTerms
-from omtwarp.optimal.energy import AREA_WEIGHT, TransportEnergy
 from omtwarp.solvers.triangle_newton.frames import triangle_frames
-from omtwarp.torus import kernels
-from omtwarp.torus.harmonic import FlatTorus
 from omtwarp.untangling.steps import FlipFreeSteps
 
 Floats = NDArray[np.float64]
 
 
 class Plane:
-    """The universal cover of a torus as the :class:`omtwarp.optimal.domain.Domain` of one surface's maps, on the host.
+    """The plane as the :class:`omtwarp.optimal.domain.Domain` of one surface's maps, on the host.
 
     Args:
-        surface: of genus 1, V vertices and F faces; its areas add up to 4π, as the torus's does.
-        torus: the wraps and the lattice.
+        surface: V vertices and F faces; areas in the plane add up to 4π, as its own do.
+        shift: of the corners of every triangle from where their vertices lie, across the seam of a torus's universal
+            cover, shape [F, 3, 2].
     """
 
-    def __init__(self, surface: Surface, torus: FlatTorus):
+    def __init__(self, surface: Surface, shift: Floats):
         self.surface, self.device = surface, wp.get_device("cpu")
         self.mesh = surface.on(self.device)
-        self.shift = _kept(torus.wraps @ torus.lattice, wp.vec2d)
+        self.shift = _kept(shift, wp.vec2d)
 
     def launch(self, kernel: wp.Kernel, points: wp.array, inputs: list[object], outputs: list[wp.array]) -> None:
         """Launch a kernel over all triangles of a map."""
@@ -80,7 +77,7 @@ class Plane:
 
 
 class PlaneSteps(FlipFreeSteps):
-    """Moves maps to a torus; triangles that a step would turn over hold their corners back.
+    """Moves maps to the plane; triangles that a step would turn over hold their corners back.
 
     Args:
         plane: where the maps are.
@@ -203,33 +200,8 @@ class PlaneShape:
         return hessians
 
 
-def energy_on_torus(
-    surface: Surface,
-    torus: FlatTorus,
-    start: Floats,
-    shape_weight: float,
-    *,
-    cells: Cells | None = None,
-    cost_weight: float = 1.0,
-    area_weight: float = AREA_WEIGHT,
-) -> TransportEnergy:
-    """Return the energy of maps of a surface to a torus.
-
-    Args:
-        surface: of genus 1, V vertices; its areas add up to 4π, as the torus's does.
-        torus: the wraps and the lattice.
-        start: x in the plane, shape [V, 2].
-        shape_weight, cost_weight, area_weight: as of :class:`omtwarp.optimal.energy.TransportEnergy`.
-        cells: whose areas are kept; the triangles around vertices by default.
-    """
-    plane = Plane(surface, torus)
-    kept = RingCells(surface, plane.device) if cells is None else cells
-    cost, shape = PlaneCost(plane, start), PlaneShape(plane)
-    return TransportEnergy(plane, kept, cost, shape, shape_weight, cost_weight, area_weight)
-
-
 def _kept(values: NDArray, dtype: type) -> wp.array:
     return wp.array(np.ascontiguousarray(values, dtype=np.float64), dtype=dtype, device="cpu")
 
 
-__all__ = ["Plane", "PlaneCost", "PlaneShape", "energy_on_torus"]
+__all__ = ["Plane", "PlaneCost", "PlaneShape"]

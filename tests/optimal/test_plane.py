@@ -9,8 +9,8 @@ from omtwarp.mesh.shapes import rings
 from omtwarp.optimal.cells import TriangleCells
 from omtwarp.optimal.energy import TransportEnergy
 from omtwarp.torus.harmonic import FlatTorus, conformal_torus
-from omtwarp.torus.plane import energy_on_torus
 from omtwarp.torus.quartering import quartered_torus
+from omtwarp.torus.transport import energy_on_torus
 
 
 @pytest.fixture(scope="module", params=["around vertices", "of triangles"])
