@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from omtwarp.device.start import wp
 from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
-from omtwarp.optimal.cells import Cells, RingCells, TriangleCells
+from omtwarp.optimal.cells import Cells, MeasuredRings, RingCells, TriangleCells
 from omtwarp.optimal.energy import AREA_WEIGHT, TransportEnergy
 from omtwarp.optimal.exact import CELL_GAIN, ITERATIONS, minimise_cells
 from omtwarp.optimal.nested import shape_term_by_law
@@ -33,7 +33,6 @@ Report: TypeAlias = Callable[[int, int, Record], None]
 
 STEPS = 100  # largest number of steps; a map that needs more reports that it has not converged
 REFINED = 1e-4  # least expected gain of a step of a refinement
-NO_PENALTY = 1e-9  # in place of zero, so that the matrix keeps its form
 # Weights of areas relative to angles, one after the other, where areas are wrong by more than UNEVEN, rms.
 EASING_WEIGHTS, UNEVEN = (1.0, 100.0), 0.05
 
@@ -164,11 +163,12 @@ def refine_on_torus(
     """
 
     def energy_of(value: float) -> TransportEnergy:
-        start = torus.coordinates @ torus.lattice
-        return energy_on_torus(surface, torus, start, 1.0, cost_weight=0.0, area_weight=min(value, TRIANGLE_WEIGHT))
+        start, weight = torus.coordinates @ torus.lattice, min(value, TRIANGLE_WEIGHT)
+        cells = None if value > TRIANGLE_WEIGHT else MeasuredRings(surface, wp.get_device("cpu"))
+        return energy_on_torus(surface, torus, start, 1.0, cells=cells, cost_weight=0.0, area_weight=weight)
 
     def run(at: Floats, value: float) -> OptimalMap:
-        penalty = 2.0 * max(value - TRIANGLE_WEIGHT, NO_PENALTY)
+        penalty = 2.0 * max(value - TRIANGLE_WEIGHT, 0.0)
         shown = _shown(progress)
         return minimise(energy_of(value), at, gain=REFINED, iterations=STEPS, penalty=penalty, progress=shown)
 
