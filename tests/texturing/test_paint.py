@@ -385,8 +385,9 @@ def apart(mesh, result, aspect):
     area = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
     assert area.min() > 0
     size = (1024, round(1024 / aspect))
-    assert overlap(mesh.uv, *size, wp.get_device("cpu")) == 0.0
-    part = covered(mesh.uv, size, padding=0, device="cpu").mean()
+    cpu = wp.get_device("cpu")
+    assert overlap(mesh.uv, *size, cpu) == 0.0
+    part = covered(mesh.uv, size, padding=0, device=cpu).mean()
     assert part == pytest.approx(area.sum() / 2, rel=0.01)
     assert part > (0.38 if aspect == 1.0 else 0.55) * (0.75 if len(mesh.faces) == 320 else 1.0)
 
