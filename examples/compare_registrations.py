@@ -118,7 +118,8 @@ def rows(name: str, moving: SpherePoints, target: SpherePoints | str) -> list[li
     """Return the rows of a pair."""
     here, there = two_sides(moving, target, None, None)
     begun = spent()
-    rotation = omtwarp.align(here.points, there.points, features=here.features, to_features=there.features).rotation
+    given = {"features": here.own, "to_features": there.own, "check": False}
+    rotation = omtwarp.align(here.points, there.points, **given).rotation
     turned = here.moved(here.points.grid.points @ rotation.T)
     found = [[name, "rotation", *judged(turned, there, turned.points.grid.points, spent() - begun)]]
     begun = spent()
@@ -127,7 +128,6 @@ def rows(name: str, moving: SpherePoints, target: SpherePoints | str) -> list[li
     found.append([name, "omtwarp", *judged(before, there, registered.closed_sphere, spent() - begun)])
     for program, (run, commands) in PROGRAMS.items():
         if not any(map(shutil.which, commands)):
-            found.append([name, program, "not installed", *[""] * (len(COLUMNS) - 3)])
             continue
         begun = spent()
         with tempfile.TemporaryDirectory() as folder:
@@ -150,6 +150,8 @@ def main() -> None:
         print(f"{file.name}: {time.time() - begun:.0f} s", flush=True)
     if not given.maps:
         table = rows("made", *made_pair())
+    absent = [name for name, (_, commands) in PROGRAMS.items() if not any(map(shutil.which, commands))]
+    table += [["", program, "not installed", *[""] * (len(COLUMNS) - 3)] for program in absent]
     lines = [f"| {' | '.join(COLUMNS)} |", "|" + "---|" * len(COLUMNS), *(f"| {' | '.join(row)} |" for row in table)]
     text = "\n".join(lines) + "\n"
     if given.out is None:

@@ -95,7 +95,7 @@ def register_map(
     ] = None,
     stiffness: Annotated[
         float, typer.Option(metavar="NUMBER", help="Weight of distortion against differences of features.")
-    ] = 0.38,
+    ] = 0.44,
     max_strain: Annotated[
         float,
         typer.Option(metavar="NUMBER", help="Bound of |log2| of ratios of areas, and of stretches, of every triangle."),

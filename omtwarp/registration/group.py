@@ -55,7 +55,7 @@ def register_group(
     *,
     features: Mapping[str, Files] | None = None,
     rounds: int = ROUNDS,
-    stiffness: float = 0.38,
+    stiffness: float = 0.44,
     max_strain: float = 1.1,
     keep_areas: float | str = 0.0,
     progress: Progress | None = None,
