@@ -85,12 +85,19 @@ def members(
         OmtwarpError: fewer than two maps, two of one name, one that is called as a result is, or that one would
             replace, or another number of files of a feature.
     """
-    wrong = next((name for name, given in (features or {}).items() if len(given) != len(maps)), None)
-    if features and wrong is not None:
-        raise OmtwarpError(
-            f"feature '{wrong}' has {len(features[wrong])} files for {len(maps)} maps: give one for each"
-        )
-    data = [tuple((name, Path(given[k])) for name, given in (features or {}).items()) for k in range(len(maps))]
+    wanted = features or {}
+    for name, given in wanted.items():
+        if len(given) != len(maps):
+            raise OmtwarpError(f"feature '{name}' has {len(given)} files for {len(maps)} maps: give one a map")
+    paths = _by_name(maps, folder, *taken)
+    return {
+        stem: Member(path, tuple((name, Path(given[k])) for name, given in wanted.items()))
+        for k, (stem, path) in enumerate(paths.items())
+    }
+
+
+def _by_name(maps: Files, folder: str | os.PathLike[str], *taken: str) -> dict[str, Path]:
+    """Return maps by their names without suffix; arguments and errors as of :func:`members`."""
     files = {Path(path).stem: Path(path) for path in maps}
     if len(maps) < 2:
         raise OmtwarpError(f"{len(maps)} map in all: give at least two")
@@ -105,7 +112,7 @@ def members(
     missing = next((path for path in files.values() if not path.is_file()), None)
     if missing is not None:
         raise OmtwarpError(f"'{missing}' is no file: give maps (.npz)")
-    return {name: Member(path, own) for (name, path), own in zip(files.items(), data, strict=True)}
+    return files
 
 
 def _same(one: Path, other: Path) -> bool:
