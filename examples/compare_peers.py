@@ -373,13 +373,14 @@ def markdown(
     import warp as wp
 
     lines = [
-        f"Made by `examples/compare_peers.py` on {processor()}, {platform.system()}, device {options.device}, "
+        "The tables of maps are made by `python examples/compare_peers.py DATA_DIR PEERS_CSV --smoothness SMOOTHNESS_CSV`, "
+        f"these on {processor()}, {platform.system()}, device {options.device}, "
         f"Python {platform.python_version()}, NumPy {np.__version__}, SciPy {scipy.__version__}, "
         f"Warp {wp.config.version}.",
         "",
         "## The default map",
         "",
-        "Flips: of the start, Moser's map and the optimal map. Ring: root mean square error of the areas around "
+        "Flips: of the conformal and the optimal map. Ring: root mean square error of the areas around "
         "vertices. Jump: how much the metric differs between neighbouring triangles. Gap: how far the cost is above "
         "the lower bound on the cost of every map.",
         "",
