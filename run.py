@@ -83,7 +83,7 @@ def test(options: list[str], environment: dict[str, str]) -> int:
         "dead code": ["-m", "vulture"],
         # Each test process would compile every kernel for itself: compile them once before.
         "kernels": ["-m", "omtwarp.device.prewarm"],
-        "tests": ["-m", "pytest", "-n", "2", "--dist", "loadgroup", *options],
+        "tests": ["-m", "pytest", "-n", "2", "--dist", "worksteal", *options],
         "size": [".ci/count.py"],
     }
     failed = {}

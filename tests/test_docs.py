@@ -23,6 +23,8 @@ from omtwarp.commands._cli import main
 from omtwarp.mesh import shapes
 from omtwarp.mesh.data import VertexData, write_data
 from omtwarp.mesh.write import write_mesh
+from omtwarp.registration import warp
+from omtwarp.render import films
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -63,40 +65,48 @@ def is_set_up(words: list[str]) -> bool:
     return by_python or words[0] in SET_UP or words[0] == "./run.py"
 
 
-@pytest.fixture
-def desk(tmp_path, monkeypatch) -> Path:
+@pytest.fixture(scope="module")
+def files(tmp_path_factory) -> Path:
     """A folder with the files that the documentation speaks of, on small shapes."""
+    folder = tmp_path_factory.mktemp("files")
     surface = shapes.limbs(length=0.5, sharpness=4.0, sphere=1280)
     for name in ("bunny.ply", "mesh.ply", "bunny.obj"):
-        write_mesh(tmp_path / name, surface.vertices, surface.faces)
+        write_mesh(folder / name, surface.vertices, surface.faces)
     kept = surface.faces[(surface.vertices[surface.faces, 2] > -0.4).all(axis=1)]
     used, kept = np.unique(kept, return_inverse=True)
     part, kept = surface.vertices[used], kept.reshape(-1, 3)
-    write_mesh(tmp_path / "face.ply", part, kept)
+    write_mesh(folder / "face.ply", part, kept)
     both = np.concatenate([surface.faces, kept + len(surface.vertices)])
-    write_mesh(tmp_path / "parts.ply", np.concatenate([surface.vertices, part + 4.0]), both)
+    write_mesh(folder / "parts.ply", np.concatenate([surface.vertices, part + 4.0]), both)
     double = shapes.rings(2, cell=0.3)
     ring = shapes.rings(1, cell=0.35)
-    write_mesh(tmp_path / "ring.ply", ring.vertices, ring.faces)
-    write_mesh(tmp_path / "pretzel.ply", double.vertices, double.faces)
+    write_mesh(folder / "ring.ply", ring.vertices, ring.faces)
+    write_mesh(folder / "pretzel.ply", double.vertices, double.faces)
     turned = surface.faces.copy()
     turned[::7] = turned[::7, ::-1]  # some triangles face inwards
-    write_mesh(tmp_path / "broken.ply", surface.vertices, turned)
+    write_mesh(folder / "broken.ply", surface.vertices, turned)
     y, x = np.mgrid[0:64, 0:128]
     picture = np.stack([x * 2, y * 4, 128 + 0 * x], axis=2).astype(np.uint8)
-    Image.fromarray(picture).save(tmp_path / "earth.png")
-    (tmp_path / "shapes").mkdir()
+    Image.fromarray(picture).save(folder / "earth.png")
+    (folder / "shapes").mkdir()
     for name in ("a", "b"):
-        write_mesh(tmp_path / "shapes" / f"{name}.ply", surface.vertices, surface.faces)
-    (tmp_path / "cohort.csv").write_text("path,group\nshapes/a.ply,control\nshapes/b.ply,patient\n")
+        write_mesh(folder / "shapes" / f"{name}.ply", surface.vertices, surface.faces)
+    (folder / "cohort.csv").write_text("path,group\nshapes/a.ply,control\nshapes/b.ply,patient\n")
     members = [f"{k},{'ab'[k % 2]}.npz,{'abc'[k % 3]},{50 + k * k},{'north' if k < 4 else 'south'}" for k in range(9)]
-    (tmp_path / "subjects.csv").write_text(
+    (folder / "subjects.csv").write_text(
         "\n".join(["id,path,group,age,site", *members, ""]).replace("b.npz", "bunny.npz")
     )
-    (tmp_path / "face.txt").write_text("\n".join(str(1 + k % 3) for k in range(surface.vertex_count)))
+    (folder / "face.txt").write_text("\n".join(str(1 + k % 3) for k in range(surface.vertex_count)))
     white = shapes.blob(seed=3, sphere=shapes.icosphere(8))
-    write_mesh(tmp_path / "lh.white", white.vertices, white.faces)
-    write_data(tmp_path / "lh.thickness", VertexData(2.5 + white.vertices[:, :1], ("thickness",)))
+    write_mesh(folder / "lh.white", white.vertices, white.faces)
+    write_data(folder / "lh.thickness", VertexData(2.5 + white.vertices[:, :1], ("thickness",)))
+    return folder
+
+
+@pytest.fixture
+def desk(files, tmp_path, monkeypatch) -> Path:
+    """The page's own copy of the files, in which its commands run."""
+    shutil.copytree(files, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -127,7 +137,11 @@ def run_command(words: list[str]) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_commands_of_page_run(page, desk):
+def test_commands_of_page_run(page, desk, monkeypatch):
+    """As they are, but warps take one step a level on a coarse grid, and motion of films is measured on few pixels."""
+    monkeypatch.setattr(warp, "ITERATIONS", 1)
+    monkeypatch.setattr(warp, "FEATURE_GRID", 8)
+    monkeypatch.setattr(films, "PROBE_WIDTH", 24)
     commands = [
         c for block in blocks_of(page.read_text("utf-8")) if block.language in COMMANDS for c in commands_of(block)
     ]

@@ -11,8 +11,8 @@ from omtwarp.mesh.surface import triangle_areas
 from omtwarp.mesh.validate import check
 
 SCRIPT = Path(__file__).parent.parent / "examples" / "random_shapes.py"
-# Three of every kind.
-SEEDS = range(36)
+# One of every kind; tests/test_generated_surfaces.py maps five of each.
+SEEDS = range(12)
 MOST_VERTICES = 800
 
 
@@ -38,7 +38,7 @@ def test_every_stage_is_a_bijection(seed):
     assert found["area"] < 2.3
 
 
-@pytest.mark.parametrize("seed", SEEDS[:12])
+@pytest.mark.parametrize("seed", SEEDS)
 def test_shapes_are_sound_and_the_same_every_time(seed):
     kind, surface = random_shapes.random_shape(seed, MOST_VERTICES)
     again = random_shapes.random_shape(seed, MOST_VERTICES)

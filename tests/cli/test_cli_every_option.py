@@ -17,6 +17,8 @@ from omtwarp.cohort.work import run_item
 from omtwarp.commands._cli import SUMMARIES, app_of, main
 from omtwarp.mesh import shapes
 from omtwarp.mesh.write import write_mesh
+from omtwarp.registration import warp
+from omtwarp.render import films
 
 # A command line of each command, to which options are added.
 LINES = {
@@ -35,7 +37,7 @@ LINES = {
     "spharm": "spharm --map ball.npz -o spharm.coef --degree 3 --device cpu",
     "distance": "distance ball.npz ball.npz --degree 3 --device cpu",
     "group": "group ball.npz other.npz -o group --grid ico1 --degree 3 --permutations 9 --device cpu",
-    "demo": "demo -o demo --faces 2000 --device cpu --json --verbose",
+    "demo": "demo -o demo --faces 2000 --device cpu --json --verbose --force",
     "benchmark": "benchmark ball.ply --sizes none --repeats 1 --device cpu",
 }
 # Another line, for options of which the one above makes no use.
@@ -150,7 +152,7 @@ ELSEWHERE = {
     "preview --backend auto", "preview --backend pyrender", "film --backend auto", "film --backend pyrender",
     "benchmark --device auto", "benchmark --cold", "cohort --executor dask", "cohort --executor slurm",
     "cohort --executor submitit-local", "benchmark --kernels", "texture --size auto",
-    "demo --json", "demo --verbose", "demo --quiet",
+    "demo --json", "demo --verbose", "demo --quiet", "demo --force", "demo --device cpu",
     *(f"{command} --solver cudss" for command in LINES),
 }  # fmt: skip
 
@@ -290,7 +292,14 @@ def test_every_command_has_a_line():
 
 @pytest.mark.parametrize("command", LINES)
 def test_every_value_of_every_option_works(place, capsys, monkeypatch, command):
-    """No line of any value ends in an error; items of cohorts are computed here, not in processes of their own."""
+    """No line of any value ends in an error; items of cohorts are computed here, not in processes of their own.
+
+    Warps take one step at a level on a coarse grid, and motion is measured on few pixels: how well they do is tested
+    elsewhere.
+    """
+    monkeypatch.setattr(warp, "ITERATIONS", 1)
+    monkeypatch.setattr(warp, "FEATURE_GRID", 8)
+    monkeypatch.setattr(films, "PROBE_WIDTH", 16)
     monkeypatch.setattr(Host, "run", lambda host, job: run_item(replace(job, memory_limit=0)))
     failed = {}
     for words in every_line(command):

@@ -19,8 +19,6 @@ from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.write import write_mesh
 from omtwarp.shape_analysis import expand
 
-pytestmark = pytest.mark.xdist_group("maps of every kind")  # one process makes them once
-
 
 def run(capsys, *arguments) -> tuple[int, str, str]:
     with pytest.raises(SystemExit) as ended:
@@ -243,7 +241,6 @@ COMMANDS = {
     "unwrap --map {map} -o {out}.glb": {},
     "preview {map} -o {out}.png --size 48": {},
     "preview {map} -o {out}.gif --size 48 --frames 3 --image {picture}": {},
-    "film {map} -o {out}.gif --size 32x32 --seconds 0.2 --fps 5": {},
     "report {map} -o {out}.html": {},
     "texture {mesh} -o {out}.glb": dict.fromkeys(KINDS, "'omtwarp map' with --"),
 }

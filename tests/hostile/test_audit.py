@@ -1,8 +1,9 @@
 """What commands open, import and start, as Python's audit events tell it: nothing outside of where they belong.
 
-Every command that takes a mesh, a map or data opens every case, all lines in one process. Cases are meshes of five
-formats that name a file in their folder, two elsewhere and one by a link, a sound mesh and its map, and each file of
-the folder that ``OMTWARP_CASES`` names. ``cohort`` opens all in one line, by children; ``demo`` takes none.
+Cases are meshes of five formats that name a file in their folder, two elsewhere and one by a link, a sound mesh and
+its map, and each file of the folder that ``OMTWARP_CASES`` names. Commands that read pictures and materials open every
+case, the others one of each format, another one each, all lines in one process. ``cohort`` opens all in one line, by
+children; ``demo`` takes none.
 """
 
 from __future__ import annotations
@@ -98,12 +99,15 @@ COMMANDS = (
     # Flat pictures, as the motion that a film needs frames for is looked for on those of its own shape.
     "film {0} --method tutte --size 64x16 --seconds 0.2 --fps 2 --pattern checker --backend warp -o {2}/f.gif",
 )
+# Those that read what a mesh names.
+READERS = ("check", "preview", "texture", "unwrap", "transfer")
 # Once, of all cases, of a sound map, or of nothing.
 ONCE = (
     "cohort {1}/cases.csv --until conformal --workers 1 -o {2}/cohort",
     "group {1}/ball.npz {1}/ball.npz --grid ico1 --degree 2 --permutations 9 -o {2}/group",
     "demo --faces 2000 --device cpu -o {2}/demo",
 )
+FORMATS, WAYS = 5, 4  # of cases, and in how many ways each names a file
 
 
 @pytest.fixture
@@ -154,7 +158,9 @@ def test_commands_touch_their_inputs_and_outputs_alone(tmp_path, cases):
     )
     lines = []
     for number, file in enumerate([*cases, sound / "ball.npz", sound / "ball.ply"]):
-        for command in (*COMMANDS, *(ONCE if file == sound / "ball.ply" else ())):
+        for place, command in enumerate((*COMMANDS, *(ONCE if file == sound / "ball.ply" else ()))):
+            if number < WAYS * FORMATS and command.split()[0] not in READERS and (number + place) % WAYS:
+                continue
             out = tmp_path / "out" / str(number)
             words = [word.format(file, sound, out) for word in command.split()]
             inputs = cases if words[0] == "cohort" else [file]

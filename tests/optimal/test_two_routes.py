@@ -16,8 +16,6 @@ LIMITS = {
     "creature": 0.08,
     "gargoyle_20k": 0.02,
     "spot_6k": 0.02,
-    "skull_40k": 0.06,
-    "bunny_70k": 0.06,
 }
 
 

@@ -125,7 +125,7 @@ def assert_checker(
 @pytest.mark.parametrize("name", SIX_VIEWS)
 def test_checker_on_a_sphere_from_six_sides(name: str, backend: str) -> None:
     """Seam (back), both poles (top, bottom) and all between agree with the analytic checker."""
-    size, view = 256, globe()
+    size, view = 192, globe()
     camera = Camera(*VIEWS[name])
     picture = np.asarray(preview(view, views=name, size=(size, size), light="flat", backend=backend))
     offsets = window(1.3, 7)
