@@ -373,8 +373,8 @@ def markdown(
     import warp as wp
 
     lines = [
-        "The tables of maps are made by `python examples/compare_peers.py DATA_DIR PEERS_CSV --smoothness SMOOTHNESS_CSV`, "
-        f"these on {processor()}, {platform.system()}, device {options.device}, "
+        "The tables of maps are made by `python examples/compare_peers.py DATA_DIR PEERS_CSV "
+        f"--smoothness SMOOTHNESS_CSV`, these on {processor()}, {platform.system()}, device {options.device}, "
         f"Python {platform.python_version()}, NumPy {np.__version__}, SciPy {scipy.__version__}, "
         f"Warp {wp.config.version}.",
         "",
