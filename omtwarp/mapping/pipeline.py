@@ -32,7 +32,7 @@ from omtwarp.mesh.checks import MeshLike, as_surface, as_unit_vectors
 from omtwarp.mesh.quarter import quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.metrics.certificate import Certificate, certify_triangles
-from omtwarp.metrics.distortion import measure
+from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.metrics.optimality import Optimality, optimality, relative_curl
 from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetric_map, symmetric_start, symmetrised
 from omtwarp.open_surfaces.symmetric import symmetric_exact_map, symmetric_optimal_map
@@ -306,7 +306,7 @@ class MapComputation:
             details["gave_up"] = self.given_up
             self.given_up = ""
         mesh = self.surface.on(self.device)
-        measured = measure(mesh.vertices, mesh.faces, self.points(sphere), device=self.device)
+        measured = measure_triangles(mesh.vertices, mesh.faces, self.points(sphere), device=self.device).to_dict()
         cost = transport_cost(self.surface, self.points(sphere), start=self.first, device=self.device)
         self.records.append(
             StageRecord(

@@ -18,16 +18,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.arrays import triangles, vectors
-from omtwarp.device.policy import resolve_device, shares_host_memory
+from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.device.sums import DeviceSum, RowSums
 from omtwarp.mesh.arrays import in_range, real_numbers, require_unit_length
 from omtwarp.mesh.checks import MeshLike, as_faces, as_triangles
-from omtwarp.metrics.kernels import not_finite, pick_values, triangle_distortion, weighted_distortions
+from omtwarp.metrics.kernels import triangle_distortion
 
 WEIGHTINGS = ("mean", "surface", "sphere")
-
-HIGH = 95  # percentile that stands for the worst triangles but for a few, which may be slivers; by convention
 
 
 class Aggregates(TypedDict):
@@ -142,9 +139,13 @@ def measure_triangles(
         sphere = real_numbers(sphere, "the map", (len(vertices), 3), finite=False)
     if not isinstance(faces, wp.array):
         faces = as_faces(faces, len(vertices))
-    arrays = (array.numpy() for array in triangle_quantities(vertices, faces, sphere, resolve_device(device)))
-    surface_area, sphere_area, determinant, angle, triple, solid = arrays
+    where = resolve_device(device)
+    inputs = [vectors(vertices, where), vectors(sphere, where), triangles(faces, where)]
+    count = len(inputs[2])
+    outputs = [wp.empty(count, dtype=wp.float64, device=where) for _ in range(6)]
+    wp.launch(triangle_distortion, dim=count, inputs=inputs, outputs=outputs, device=where)
     finite = bool(np.isfinite(sphere.numpy() if isinstance(sphere, wp.array) else sphere).all())
+    surface_area, sphere_area, determinant, angle, triple, solid = (array.numpy() for array in outputs)
     return summarize(surface_area, sphere_area, determinant, angle, triple, solid, finite)
 
 
@@ -179,82 +180,6 @@ def measure_in_plane(vertices: ArrayLike, faces: ArrayLike, plane: ArrayLike) ->
         return summarize(area, np.abs(flat), flat / area, angle, flat, solid, bool(np.isfinite(images).all()))
 
 
-def measure(
-    vertices: ArrayLike | wp.array, faces: ArrayLike | wp.array, sphere: ArrayLike | wp.array, *, device: str | None
-) -> Aggregates:
-    """Return the aggregates of :func:`distortion` alone, as :meth:`Distortion.to_dict` has them; arguments as there.
-
-    On CUDA they are computed on the device, and some twenty numbers are copied instead of six for every triangle. Sums
-    differ by rounding.
-    """
-    where = resolve_device(device)
-    if shares_host_memory(where):
-        return measure_triangles(vertices, faces, sphere, device=device).to_dict()
-    points = vectors(sphere, where)
-    return aggregates(triangle_quantities(vertices, faces, points, where), points)
-
-
-def triangle_quantities(
-    vertices: ArrayLike | wp.array, faces: ArrayLike | wp.array, sphere: ArrayLike | wp.array, where: wp.Device
-) -> list[wp.array]:
-    """Return triangles' areas on surface and sphere, determinant, angle distortion, det[s0, s1, s2], solid angle."""
-    inputs = [vectors(vertices, where), vectors(sphere, where), triangles(faces, where)]
-    count = len(inputs[2])
-    outputs = [wp.empty(count, dtype=wp.float64, device=where) for _ in range(6)]
-    wp.launch(triangle_distortion, dim=count, inputs=inputs, outputs=outputs, device=where)
-    return outputs
-
-
-def aggregates(of_triangles: list[wp.array], sphere: wp.array) -> Aggregates:
-    """Summarise the quantities of triangles on their device, as :func:`summarize` does on the host.
-
-    Args:
-        of_triangles: float64 arrays of Warp, shape [F], in the order of :func:`summarize`.
-        sphere: the map, vec3d, shape [V].
-    """
-    surface_area, sphere_area, _, angle, *_ = of_triangles
-    where, count = angle.device, angle.size
-    marks = wp.empty(sphere.size, dtype=wp.float64, device=where)
-    wp.launch(not_finite, dim=sphere.size, inputs=[sphere], outputs=[marks], device=where)
-    add = DeviceSum(where)
-    totals = [wp.empty(1, dtype=wp.float64, device=where) for _ in range(3)]
-    for total, values in zip(totals, (surface_area, sphere_area, marks), strict=True):
-        add.total(values, total)
-    area, terms = (wp.empty(shape, dtype=wp.float64, device=where) for shape in (count, (count, 8)))
-    inputs = [*of_triangles, *totals[:2]]
-    wp.launch(weighted_distortions, dim=count, inputs=inputs, outputs=[area, terms], device=where)
-    sums = RowSums(count, terms.shape[1], where)(terms).numpy().sum(axis=0).tolist()
-
-    at = HIGH / 100 * (count - 1)
-    places = [(count - 1) // 2, count // 2, int(at), min(int(at) + 1, count - 1), count - 1]
-    chosen = wp.array(places, dtype=wp.int32, device=where)
-    # The radix sort of Warp needs a workspace of twice the keys.
-    keys = wp.empty(2 * count, dtype=wp.float64, device=where)
-    order = wp.zeros(2 * count, dtype=wp.int32, device=where)
-
-    def aggregate(values: wp.array, means: list[float]) -> dict[str, float]:
-        wp.copy(keys, values, count=count)
-        wp.utils.radix_sort_pairs(keys, order, count)
-        picked = wp.empty(len(places), dtype=wp.float64, device=where)
-        wp.launch(pick_values, dim=len(places), inputs=[keys, chosen], outputs=[picked], device=where)
-        first, second, low, high, largest = picked.numpy().tolist()
-        # Interpolated as by NumPy. A sort does not detect NaN; the mean does.
-        part = at - int(at)
-        between = high - (high - low) * (1.0 - part) if part >= 0.5 else low + (high - low) * part
-        ranked = {"median": 0.5 * (first + second), "p95": between, "max": largest}
-        if np.isnan(means[0]):
-            ranked = dict.fromkeys(ranked, float("nan"))
-        return dict(zip(WEIGHTINGS, means, strict=True)) | ranked
-
-    return {
-        "flips": int(sums[6]),
-        "degree": sums[7] / (4 * np.pi),
-        "finite": bool(totals[2].numpy()[0] == 0.0),
-        "area": aggregate(area, [sums[0] / count, *sums[1:3]]),
-        "angle": aggregate(angle, [sums[3] / count, *sums[4:6]]),
-    }
-
-
 def summarize(
     surface_area: NDArray[np.float64],
     sphere_area: NDArray[np.float64],
@@ -280,7 +205,7 @@ def summarize(
             out = {name: float((weight * values).sum()) for name, weight in weights.items()}
         return out | {
             "median": float(np.median(values)),
-            "p95": float(np.percentile(values, HIGH)),
+            "p95": float(np.percentile(values, 95)),
             "max": float(values.max()),
         }
 

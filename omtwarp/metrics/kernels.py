@@ -1,6 +1,6 @@
 """Per-triangle distortion of a sphere map, as float64 kernels."""
 
-from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, wp
 from omtwarp.geometry.spherical import TINY, triple_product
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -50,58 +50,6 @@ def triangle_distortion(
     angle[f] = (p * p + q * q + r * r) / (p * r)
     triple[f] = triple_product(a, b, c)
     solid[f] = solid_angle(a, b, c)
-
-
-@wp.kernel
-def weighted_distortions(
-    surface_area: wp.array[wp.float64],
-    sphere_area: wp.array[wp.float64],
-    determinant: wp.array[wp.float64],
-    angle: wp.array[wp.float64],
-    triple: wp.array[wp.float64],
-    solid: wp.array[wp.float64],
-    surface_total: wp.array[wp.float64],
-    sphere_total: wp.array[wp.float64],
-    # Data out:
-    area: wp.array[wp.float64],
-    terms: wp.array2d[wp.float64],
-):
-    """Compute area distortion, and the summands of both distortions in three weightings, of flips and solid angles."""
-    f = wp.tid()
-    ratio = determinant[f] * (surface_total[0] / sphere_total[0])
-    area[f] = ratio + ONE / ratio
-    on_surface, on_sphere = surface_area[f] / surface_total[0], sphere_area[f] / sphere_total[0]
-    terms[f, 0] = area[f]
-    terms[f, 1] = area[f] * on_surface
-    terms[f, 2] = area[f] * on_sphere
-    terms[f, 3] = angle[f]
-    terms[f, 4] = angle[f] * on_surface
-    terms[f, 5] = angle[f] * on_sphere
-    terms[f, 6] = wp.where(triple[f] > ZERO, ZERO, ONE)
-    terms[f, 7] = solid[f]
-
-
-@wp.kernel
-def not_finite(
-    points: wp.array[wp.vec3d],
-    # Data out:
-    marks: wp.array[wp.float64],
-):
-    """Mark with 1 every point with a coordinate that is not finite, and others with 0."""
-    i = wp.tid()
-    p = points[i]
-    marks[i] = wp.where(wp.isfinite(p[0] + p[1] + p[2]), ZERO, ONE)
-
-
-@wp.kernel
-def pick_values(
-    values: wp.array[wp.float64],
-    places: wp.array[wp.int32],
-    # Data out:
-    picked: wp.array[wp.float64],
-):
-    i = wp.tid()
-    picked[i] = values[places[i]]
 
 
 @wp.kernel

@@ -7,12 +7,9 @@ from hypothesis import strategies as st
 from sphere_truths import judge, pushed_north, random_rotation, turned, twisted
 
 import omtwarp
-from omtwarp.device.arrays import vectors
-from omtwarp.device.policy import resolve_device
 from omtwarp.mesh.shapes import blob, fibonacci_sphere, icosphere, noisy, random_sphere
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics import WEIGHTINGS, measure_triangles
-from omtwarp.metrics.distortion import aggregates, measure, triangle_quantities
 
 
 def by_singular_values(surface: Surface, sphere: np.ndarray) -> dict:
@@ -147,38 +144,6 @@ def test_printed_form_names_flips_degree_area_and_angle():
     surface = icosphere(2)
     text = str(measure_triangles(surface.vertices, surface.faces, surface.vertices))
     assert text.startswith("flips 0  degree 1.000000  area 2.0000")
-
-
-@settings(deadline=None, max_examples=20)
-@given(count=st.integers(4, 300), seed=st.integers(0, 1000), turn=st.floats(0.0, 8.0))
-def test_aggregates_made_on_a_device_are_those_of_numpy(count, seed, turn):
-    """Aggregates by sorting and tree sums on the device equal NumPy's, also for maps with flipped triangles."""
-    surface = blob(seed, 0.3, 4, random_sphere(count, seed))
-    sphere = twisted(random_sphere(count, seed).vertices, turn)
-    expected = measure_triangles(surface.vertices, surface.faces, sphere, device="cpu").to_dict()
-    where = resolve_device("cpu")
-    found = aggregates(triangle_quantities(surface.vertices, surface.faces, sphere, where), vectors(sphere, where))
-    assert found["flips"] == expected["flips"] and found["finite"] is expected["finite"]
-    assert found["degree"] == pytest.approx(expected["degree"], rel=1e-12)
-    for name in ("area", "angle"):
-        assert found[name] == pytest.approx(expected[name], rel=1e-12)
-        assert list(found[name]) == list(expected[name])
-
-
-def test_aggregates_say_when_a_map_is_not_finite(device):
-    """An image that is not finite makes the faces around it flips; means are those of the other faces."""
-    surface, where = icosphere(3), resolve_device(device)
-    sphere = surface.vertices.copy()
-    sphere[5] = np.nan
-    expected = measure_triangles(surface.vertices, surface.faces, sphere, device=device).to_dict()
-    for found in (
-        aggregates(triangle_quantities(surface.vertices, surface.faces, sphere, where), vectors(sphere, where)),
-        measure(surface.vertices, surface.faces, sphere, device=device),
-    ):
-        assert found["finite"] is False and found["flips"] == expected["flips"] > 0
-        assert found["area"] == pytest.approx(expected["area"], rel=1e-12)
-    broken = aggregates(triangle_quantities(sphere, surface.faces, surface.vertices, where), vectors(sphere, where))
-    assert all(np.isnan(broken[name][key]) for name in ("area", "angle") for key in broken[name])
 
 
 def test_a_measured_distortion_prints_in_a_line():
