@@ -101,38 +101,16 @@ def run_cohort(
     """
     (part, parts), workers = shard, core_count() if workers is None else workers
     _require_possible(items, shard, workers, time_limit, memory_limit)
-    chosen = vars(MapOptions.parse(**options))
-    asked = {name: str(value) if isinstance(value, str | AreaMatch) else value for name, value in chosen.items()}
-    asked["repair"] = repair
-    if fill_area is not None:
-        asked["fill_area"] = str(choose(FillArea, fill_area))
+    asked, on = _options_of_jobs(options, repair, fill_area, register)
     from omtwarp.cohort.page import write_page  # loads Warp, which fails before the work where it cannot start
 
-    on = asked
-    if register not in (None, GROUP):
-        from omtwarp.registration.sides import target_points
-
-        found, own = target_points(register)
-        if found.vertices is None and own is None:
-            raise OmtwarpError(f"'{register}' is a sphere without its surface, and so has no folds to register to")
-        file = Path(register)
-        asked["register"] = str(file.absolute()) if file.is_file() else register
-        on = asked | ({"target": digest_of(file)} if file.is_file() else {})
     target = Path(folder).absolute()
     with folder_of_results(target, *RESULTS):  # refused before the work, not after it
         make_folders(target)
-    jobs = [
-        Job(
-            item.id,
-            str(item.path.absolute()),
-            str(target),
-            key_of(item.path, on),
-            asked,
-            time_limit,
-            int(memory_limit * 2**30),
-        )
-        for item in items
-    ]
+    limits = time_limit, int(memory_limit * 2**30)
+    jobs = []
+    for item in items:
+        jobs.append(Job(item.id, str(item.path.absolute()), str(target), key_of(item.path, on), asked, *limits))
     _require_other_inputs(jobs, target)
     mine = [] if collect else jobs[part - 1 :: parts]
     todo = [job for job in mine if (record := read_record(job)) is None or (retry and record["status"] != OK)]
@@ -140,9 +118,8 @@ def run_cohort(
         require_own(job.map_file, may_write_map(job))
     if todo:
         with _only_driver(target, part, parts):
-            if retry:
-                for job in todo:
-                    forget_failure(job)
+            for job in todo if retry else ():
+                forget_failure(job)
             records = executor_for(executor, target, workers).records(todo)
             _follow(records, len(mine) - len(todo), len(mine), progress)
     complete_journal(jobs, target)
@@ -153,6 +130,31 @@ def run_cohort(
         table = write_table(rows, target)
         page = write_page(rows, target)
     return CohortResult(dict(Counter(str(row["status"]) for row in rows)), len(todo), table, page)
+
+
+def _options_of_jobs(
+    options: MapKeywords, repair: bool, fill_area: str | None, register: str | None
+) -> tuple[dict[str, object], dict[str, object]]:
+    """Return the options of a job, and what its result depends on: these, and the content of a target's file.
+
+    Raises:
+        OmtwarpError: an unknown option, or a target without folds to register to.
+    """
+    chosen = vars(MapOptions.parse(**options))
+    asked = {name: str(value) if isinstance(value, str | AreaMatch) else value for name, value in chosen.items()}
+    asked["repair"] = repair
+    if fill_area is not None:
+        asked["fill_area"] = str(choose(FillArea, fill_area))
+    if register is None or register == GROUP:
+        return asked, asked
+    from omtwarp.registration.sides import target_points
+
+    points, features = target_points(register)
+    if points.vertices is None and features is None:
+        raise OmtwarpError(f"'{register}' is a sphere without its surface, and so has no folds to register to")
+    file = Path(register)
+    asked["register"] = str(file.absolute()) if file.is_file() else register
+    return asked, asked | ({"target": digest_of(file)} if file.is_file() else {})
 
 
 def _require_possible(

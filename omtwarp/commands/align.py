@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -11,11 +11,8 @@ from omtwarp.commands._features import Pair
 from omtwarp.commands._options import Printing
 from omtwarp.commands._progress import progress_bar, steps
 from omtwarp.commands._streams import input_file, warnings_as_lines
-from omtwarp.commands._work import report_text
+from omtwarp.commands._work import show_facts
 from omtwarp.options import AlignBy
-
-if TYPE_CHECKING:
-    from omtwarp.alignment import Alignment
 
 
 def align_map(
@@ -46,6 +43,7 @@ def align_map(
     the sphere, or those given.
     """
     import numpy as np
+    from scipy.spatial.transform import Rotation
 
     from omtwarp.alignment import align
     from omtwarp.resampling import as_points, file_points
@@ -60,33 +58,14 @@ def align_map(
         notify(1)
         mine, others = pair.features(other)
         with warnings_as_lines():
-            alignment = align(
-                moving,
-                fixed,
-                features=mine,
-                to_features=others,
-                by=by,
-                mirror=mirror,
-                degree=degree,
-            )
+            alignment = align(moving, fixed, features=mine, to_features=others, by=by, mirror=mirror, degree=degree)
         notify(2)
         faces = moving.grid.own_triangles[:, ::-1] if alignment.mirrored else moving.grid.own_triangles
         pair.write(alignment.turned, alignment.sphere, faces)
         notify(3)
-    if printing.as_json:
-        print(report_text({"output": str(pair.output), **alignment.to_dict()}), end="")
-    elif not printing.quiet:
-        mirrored = ", mirrored" * alignment.mirrored
-        margin = f", {alignment.margin:.3f} above the next best" if np.isfinite(alignment.margin) else ""
-        print(
-            f"{pair.output}: turned by {_degrees(alignment):.3f} degrees{mirrored}; by {alignment.method} "
-            f"({alignment.basis}), score {alignment.score:.6f}{margin}"
-        )
-
-
-def _degrees(alignment: Alignment) -> float:
-    import numpy as np
-    from scipy.spatial.transform import Rotation
-
     turn = alignment.rotation if not alignment.mirrored else alignment.rotation @ np.diag([-1.0, 1.0, 1.0])
-    return float(np.degrees(Rotation.from_matrix(turn).magnitude()))
+    degrees = np.degrees(Rotation.from_matrix(turn).magnitude())
+    margin = f", {alignment.margin:.3f} above the next best" if np.isfinite(alignment.margin) else ""
+    line = f"{pair.output}: turned by {degrees:.3f} degrees{', mirrored' * alignment.mirrored}; by {alignment.method} "
+    line += f"({alignment.basis}), score {alignment.score:.6f}{margin}"
+    show_facts({"output": str(pair.output), **alignment.to_dict()}, line, printing)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import sys
 import time
@@ -15,6 +14,7 @@ import typer
 
 from omtwarp.commands._options import ROUTE, FillAreaOption, Only, Printing, RepairOption, output_option
 from omtwarp.commands._streams import input_table, say, warnings_as_lines
+from omtwarp.commands._work import show_facts
 from omtwarp.errors import INTERRUPTED, OmtwarpError
 from omtwarp.files.interruptions import LINE, raised
 from omtwarp.options import MapOptions
@@ -107,17 +107,9 @@ def cohort(
             register=register,
             **vars(mapping),
         )
-    if printing.as_json:
-        known = {
-            "counts": result.counts,
-            "computed": result.computed,
-            "table": str(result.table),
-            "page": str(result.page),
-        }
-        print(json.dumps(known))
-    elif not printing.quiet:
-        counts = ", ".join(f"{count} {status}" for status, count in sorted(result.counts.items()))
-        print(f"{result.table}: {counts}; {result.computed} computed in this run; {result.page}")
+    counts = ", ".join(f"{count} {status}" for status, count in sorted(result.counts.items()))
+    line = f"{result.table}: {counts}; {result.computed} computed in this run; {result.page}"
+    show_facts(vars(result) | {"table": str(result.table), "page": str(result.page)}, line, printing)
 
 
 @contextmanager

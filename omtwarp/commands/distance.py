@@ -10,7 +10,7 @@ import typer
 from omtwarp.commands._options import Printing
 from omtwarp.commands._progress import progress_bar
 from omtwarp.commands._streams import input_file
-from omtwarp.commands._work import load_whole_map, report_text, start_device
+from omtwarp.commands._work import load_whole_map, show_facts, start_device
 from omtwarp.options import Device, MapOptions
 
 
@@ -36,12 +36,8 @@ def distance(
     ends = load_whole_map(first), load_whole_map(second)
     with progress_bar(printing.quiet, printing.verbose) as progress:
         distances = shape_distance(*ends, degree=degree, scale=scale, device=device, progress=progress)
-    if printing.as_json:
-        print(report_text({"first": str(first), "second": str(second), **distances.to_dict()}), end="")
-    elif printing.quiet:
-        print(f"{distances.coefficients:.6g} {distances.transport:.6g}")
-    else:
-        print(
-            f"coefficients {distances.coefficients:.6g} (the surfaces' unit), "
-            f"transport {distances.transport:.6g} radians"
-        )
+    coefficients, transport = f"{distances.coefficients:.6g}", f"{distances.transport:.6g}"
+    if printing.quiet and not printing.as_json:
+        print(coefficients, transport)
+    line = f"coefficients {coefficients} (the surfaces' unit), transport {transport} radians"
+    show_facts({"first": str(first), "second": str(second), **distances.to_dict()}, line, printing)

@@ -5,17 +5,20 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from omtwarp.commands._options import Printing, output_option
 from omtwarp.commands._progress import progress_bar
 from omtwarp.commands._streams import STREAM, input_file, input_table, say
-from omtwarp.commands._work import load_whole_map, report_text, start_device
+from omtwarp.commands._work import load_whole_map, show_facts, start_device
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.files.output import check_folder, folder_of_results
 from omtwarp.options import Device, MapOptions
+
+if TYPE_CHECKING:
+    from omtwarp.shape_analysis.group import GroupStudy
 
 
 def group(
@@ -57,11 +60,12 @@ def group(
     with a linear model and permutations; each given all others.
     """
     from omtwarp.shape_analysis.group import GROUP, mirrored_words, study_group, table_of
-    from omtwarp.shape_analysis.group_report import SIGNIFICANT, write_group_report
+    from omtwarp.shape_analysis.group_report import write_group_report
     from omtwarp.shape_analysis.linear_model import check_table
 
     check_folder(output)
-    names, paths, labels, covariates = _members(sources, covariate or [])
+    names, paths, rows = _listed(sources)
+    labels, covariates = _columns(rows, covariate or [], sources[0])
     if len(paths) < 2:
         raise OmtwarpError(f"{len(paths)} map in all: a group needs at least two")
     table = table_of(labels, covariates)
@@ -73,7 +77,7 @@ def group(
     with progress_bar(printing.quiet, printing.verbose) as progress, warnings.catch_warnings():
         warnings.simplefilter("ignore", OmtwarpWarning)  # said below, with the names
         study = study_group(
-            [load_whole_map(path) for path in paths],
+            list(map(load_whole_map, paths)),
             labels,
             covariates=covariates,
             grid=grid,
@@ -91,28 +95,29 @@ def group(
     mirrored = mirrored_words(study.alignment, names)
     if mirrored:
         say(f"warning: {mirrored}")
-    smallest = {name: float(effect.p_values.min()) for name, effect in study.effects.items()}
-    if printing.as_json:
-        record = {
-            "output": str(output),
-            "files": [file.name for file in files],
-            "shapes": len(paths),
-            "explained": study.components.explained,
-            "mirrored": [name for name, image in zip(names, study.alignment.mirrored, strict=True) if image],
-            "smallest_p": smallest,
-            "significant_points": {
-                name: int((effect.p_values <= SIGNIFICANT).sum()) for name, effect in study.effects.items()
-            },
-            "discovered_points": {
-                name: int((effect.fdr <= SIGNIFICANT).sum()) for name, effect in study.effects.items()
-            },
-        }
-        print(report_text(record), end="")
-    elif not printing.quiet:
-        shares = ", ".join(f"{100 * share:.0f} %" for share in study.components.explained)
-        told = "; smallest corrected p of " + ", ".join(f"{name} {p:.3g}" for name, p in smallest.items())
-        told = told if smallest else ""
-        print(f"{output / 'report.html'}: {len(paths)} shapes, components with {shares} of the variance{told}")
+    facts = {"output": str(output), "files": [file.name for file in files], "shapes": len(paths)}
+    show_facts(facts | _findings(study, names), _line(study, output), printing)
+
+
+def _findings(study: GroupStudy, names: Sequence[str]) -> dict[str, object]:
+    """Return the findings about a group by name, ready for JSON."""
+    from omtwarp.shape_analysis.group_report import SIGNIFICANT
+
+    effects = study.effects.items()
+    return {
+        "explained": study.components.explained,
+        "mirrored": [name for name, image in zip(names, study.alignment.mirrored, strict=True) if image],
+        "smallest_p": {name: float(effect.p_values.min()) for name, effect in effects},
+        "significant_points": {name: int((effect.p_values <= SIGNIFICANT).sum()) for name, effect in effects},
+        "discovered_points": {name: int((effect.fdr <= SIGNIFICANT).sum()) for name, effect in effects},
+    }
+
+
+def _line(study: GroupStudy, output: Path) -> str:
+    shares = ", ".join(f"{100 * share:.0f} %" for share in study.components.explained)
+    line = f"{output / 'report.html'}: {len(study.from_mean)} shapes, components with {shares} of the variance"
+    least = ", ".join(f"{name} {effect.p_values.min():.3g}" for name, effect in study.effects.items())
+    return f"{line}; smallest corrected p of {least}" if least else line
 
 
 def _of_one_structure(paths: Sequence[Path]) -> Path | None:
@@ -122,36 +127,39 @@ def _of_one_structure(paths: Sequence[Path]) -> Path | None:
     return paths[0] if len({structure_of(path) for path in paths}) == 1 else None
 
 
-def _members(
-    sources: list[str], wanted: Sequence[str]
-) -> tuple[list[str], list[Path], list[str] | None, dict[str, list[object]]]:
-    """Return the name, file and group of every member, and its covariates; both are columns of a table.
+def _listed(sources: list[str]) -> tuple[list[str], list[Path], list[Mapping[str, object]]]:
+    """Return the name and file of every member, and what a table says about it.
 
     Members of a cohort are those that it mapped, by the maps in its folder.
-
-    Raises:
-        OmtwarpError: a covariate that is no column, or some members have a group and others none.
     """
     from omtwarp.cohort.manifest import read_manifest
     from omtwarp.cohort.table import map_of, table_of_cohort
 
-    rows: list[Mapping[str, object]]
     one = sources[0] if len(sources) == 1 else ""
     cohort = table_of_cohort(Path(one)) if one and one != str(STREAM) else None
     if cohort is not None:
-        names, rows = [str(row["id"]) for row in cohort[1]], [*cohort[1]]
-        paths = [map_of(cohort[0], row) for row in cohort[1]]
-    elif one == str(STREAM) or Path(one).suffix.lower() in (".csv", ".tsv"):
+        folder, rows = cohort
+        return [str(row["id"]) for row in rows], [map_of(folder, row) for row in rows], list(rows)
+    if one == str(STREAM) or Path(one).suffix.lower() in (".csv", ".tsv"):
         items = read_manifest(input_table(one))
-        names, paths, rows = [item.id for item in items], [item.path for item in items], [item.fields for item in items]
-    else:
-        paths = [Path(str(input_file(text))) for text in sources]
-        stems = [path.stem for path in paths]
-        names, rows = stems if len(set(stems)) == len(stems) else [str(path) for path in paths], [{}] * len(paths)
+        return [item.id for item in items], [item.path for item in items], [item.fields for item in items]
+    paths = [Path(str(input_file(text))) for text in sources]
+    stems = [path.stem for path in paths]
+    return stems if len(set(stems)) == len(stems) else list(map(str, paths)), paths, [{}] * len(paths)
+
+
+def _columns(
+    rows: list[Mapping[str, object]], wanted: Sequence[str], table: str
+) -> tuple[list[str] | None, dict[str, list[object]]]:
+    """Return the groups of all members, None where they have none, and the covariates wanted.
+
+    Raises:
+        OmtwarpError: a covariate that is no column, or some members have a group and others none.
+    """
     missing = next((name for name in wanted if not any(name in row for row in rows)), None)
     if missing is not None:
         raise OmtwarpError(f"there is no column '{missing}': covariates are columns of the table of maps")
     groups = [str(row["group"]) for row in rows if row.get("group") is not None]
     if groups and len(groups) < len(rows):
-        raise OmtwarpError(f"{len(rows) - len(groups)} of {len(rows)} maps in '{one}' have no group")
-    return names, paths, groups or None, {name: [row.get(name) for row in rows] for name in wanted}
+        raise OmtwarpError(f"{len(rows) - len(groups)} of {len(rows)} maps in '{table}' have no group")
+    return groups or None, {name: [row.get(name) for row in rows] for name in wanted}

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import contextlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,7 +15,7 @@ from omtwarp.commands._features import Pair
 from omtwarp.commands._options import Printing, named
 from omtwarp.commands._progress import progress_bar
 from omtwarp.commands._streams import input_file, is_standard_output, warnings_as_lines
-from omtwarp.commands._work import report_text
+from omtwarp.commands._work import show_facts
 from omtwarp.commands.film import FILMS
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_folder, check_output
@@ -26,13 +28,123 @@ if TYPE_CHECKING:
     from omtwarp.resampling import SpherePoints
 
 
-def register_map(
-    *,
-    pair: Pair,
+@dataclass(frozen=True)
+class Several:
+    """What is done with more maps than one."""
+
     more: Annotated[
         list[Path] | None,
         typer.Argument(metavar="MORE", callback=input_file, help="Further maps, for --group and --sequence."),
-    ] = None,
+    ] = None
+    group: Annotated[
+        bool, typer.Option("--group", help="Make a template from all maps and register them to it; -o is a folder.")
+    ] = False
+    sequence: Annotated[
+        bool,
+        typer.Option(
+            "--sequence", help="Register one subject's maps in the order of time to the first; -o is a folder."
+        ),
+    ] = False
+    rounds: Annotated[
+        int, typer.Option(metavar="N", min=1, help="How many times the template of --group is made anew.")
+    ] = 3
+
+    @property
+    def mode(self) -> str:
+        """The option that asks for several maps, empty where none does.
+
+        Raises:
+            OmtwarpError: both options are given.
+        """
+        if self.group and self.sequence:
+            raise OmtwarpError("--group and --sequence exclude each other")
+        return "--group" if self.group else "--sequence" if self.sequence else ""
+
+
+@dataclass(frozen=True)
+class Extras:
+    """What is written beside the registered map."""
+
+    strain: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write log2 of ratios of areas and of stretches at MOVING's vertices too."),
+    ] = None
+    before: Annotated[
+        Path | None,
+        typer.Option(metavar="MESH", help="Write MOVING's sphere as it was too: with the sphere of -o a deformation."),
+    ] = None
+    report: Annotated[
+        Path | None, typer.Option(metavar="HTML", help="Write a page: features before and after, strain, pictures.")
+    ] = None
+    film: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write a film of the warp of a map (.npz): .mp4, .gif or .webp."),
+    ] = None
+
+    def check(self, pair: Pair) -> None:
+        """Make sure that all can be written.
+
+        Raises:
+            OmtwarpError: a file cannot be written, or a film is asked for of a sphere alone.
+        """
+        from omtwarp.mesh.data import DATA_SUFFIXES
+        from omtwarp.mesh.write import SUFFIXES
+
+        if self.film is not None and pair.source.suffix.lower() != ".npz":
+            raise OmtwarpError("--film needs a map (.npz): a sphere alone has no surface to film")
+        suffixes = {self.strain: DATA_SUFFIXES, self.before: SUFFIXES, self.report: (".html", ".htm")}
+        for extra, allowed in (suffixes | {self.film: FILMS}).items():
+            if extra is not None:
+                check_output(extra, allowed, pair.source, pair.surface)
+
+    def write(self, found: Registration, pair: Pair, moving: SpherePoints, fixed: SpherePoints | str) -> None:
+        """Write all that is asked for about a registration of one sphere to another."""
+        points, faces = moving.grid.points[: moving.grid.own_points], moving.grid.own_triangles
+        if self.strain is not None:
+            _write_strain(self.strain, found, faces, pair.surface or pair.source)
+        if self.before is not None:
+            from omtwarp.mesh.write import write_mesh
+
+            write_mesh(self.before, pair.radius * points, faces, spherical=True, like=pair.source)
+        if self.report is not None:
+            from omtwarp.registration.sides import target_points
+            from omtwarp.shape_analysis.registration_report import write_registration_page
+
+            write_registration_page(self.report, found, moving, target_points(fixed)[0])
+        if self.film is not None:
+            from omtwarp.maps.result import MapResult
+            from omtwarp.shape_analysis.registration_report import film_warp
+
+            film_warp(self.film, found, MapResult.load(pair.source))
+
+
+@dataclass(frozen=True)
+class Strength:
+    """How much the warp may distort."""
+
+    keep_areas: Annotated[
+        str,
+        typer.Option(metavar="NUMBER|exact", help="Weight of squared changes of the areas around vertices."),
+    ] = "0"
+    stiffness: Annotated[
+        float, typer.Option(metavar="NUMBER", help="Weight of distortion against differences of features.")
+    ] = 0.38
+    max_strain: Annotated[
+        float,
+        typer.Option(metavar="NUMBER", help="Bound of |log2| of ratios of areas, and of stretches, of every triangle."),
+    ] = 1.1
+
+    def keywords(self) -> dict[str, float | str]:
+        """Return the options as functions take them, which refuse a text for areas unless it is ``exact``."""
+        with contextlib.suppress(ValueError):
+            return vars(self) | {"keep_areas": float(self.keep_areas)}
+        return dict(vars(self))
+
+
+def register_map(
+    *,
+    pair: Pair,
+    several: Several,
     to: Annotated[
         str | None,
         typer.Option(
@@ -44,22 +156,6 @@ def register_map(
     hemisphere: Annotated[
         Side | None, named(Side, "Of fsaverage5, fsaverage or fsLR32k; by default the one that MOVING says.")
     ] = None,
-    group: Annotated[
-        bool,
-        typer.Option(
-            "--group",
-            help="Make a template from all maps and register them to it; -o is a folder. --feature: once for each map.",
-        ),
-    ] = False,
-    sequence: Annotated[
-        bool,
-        typer.Option(
-            "--sequence", help="Register one subject's maps in the order of time to the first; -o is a folder."
-        ),
-    ] = False,
-    rounds: Annotated[
-        int, typer.Option(metavar="N", min=1, help="How many times the template of --group is made anew.")
-    ] = 3,
     feature_weight: Annotated[
         list[float] | None,
         typer.Option(
@@ -74,32 +170,8 @@ def register_map(
             help="A table of points and curves on both sides: columns label, side, vertex or x, y, z, and weight.",
         ),
     ] = None,
-    keep_areas: Annotated[
-        str,
-        typer.Option(metavar="NUMBER|exact", help="Weight of squared changes of the areas around vertices."),
-    ] = "0",
-    strain: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write log2 of ratios of areas and of stretches at MOVING's vertices too."),
-    ] = None,
-    before: Annotated[
-        Path | None,
-        typer.Option(metavar="MESH", help="Write MOVING's sphere as it was too: with the sphere of -o a deformation."),
-    ] = None,
-    report: Annotated[
-        Path | None, typer.Option(metavar="HTML", help="Write a page: features before and after, strain, pictures.")
-    ] = None,
-    film: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write a film of the warp of a map (.npz): .mp4, .gif or .webp."),
-    ] = None,
-    stiffness: Annotated[
-        float, typer.Option(metavar="NUMBER", help="Weight of distortion against differences of features.")
-    ] = 0.44,
-    max_strain: Annotated[
-        float,
-        typer.Option(metavar="NUMBER", help="Bound of |log2| of ratios of areas, and of stretches, of every triangle."),
-    ] = 1.1,
+    extras: Extras,
+    strength: Strength,
     printing: Printing,
 ) -> None:
     """Warp a map's sphere until features of its surface lie where another map has them.
@@ -108,33 +180,21 @@ def register_map(
     which they agree best, flips no triangle, and strains none more than --max-strain. Where the next best rotation
     agrees nearly as well the start is doubtful: several are tried, and the output says so.
     """
-    from omtwarp.mesh.data import DATA_SUFFIXES
     from omtwarp.mesh.neuro import structure_of
-    from omtwarp.mesh.write import SUFFIXES, write_mesh
     from omtwarp.registration import register
     from omtwarp.registration.group_template import is_template
     from omtwarp.resampling import file_points
     from omtwarp.resampling.averages import is_average, with_side
     from omtwarp.spheres import is_named
 
-    if group and sequence:
-        raise OmtwarpError("--group and --sequence exclude each other")
-    if group or sequence:
-        alone = {"--to": to, "--landmarks": landmarks, "--strain": strain, "--feature-weight": feature_weight}
-        alone |= {"--before": before, "--report": report, "--film": film}
-        _require_many("--group" if group else "--sequence", pair, alone)
-        maps, kept = [pair.source, *(more or [])], _weight_or_exact(keep_areas)
-        data = _by_feature(pair.feature or [], len(maps))
-        _register_many(maps, data, pair.output, rounds if group else 0, stiffness, max_strain, kept, printing)
+    if several.mode:
+        alone = {"--to": to, "--landmarks": landmarks, "--feature-weight": feature_weight}
+        _require_many(several.mode, pair, alone | {f"--{name}": file for name, file in vars(extras).items()})
+        _register_many(pair, several, strength, printing)
         return
-    if to is None or more:
+    if to is None or several.more:
         raise OmtwarpError("give one map and --to TARGET, or several maps and --group or --sequence")
-    if film is not None and pair.source.suffix.lower() != ".npz":
-        raise OmtwarpError("--film needs a map (.npz): a sphere alone has no surface to film")
-    suffixes = {strain: DATA_SUFFIXES, before: SUFFIXES, report: (".html", ".htm"), film: FILMS}
-    for extra, allowed in suffixes.items():
-        if extra is not None:
-            check_output(extra, allowed, pair.source, pair.surface)
+    extras.check(pair)
     if not (pair.feature and is_named(to)):
         to = with_side(to, hemisphere or structure_of(pair.source) or structure_of(pair.surface))
     other = None if is_named(to) or is_average(to) else Path(to)
@@ -144,30 +204,12 @@ def register_map(
         fixed = to if is_average(to) or is_template(to) else file_points(to, pair.to_surface)
         mine, others = pair.features(other)
         weights = None if feature_weight is None else _named_weights(list(mine or ["sulc", "curv"]), feature_weight)
-        found = register(
-            moving,
-            fixed,
-            features=mine,
-            to_features=others,
-            feature_weights=weights,
-            stiffness=stiffness,
-            max_strain=max_strain,
-            landmarks=landmarks,
-            keep_areas=_weight_or_exact(keep_areas),
-            progress=progress,
-        )
+        warp: Callable[..., Registration] = register  # whose options are read from groups
+        of_both = {"features": mine, "to_features": others, "feature_weights": weights, "landmarks": landmarks}
+        found = warp(moving, fixed, progress=progress, **of_both, **strength.keywords())
     pair.write(found.registered, found.sphere, moving.grid.own_triangles)
-    if strain is not None:
-        _write_strain(strain, found, moving.grid.own_triangles, pair.surface or pair.source)
-    if before is not None:
-        points, faces = moving.grid.points[: moving.grid.own_points], moving.grid.own_triangles
-        write_mesh(before, pair.radius * points, faces, spherical=True, like=pair.source)
-    if report is not None or film is not None:
-        _show(report, film, found, pair.source, moving, fixed)
-    if printing.as_json:
-        print(report_text({"output": str(pair.output), **found.to_dict()}), end="")
-    elif not printing.quiet:
-        print(f"{pair.output}: {_line(found)}")
+    extras.write(found, pair, moving, fixed)
+    show_facts({"output": str(pair.output), **found.to_dict()}, f"{pair.output}: {_line(found)}", printing)
 
 
 def _require_many(mode: str, pair: Pair, others: Mapping[str, object]) -> None:
@@ -186,49 +228,21 @@ def _require_many(mode: str, pair: Pair, others: Mapping[str, object]) -> None:
     check_folder(pair.output)
 
 
-def _by_feature(files: Sequence[Path], count: int) -> dict[str, Sequence[Path]]:
-    """Return files of data by feature: those of the first for all maps, then those of the next.
-
-    Raises:
-        OmtwarpError: some map has none.
-    """
-    if len(files) % count:
-        raise OmtwarpError(f"{len(files)} times --feature for {count} maps: give it once for each, in their order")
-    return {f"feature {k // count + 1}": files[k : k + count] for k in range(0, len(files), count)}
-
-
-def _register_many(
-    maps: Sequence[Path],
-    data: Mapping[str, Sequence[Path]],
-    output: Path,
-    rounds: int,
-    stiffness: float,
-    max_strain: float,
-    keep_areas: float | str,
-    printing: Printing,
-) -> None:
-    """Register maps to a template made from them in so many rounds, with 0 to the first of them, and say how well."""
+def _register_many(pair: Pair, several: Several, strength: Strength, printing: Printing) -> None:
+    """Register maps to a template made from them, or to the first of them, and say how well."""
     from omtwarp.registration import register_group, register_sequence
 
     with progress_bar(printing.quiet, printing.verbose) as progress, warnings_as_lines():
-        run = partial(register_group, rounds=rounds) if rounds else register_sequence
-        found: GroupRegistration | SequenceRegistration = run(
-            maps,
-            output,
-            features=data,
-            stiffness=stiffness,
-            max_strain=max_strain,
-            keep_areas=keep_areas,
-            progress=progress,
-        )
-        table = found.table
-    if printing.as_json:
-        print(report_text({"output": str(output), "maps": table}), end="")
-    elif not printing.quiet:
-        made = output / ("template.npz" if rounds else "strain.npz")
-        drift = max(one.get("drift", 0.0) for one in table.values())
-        told = "" if rounds else f"; drift at most {drift:.2f} degrees"
-        print(f"{made}: {_many_line(list(table.values()))}{told}")
+        run: Callable[..., GroupRegistration | SequenceRegistration] = register_sequence
+        if several.group:
+            run = partial(register_group, rounds=several.rounds)
+        maps = [pair.source, *(several.more or [])]
+        table = run(maps, pair.output, progress=progress, **strength.keywords()).table
+    made = pair.output / ("template.npz" if several.group else "strain.npz")
+    drift = max(one.get("drift", 0.0) for one in table.values())
+    told = "" if several.group else f"; drift at most {drift:.2f} degrees"
+    line = f"{made}: {_many_line(list(table.values()))}{told}"
+    show_facts({"output": str(pair.output), "maps": table}, line, printing)
 
 
 def _many_line(facts: Sequence[Mapping[str, float]]) -> str:
@@ -255,14 +269,6 @@ def _named_weights(names: list[str], weights: list[float]) -> dict[str, float]:
     return dict(zip(names, weights, strict=True))
 
 
-def _weight_or_exact(text: str) -> float | str:
-    """Return the number of --keep-areas, or its text, which the function refuses unless it is ``exact``."""
-    try:
-        return float(text)
-    except ValueError:
-        return text
-
-
 def _write_strain(file: Path, found: Registration, faces: NDArray, like: Path) -> None:
     """Write both strains at the vertices, with the structure of the surface."""
     import numpy as np
@@ -276,25 +282,6 @@ def _write_strain(file: Path, found: Registration, faces: NDArray, like: Path) -
     ]
     data = VertexData(np.column_stack(columns), ("area_log2", "stretch_log2"), structure=structure_of(like))
     write_data(file, data, (found.sphere, faces))
-
-
-def _show(
-    report: Path | None,
-    film: Path | None,
-    found: Registration,
-    source: Path,
-    moving: SpherePoints,
-    fixed: SpherePoints | str,
-) -> None:
-    """Write the page and the film that are asked for."""
-    from omtwarp.maps.result import MapResult
-    from omtwarp.registration.sides import target_points
-    from omtwarp.shape_analysis.registration_report import film_warp, write_registration_page
-
-    if report is not None:
-        write_registration_page(report, found, moving, target_points(fixed)[0])
-    if film is not None:
-        film_warp(film, found, MapResult.load(source))
 
 
 def _line(found: Registration) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
@@ -11,7 +11,7 @@ import typer
 from omtwarp.commands._options import Printing, named, output_option
 from omtwarp.commands._progress import progress_bar, steps
 from omtwarp.commands._streams import STREAM, input_file, output_file
-from omtwarp.commands._work import report_text, start_device
+from omtwarp.commands._work import show_facts, start_device
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output
 from omtwarp.options import Device, Interpolation, MapOptions, Side
@@ -22,6 +22,71 @@ if TYPE_CHECKING:
 
     from omtwarp.mesh.data import VertexData
     from omtwarp.resampling import Resampling
+
+
+@dataclass(frozen=True)
+class Extras:
+    """What is written beside the data."""
+
+    sphere: Annotated[Path | None, typer.Option(metavar="MESH", help="Write the target sphere as well.")] = None
+    matrix: Annotated[
+        Path | None, typer.Option(metavar="NPZ", help="Write the sparse matrix, for scipy.sparse.load_npz.")
+    ] = None
+
+    def check(self, *inputs: Path | None) -> None:
+        """Make sure that both can be written and replace no input.
+
+        Raises:
+            OmtwarpError: a file cannot be written, or would replace an input.
+        """
+        from omtwarp.mesh.write import SUFFIXES
+
+        for extra, suffixes in ((self.sphere, SUFFIXES), (self.matrix, (".npz",))):
+            if extra is not None:
+                check_output(extra, suffixes, *inputs)
+
+    def write(self, resampling: Resampling, like: Path | None) -> None:
+        """Write the target's sphere and the matrix where they are asked for."""
+        from omtwarp.mesh.write import write_mesh
+
+        if self.sphere is not None:
+            grid = resampling.target.grid
+            write_mesh(self.sphere, grid.points[: grid.own_points], grid.own_triangles, spherical=True, like=like)
+        if self.matrix is not None:
+            resampling.save(self.matrix)
+
+
+@dataclass(frozen=True)
+class Given:
+    """The data that are carried, none where the surface itself is."""
+
+    data: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            callback=input_file,
+            help="Data at SOURCE's points: .npy, GIFTI, .annot, curv, .ply; - is standard input.",
+        ),
+    ] = None
+    labels: Annotated[
+        bool, typer.Option("--labels", help="Treat the data as labels; GIFTI and .annot files are recognised.")
+    ] = False
+
+    def read(self, source: Path | None, target: Path | None) -> VertexData | None:
+        """Read the data; where their file does not say what part of the brain they are of, the source does.
+
+        Raises:
+            OmtwarpError: they cannot be read, or are of another structure of the brain than the target.
+        """
+        from omtwarp.mesh.data import read_data
+        from omtwarp.mesh.neuro import require_same_structure, structure_of
+
+        if self.data is None:
+            return None
+        structure = structure_of(source) or structure_of(target)
+        given = read_data(self.data, structure)
+        require_same_structure(self.data, target)
+        return replace(given, structure=given.structure or structure)
 
 
 def resample_map(
@@ -46,17 +111,7 @@ def resample_map(
         Path,
         output_option("The data at the target; without --data the surface; - is standard output, .npy or .ply."),
     ],
-    data: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            callback=input_file,
-            help="Data at SOURCE's points: .npy, GIFTI, .annot, curv, .ply; - is standard input.",
-        ),
-    ] = None,
-    labels: Annotated[
-        bool, typer.Option("--labels", help="Treat the data as labels; GIFTI and .annot files are recognised.")
-    ] = False,
+    given: Given,
     method: Annotated[
         Interpolation | None,
         named(Interpolation, "How; barycentric by default, and conservative (largest overlap) for labels."),
@@ -64,10 +119,7 @@ def resample_map(
     surface: Annotated[
         Path | None, typer.Option(metavar="MESH", help="The surface of SOURCE, where SOURCE is a sphere without one.")
     ] = None,
-    sphere: Annotated[Path | None, typer.Option(metavar="MESH", help="Write the target sphere as well.")] = None,
-    matrix: Annotated[
-        Path | None, typer.Option(metavar="NPZ", help="Write the sparse matrix, for scipy.sparse.load_npz.")
-    ] = None,
+    extras: Extras,
     hemisphere: Annotated[
         Side | None, named(Side, "Of fsLR32k; by default the one that SOURCE or the data say.")
     ] = None,
@@ -79,22 +131,27 @@ def resample_map(
     Both spheres are taken in the position they are in: see 'omtwarp align'. Conservative resampling keeps integrals,
     bounds and signs. Without --data the surface is written with the target's triangles: the same mesh for all subjects.
     """
+    from omtwarp.mesh.data import DATA_SUFFIXES
     from omtwarp.mesh.neuro import require_same_structure, structure_of
+    from omtwarp.mesh.write import SUFFIXES
     from omtwarp.resampling import file_points, resample
     from omtwarp.resampling.averages import is_average, with_side
     from omtwarp.spheres import is_named
 
-    files = [file for file in (data, surface, *map(Path, (source, to))) if file is not None]
+    files = [file for file in (given.data, surface, *map(Path, (source, to))) if file is not None]
     side = hemisphere or next(filter(None, map(structure_of, files)), None)
     source, to = (text if is_named(text) else with_side(text, side) for text in (source, to))
     here, there = (None if is_named(text) or is_average(text) else Path(text) for text in (source, to))
     if output == STREAM:
-        output = cast(Path, output_file(".ply" if data is None else ".npy")(output))
-    _check_outputs(output, sphere, matrix, data, [here, there, surface])
+        output = cast(Path, output_file(".ply" if given.data is None else ".npy")(output))
+    inputs = [here, there, surface, given.data]
+    check_output(output, SUFFIXES if given.data is None else DATA_SUFFIXES, *inputs)
+    extras.check(*inputs)
     like = here if surface is None else surface
     require_same_structure(like, there)
-    given = None if data is None else _read(data, like, there)
-    chosen, as_labels = _kind(method, labels, given)
+    data = given.read(like, there)
+    as_labels = given.labels or (data is not None and data.is_labels)  # of which the one of largest overlap is taken
+    chosen = method or (Interpolation.CONSERVATIVE if as_labels else Interpolation.BARYCENTRIC)
     start_device(device)
     with progress_bar(printing.quiet, printing.verbose) as progress:
         notify = steps(progress, "resample", 3)
@@ -102,58 +159,22 @@ def resample_map(
         notify(1)
         resampling = resample(*ends, method=chosen, device=device)
         notify(2)
-        if given is not None:
-            _write(output, resampling, given, as_labels)
+        if data is not None:
+            _write(output, resampling, data, as_labels)
         else:
             _write_surface(output, resampling, like, to)
-        _write_extras(resampling, sphere, matrix, there if structure_of(there) else like)
+        extras.write(resampling, there if structure_of(there) else like)
         notify(3)
-    if printing.as_json:
-        print(report_text(_record(resampling, output, given)), end="")
-    elif not printing.quiet:
-        kind = "labels" if as_labels else "data"
-        what = "the surface" if given is None else f"{kind} with {given.values.shape[1]} column(s)"
-        line = f"{output}: {what}, {chosen}, from {resampling.matrix.shape[1]} to {resampling.matrix.shape[0]} points"
-        empty = 0 if given is None else int(resampling.empty.sum())
-        print(f"{line}, {empty} of them 0 as they lie in filled holes" if empty else line)
+    show_facts(_record(resampling, output, data), _line(resampling, output, data, as_labels), printing)
 
 
-def _check_outputs(
-    output: Path, sphere: Path | None, matrix: Path | None, data: Path | None, meshes: list[Path | None]
-) -> None:
-    """Make sure that every output can be written and replaces no input.
-
-    Raises:
-        OmtwarpError: an output cannot be written, or would replace an input.
-    """
-    from omtwarp.mesh.data import DATA_SUFFIXES
-    from omtwarp.mesh.write import SUFFIXES
-
-    inputs = [*meshes, data]
-    check_output(output, SUFFIXES if data is None else DATA_SUFFIXES, *inputs)
-    for extra, suffixes in ((sphere, SUFFIXES), (matrix, (".npz",))):
-        if extra is not None:
-            check_output(extra, suffixes, *inputs)
-
-
-def _kind(method: Interpolation | None, labels: bool, given: VertexData | None) -> tuple[Interpolation, bool]:
-    """Return how data are carried, and whether they are labels, of which the one of largest overlap is taken."""
-    as_labels = labels or (given is not None and given.is_labels)
-    return method or (Interpolation.CONSERVATIVE if as_labels else Interpolation.BARYCENTRIC), as_labels
-
-
-def _read(data: Path, source: Path | None, target: Path | None) -> VertexData:
-    """Read data from a file; where it does not say what part of the brain they are of, the source does.
-
-    Raises:
-        OmtwarpError: the data cannot be read, or are of another structure of the brain than the target.
-    """
-    from omtwarp.mesh.data import read_data
-    from omtwarp.mesh.neuro import require_same_structure, structure_of
-
-    given = read_data(data, structure_of(source) or structure_of(target))
-    require_same_structure(data, target)
-    return replace(given, structure=given.structure or structure_of(source) or structure_of(target))
+def _line(resampling: Resampling, output: Path, data: VertexData | None, as_labels: bool) -> str:
+    kind = "labels" if as_labels else "data"
+    what = "the surface" if data is None else f"{kind} with {data.values.shape[1]} column(s)"
+    rows, columns = resampling.matrix.shape
+    line = f"{output}: {what}, {resampling.method}, from {columns} to {rows} points"
+    empty = 0 if data is None else int(resampling.empty.sum())
+    return f"{line}, {empty} of them 0 as they lie in filled holes" if empty else line
 
 
 def _write_surface(output: Path, resampling: Resampling, like: Path | None, target: str) -> None:
@@ -168,17 +189,6 @@ def _write_surface(output: Path, resampling: Resampling, like: Path | None, targ
     if grid.faces is None:
         raise OmtwarpError(f"{target} has no triangles that a surface could have: give --data, or another target")
     write_mesh(output, resampling.surface(), grid.own_triangles, like=like)
-
-
-def _write_extras(resampling: Resampling, sphere: Path | None, matrix: Path | None, like: Path | None) -> None:
-    """Write the target's sphere and the matrix where they are asked for."""
-    from omtwarp.mesh.write import write_mesh
-
-    if sphere is not None:
-        grid = resampling.target.grid
-        write_mesh(sphere, grid.points[: grid.own_points], grid.own_triangles, spherical=True, like=like)
-    if matrix is not None:
-        resampling.save(matrix)
 
 
 def _write(output: Path, resampling: Resampling, given: VertexData, as_labels: bool) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from omtwarp.commands._options import MapOption, OptionalMesh, Printing, RepairOption, Source, output_option
-from omtwarp.commands._progress import progress_bar
-from omtwarp.commands._work import map_from, require_whole, start_device
+from omtwarp.commands._progress import progress_bar, steps
+from omtwarp.commands._work import map_from, require_whole, show_facts, start_device
 from omtwarp.files.output import check_output, staged
 from omtwarp.options import Device, MapOptions
 
@@ -73,24 +72,20 @@ def spharm(
     whole = result.closed()
     mesh_grid(whole.sphere, whole.faces, str(finished or mesh))  # harmonics need a map that covers the sphere once
     with progress_bar(printing.quiet, printing.verbose) as progress:
-        if progress is not None:
-            progress("spharm", 0, 2, {})
+        notify = steps(progress, "spharm", 2)
+        notify(0)
         expansion = expand(whole.sphere, whole.vertices, degree, faces=whole.faces, method=fit.value)
-        if progress is not None:
-            progress("spharm", 1, 2, {})
+        notify(1)
         again = expansion.at(result.sphere)
-        if progress is not None:
-            progress("spharm", 2, 2, {})
+        notify(2)
     areas = Surface(result.vertices, result.faces).vertex_areas
     error = float(np.sqrt(areas @ ((again - result.vertices) ** 2).sum(axis=1) / areas.sum()))
     save(output, expansion)
     if reconstruction is not None:
         write_mesh(reconstruction, again, result.faces)
-    if printing.as_json:
-        print(json.dumps({"degree": degree, "rms_error": error, "power": expansion.power().tolist()}))
-    elif not printing.quiet:
-        size = float(np.sqrt(expansion.power()[1:].sum() / (4.0 * np.pi)))
-        print(f"{output}: degree {degree}, root mean square error {error:.6g} of a size of {size:.6g}")
+    size = float(np.sqrt(expansion.power()[1:].sum() / (4.0 * np.pi)))
+    line = f"{output}: degree {degree}, root mean square error {error:.6g} of a size of {size:.6g}"
+    show_facts({"degree": degree, "rms_error": error, "power": expansion.power()}, line, printing)
 
 
 def save(path: Path, expansion: Expansion) -> None:
