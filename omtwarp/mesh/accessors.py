@@ -10,7 +10,7 @@ import base64
 import json
 import struct
 from collections.abc import Callable
-from typing import TypedDict
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,109 +27,8 @@ _GLB_HEADER, _CHUNK_HEADER = 12, 8  # bytes of a .glb before its first chunk, an
 _JSON, _BIN = 0x4E4F534A, 0x004E4942  # the types of its chunks, "JSON" and "BIN" in ASCII
 
 
-class _Part(TypedDict, total=False):
-    """Where a sparse array's rows or values are."""
-
-    bufferView: int
-    byteOffset: int
-    componentType: int
-
-
-class _Sparse(TypedDict):
-    """The rows that a sparse array replaces."""
-
-    count: int
-    indices: _Part
-    values: _Part
-
-
-class _Accessor(TypedDict, total=False):
-    """An array."""
-
-    bufferView: int
-    byteOffset: int
-    componentType: int
-    count: int
-    type: str
-    normalized: bool
-    sparse: _Sparse
-
-
-class _View(TypedDict, total=False):
-    """A piece of a buffer."""
-
-    buffer: int
-    byteOffset: int
-    byteLength: int
-    byteStride: int
-
-
-class _Primitive(TypedDict, total=False):
-    """Triangles: their arrays by what they hold."""
-
-    attributes: dict[str, int]
-
-
-class _Mesh(TypedDict, total=False):
-    """A mesh."""
-
-    primitives: list[_Primitive]
-
-
-class _Buffer(TypedDict, total=False):
-    """Bytes, in the file or elsewhere."""
-
-    uri: str
-    byteLength: int
-
-
-class _Image(TypedDict, total=False):
-    """A picture: part of a buffer, or a file."""
-
-    bufferView: int
-    uri: str
-    mimeType: str
-
-
-class _Texture(TypedDict, total=False):
-    """A picture and how it repeats."""
-
-    source: int
-    extensions: dict[str, _Texture]
-
-
-class _UsedTexture(TypedDict, total=False):
-    """A material's texture."""
-
-    index: int
-
-
-class _Metallic(TypedDict, total=False):
-    """A material's colour and shine."""
-
-    baseColorFactor: list[float]
-    baseColorTexture: _UsedTexture
-    metallicRoughnessTexture: _UsedTexture
-
-
-class GltfMaterial(TypedDict, total=False):
-    """A material, as far as it is read here."""
-
-    name: str
-    pbrMetallicRoughness: _Metallic
-
-
-class Document(TypedDict, total=False):
-    """A glTF file's JSON, as far as its arrays are concerned."""
-
-    accessors: list[_Accessor]
-    bufferViews: list[_View]
-    buffers: list[_Buffer]
-    meshes: list[_Mesh]
-    extensionsRequired: list[str]
-    images: list[_Image]
-    textures: list[_Texture]
-    materials: list[GltfMaterial]
+Document: TypeAlias = dict
+"""A glTF file's JSON, or an entry of it; names are those of the specification (glTF 2.0, section 5)."""
 
 
 def with_plain_accessors(data: bytes, document: Document, binary: bool, named: Callable[[str], bytes]) -> bytes:
@@ -171,7 +70,7 @@ def with_plain_accessors(data: bytes, document: Document, binary: bool, named: C
             # Float: the componentType of single precision
             accessors[k] |= {"componentType": 5126, "normalized": False}
         for key in ("sparse", "byteOffset"):
-            accessors[k].pop(key, None)  # type: ignore[misc]
+            accessors[k].pop(key, None)
         accessors[k]["bufferView"] = len(views)
         views.append({"buffer": number, "byteOffset": len(content), "byteLength": array.nbytes})
         content += array.tobytes() + bytes(-array.nbytes % 4)
@@ -267,7 +166,7 @@ class _Buffers:
             raise OmtwarpError(f"its sparse arrays take more than {amount(LARGEST_MESH_FILE)}, which is the most")
 
 
-def _array(accessor: _Accessor, buffers: _Buffers) -> Numbers:
+def _array(accessor: Document, buffers: _Buffers) -> Numbers:
     """Read the array of an accessor, shape [count, width].
 
     Raises:
@@ -294,7 +193,7 @@ def _array(accessor: _Accessor, buffers: _Buffers) -> Numbers:
     return array
 
 
-def _packed(part: _Part, kind: np.dtype, count: int, width: int, buffers: _Buffers) -> Numbers:
+def _packed(part: Document, kind: np.dtype, count: int, width: int, buffers: _Buffers) -> Numbers:
     """Read rows that lie side by side, shape [count, width].
 
     Raises:

@@ -35,6 +35,7 @@ from omtwarp.files.memory import memory_for_file
 from omtwarp.files.output import staged
 from omtwarp.mesh.arrays import single_precision
 from omtwarp.mesh.neuro import load_gifti, nibabel_module, structure_of
+from omtwarp.mesh.ply import ply_columns
 from omtwarp.mesh.write import ply_bytes
 
 CURV_SUFFIXES = (".curv", ".sulc", ".thickness", ".area", ".volume")
@@ -265,19 +266,11 @@ def _read_annot(path: Path) -> VertexData:
 
 
 def _read_ply(data: bytes) -> VertexData:
-    from trimesh.exchange.ply import load_ply
-
-    element = load_ply(io.BytesIO(data), fix_texture=False, skip_materials=True)["metadata"]["_ply_raw"]["vertex"]
-    rows = element["data"]
-    names = [name for name in element["properties"] if name not in ("x", "y", "z")]
+    vertex = ply_columns(data)[0].get("vertex", {})
+    names = [name for name in vertex if name not in ("x", "y", "z")]
     if not names:
         raise OmtwarpError("its vertices have no properties but their position")
-    if isinstance(rows, dict) or rows.dtype.names:
-        columns = [np.asarray(rows[name], dtype=np.float64).reshape(-1) for name in names]
-    else:  # text: columns in the order of the header
-        order = list(element["properties"])
-        columns = [np.asarray(rows[:, order.index(name)], dtype=np.float64) for name in names]
-    return VertexData(np.stack(columns, axis=1), tuple(names))
+    return VertexData(np.stack([np.asarray(vertex[name], dtype=np.float64) for name in names], axis=1), tuple(names))
 
 
 def write_data(

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse as sparse
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
+
+from omtwarp.mesh.validate import components_of
 
 
 def grow(faces: NDArray[np.int32], seed: NDArray[np.bool_], rings: int) -> NDArray[np.bool_]:
@@ -77,13 +77,12 @@ class Patches:
         free = len(inside)
         pairs = sides_of(own)
         pairs = pairs[(pairs[:, 0] < free) & (pairs[:, 1] < free)]
-        graph = sparse.coo_matrix((np.ones(len(pairs), dtype=np.int8), pairs.T), shape=(free, free))
-        count, label = connected_components(graph, directed=False)
+        count, label = components_of(free, pairs)
         of_corner = np.full(len(vertices), -1, dtype=np.intp)
         of_corner[:free] = label
         first, second, third = (of_corner[own[:, k]] for k in range(3))
         face_patch = np.maximum(np.maximum(first, second), third)
-        return cls(vertices, free, triangles, own, of_corner[:free], face_patch, int(count))
+        return cls(vertices, free, triangles, own, of_corner[:free], face_patch, count)
 
     def sum_of_vertices(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Sum values at the freed vertices, shape [free], over every piece; returns shape [count]."""

@@ -73,7 +73,7 @@ def ply_columns(data: bytes) -> tuple[dict[str, dict[str, Column]], list[str]]:
     """
     elements, order, body = _header(data)
     if order is not None:
-        return _binary_columns(body, elements, order), []
+        return _columns(body, elements, order), []
     try:
         return _text_columns(body, elements), []
     except OmtwarpError:
@@ -158,10 +158,6 @@ def _cut(elements: list[_Element]) -> OmtwarpError:
     )
 
 
-def _longer(elements: list[_Element], rest: int, what: str) -> OmtwarpError:
-    return OmtwarpError(f"the file is longer than its header says: {rest} {what} after {_counts(elements)}")
-
-
 def _counts(elements: list[_Element]) -> str:
     return " and ".join(f"{element.count} of '{element.name}'" for element in elements)
 
@@ -196,8 +192,32 @@ def _announced_words(body: bytes, elements: list[_Element]) -> tuple[bytes, int]
     return b"\n".join(b" ".join(line) for line in lines), longer
 
 
-def _binary_columns(body: bytes, elements: list[_Element], order: str) -> dict[str, dict[str, Column]]:
+def _text_columns(body: bytes, elements: list[_Element]) -> dict[str, dict[str, Column]]:
+    """Read a text as the binary file that has all its numbers as float64.
+
+    Raises:
+        OmtwarpError: the file has fewer or more numbers than its header says, or words among them.
+    """
+    if body.translate(None, _NUMBERS):
+        raise OmtwarpError("damaged: letters or signs among its numbers")
+    numbers = np.array(body.split(), dtype=np.float64)
+    doubles = []
+    for element in elements:
+        properties = [_Property(part.name, "f8", part.length and "f8") for part in element.properties]
+        doubles.append(_Element(element.name, element.count, tuple(properties)))
+    return _columns(numbers.tobytes(), doubles, "=", ("numbers", numbers.itemsize))
+
+
+def _columns(
+    body: bytes, elements: list[_Element], order: str, unit: tuple[str, int] = ("bytes", 1)
+) -> dict[str, dict[str, Column]]:
     """Read every property of every element of a binary file; a list as its lengths and its values.
+
+    Args:
+        body: what follows the header.
+        elements: what that announces.
+        order: of the bytes.
+        unit: what a message counts when something is left, and the bytes of one.
 
     Raises:
         OmtwarpError: the body is shorter or longer than the header says.
@@ -217,14 +237,17 @@ def _binary_columns(body: bytes, elements: list[_Element], order: str) -> dict[s
             rows = np.frombuffer(body, record, element.count, place)
             if all((rows[f"n{k}"] == lengths[k]).all() for k in lengths):
                 place += element.count * record.itemsize
+                of_lists = {k: np.full(element.count, length) for k, length in lengths.items()}
                 columns[element.name] = {
-                    part.name: rows[f"v{k}"] if k not in lengths else (rows[f"n{k}"], rows[f"v{k}"].reshape(-1))
+                    part.name: rows[f"v{k}"] if k not in lengths else (of_lists[k], rows[f"v{k}"].reshape(-1))
                     for k, part in enumerate(element.properties)
                 }
                 continue
-        place, columns[element.name] = _binary_rows(body, place, element, order, elements)
+        place, columns[element.name] = _uneven_rows(body, place, element, order, elements)
     if place != len(body):
-        raise _longer(elements, len(body) - place, "bytes") if place < len(body) else _cut(elements)
+        what, size = unit
+        rest = f"{(len(body) - place) // size} {what} after {_counts(elements)}"
+        raise OmtwarpError(f"the file is longer than its header says: {rest}")
     return columns
 
 
@@ -236,15 +259,22 @@ def _first_lengths(body: bytes, place: int, element: _Element, order: str) -> di
         if part.length is None:
             place += size
             continue
-        head = body[place : place + np.dtype(part.length).itemsize]
-        short = len(head) < np.dtype(part.length).itemsize
-        length = 0 if short else int(np.frombuffer(head, order + part.length)[0])
+        kind = np.dtype(order + part.length)
+        length = _length(body, place, kind)
         lengths[k] = length if 0 <= length * size <= len(body) else 0
-        place += len(head) + lengths[k] * size
+        place += kind.itemsize + lengths[k] * size
     return lengths
 
 
-def _binary_rows(
+def _length(body: bytes, place: int, kind: np.dtype) -> int:
+    """Return the length of a list; -1 where the body ends before it, or it is no whole number from 0."""
+    if place + kind.itemsize > len(body):
+        return -1
+    value = float(np.frombuffer(body, kind, 1, place)[0])
+    return int(value) if 0.0 <= value <= len(body) and value == round(value) else -1
+
+
+def _uneven_rows(
     body: bytes, place: int, element: _Element, order: str, elements: list[_Element]
 ) -> tuple[int, dict[str, Column]]:
     """Read the rows of an element whose lists differ in length, one by one; return them and their end.
@@ -260,9 +290,7 @@ def _binary_rows(
         for k, (kind, length) in enumerate(kinds):
             count = 1
             if length:
-                if place + length.itemsize > len(body):
-                    raise _cut(elements)
-                count = int(np.frombuffer(body, length, 1, place)[0])
+                count = _length(body, place, length)
                 place += length.itemsize
                 sizes[k].append(count)
             if count < 0 or place + count * kind.itemsize > len(body):
@@ -274,67 +302,3 @@ def _binary_rows(
         flat = np.concatenate([*values[k], np.empty(0, kinds[k][0])])
         columns[part.name] = flat if part.length is None else (np.array(sizes[k], dtype=np.int64), flat)
     return place, columns
-
-
-def _text_columns(body: bytes, elements: list[_Element]) -> dict[str, dict[str, Column]]:
-    """Read every property of every element of a text file as float64; a list as its lengths and its values.
-
-    Raises:
-        OmtwarpError: the file has fewer or more numbers than its header says, or words among them.
-    """
-    if body.translate(None, _NUMBERS):
-        raise OmtwarpError("damaged: letters or signs among its numbers")
-    numbers = np.array(body.split(), dtype=np.float64)
-    columns: dict[str, dict[str, Column]] = {}
-    place = 0
-    for element in elements:
-        starts, place = _row_starts(numbers, place, element, elements)
-        found: dict[str, Column] = {}
-        at = starts
-        for part in element.properties:
-            if part.length is None:
-                found[part.name] = numbers[at]
-                at = at + 1
-                continue
-            sizes = whole_numbers(numbers[at], f"lengths of '{part.name}'", (None,))
-            first = np.repeat(at + 1 - (np.cumsum(sizes) - sizes), sizes)
-            found[part.name] = (sizes, numbers[first + np.arange(len(first))])
-            at = at + 1 + sizes
-        columns[element.name] = found
-    if place != len(numbers):
-        raise _longer(elements, len(numbers) - place, "numbers") if place < len(numbers) else _cut(elements)
-    return columns
-
-
-def _row_starts(
-    numbers: NDArray[np.float64], place: int, element: _Element, elements: list[_Element]
-) -> tuple[NDArray[np.int64], int]:
-    """Find the place among the numbers where each row of an element begins, and where the element ends.
-
-    Raises:
-        OmtwarpError: the numbers end before the rows do, or a list's length is no whole number.
-    """
-    widths = [0 if part.length else 1 for part in element.properties]
-    if all(widths):
-        end = place + element.count * len(widths)
-        if end > len(numbers):
-            raise _cut(elements)
-        return place + np.arange(element.count, dtype=np.int64) * len(widths), end
-    if element.count > len(numbers) - place:
-        raise _cut(elements)
-    if len(widths) == 1 and element.count and numbers[place] >= 0:  # as a rule all polygons have as many corners
-        stride = int(min(numbers[place], len(numbers))) + 1
-        end = place + element.count * stride
-        if end <= len(numbers) and (numbers[place:end:stride] == numbers[place]).all():
-            return place + np.arange(element.count, dtype=np.int64) * stride, end
-    starts = np.empty(element.count, dtype=np.int64)
-    for row in range(element.count):
-        starts[row] = place
-        for part in element.properties:
-            size = 1.0
-            if part.length is not None:
-                size = float(numbers[place]) + 1.0 if place < len(numbers) else np.nan
-            if not (1.0 <= size <= len(numbers) - place) or size != round(size):
-                raise _cut(elements)
-            place += int(size)
-    return starts, place

@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import whole_numbers
 
+Polygons = tuple[NDArray[np.generic], NDArray[np.generic], NDArray[np.int64]]
+"""Points [V, 3], the corners of all polygons one after another, and how many each has [P]."""
+
 
 def fans(flat: NDArray[np.generic], corners: NDArray[np.int64]) -> tuple[NDArray[np.generic], list[str]]:
     """Cut polygons into fans of triangles.

@@ -15,6 +15,7 @@ import warnings
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,11 +29,19 @@ from omtwarp.files.memory import memory_for_file
 from omtwarp.files.output import as_path, scratch
 from omtwarp.mesh.arrays import whole_number, whole_numbers
 from omtwarp.mesh.neuro import load_gifti, nibabel_module
-from omtwarp.mesh.other_formats import MESHIO_FORMATS, WAYS_ROUND, read_by_meshio
+from omtwarp.mesh.other_formats import (
+    MESHIO_FORMATS,
+    WAYS_ROUND,
+    Triangles,
+    read_by_meshio,
+    read_freesurfer_text,
+    read_mni,
+    read_mz3,
+    read_plates,
+)
 from omtwarp.mesh.ply import read_ply
-from omtwarp.mesh.polygons import fans
+from omtwarp.mesh.polygons import Polygons, fans
 from omtwarp.mesh.scenes import load_scene, placed_meshes, scene_formats
-from omtwarp.mesh.small_formats import read_freesurfer_text, read_mni, read_mz3, read_plates
 from omtwarp.mesh.volumes import MOST_ROUNDS, ROUNDS, VOLUMES, label_surfaces
 from omtwarp.mesh.vtk import read_vtk, read_vtk_xml
 
@@ -91,11 +100,13 @@ def read_mesh(path: str | os.PathLike[str], *, together: bool = False, smoothing
         with warnings.catch_warnings(action="ignore"), memory_for_file(len(data)):
             if suffix in VOLUMES:
                 rounds = ROUNDS if smoothing is None else whole_number(smoothing, "smoothing", most=MOST_ROUNDS)
-                read: _Read = label_surfaces(data, suffix, rounds)
+                read: Triangles = label_surfaces(data, suffix, rounds)
             elif smoothing is not None:
                 raise OmtwarpError("smoothing is for the surfaces of a volume's labels: leave it out for a mesh")
             elif suffix in _OWN:
-                read = _OWN[suffix](data, file)
+                read = _OWN[suffix](data)
+            elif suffix == "gii":
+                read = _read_gifti(file)
             else:
                 read = _read_scene(data, file, suffix, together)
         vertices, faces, notes = read
@@ -113,9 +124,6 @@ def read_mesh(path: str | os.PathLike[str], *, together: bool = False, smoothing
     if len(mesh.faces) > MOST_FACES:
         raise OmtwarpError(f"{file}: {len(mesh.faces):,} triangles, and {MOST_FACES:,} is the most")
     return mesh
-
-
-_Read = tuple[NDArray[np.generic], NDArray[np.generic], list[str]]
 
 
 _FREESURFER = (b"\xff\xff\xfe", b"\xff\xff\xff", b"\xff\xff\xfd")  # triangles, and the two old kinds of quads
@@ -146,14 +154,14 @@ def mesh_content(file: Path) -> tuple[bytes, str]:
     suffix = name.rpartition(".")[2] if "." in name else ""
     if data.startswith(b"#!ascii"):
         suffix = "freesurfer text"
-    elif data.startswith(_FREESURFER) and suffix not in _OWN:
+    elif data.startswith(_FREESURFER) and suffix not in (*_OWN, "gii"):
         suffix = "freesurfer"
     elif suffix == "obj" and data.lstrip()[:2] in (b"P ", b"P\t"):
         suffix = "mni"
     return data, suffix
 
 
-def _read_npz(data: bytes, file: Path) -> _Read:
+def _read_npz(data: bytes) -> Triangles:
     arrays = read_arrays(io.BytesIO(data), ("vertices", "faces"))
     if len(arrays) < 2:
         raise OmtwarpError("no arrays 'vertices' and 'faces' in it")
@@ -162,7 +170,7 @@ def _read_npz(data: bytes, file: Path) -> _Read:
     return arrays["vertices"], arrays["faces"], []
 
 
-def _read_ply(data: bytes, file: Path) -> _Read:
+def _read_ply(data: bytes) -> Triangles:
     vertices, corners, sizes, notes = read_ply(utf8(data))
     faces, cut = fans(corners, sizes)
     return vertices, faces, [*notes, *cut]
@@ -175,7 +183,7 @@ def utf8(data: bytes) -> bytes:
     return data.removeprefix(codecs.BOM_UTF8)
 
 
-def _read_off(data: bytes, file: Path) -> _Read:
+def _read_off(data: bytes) -> Triangles:
     """Read the Object File Format by its lines; values after coordinates and corners, such as colours, are ignored."""
     lines = [line.split() for line in re.sub(rb"#[^\n]*", b"", utf8(data)).replace(b"\r", b"\n").split(b"\n")]
     lines = [line for line in lines if line]
@@ -198,7 +206,7 @@ def _read_off(data: bytes, file: Path) -> _Read:
     return vertices, *_from_polygons(polygons)
 
 
-def _read_obj(data: bytes, file: Path) -> _Read:
+def _read_obj(data: bytes) -> Triangles:
     """Read a Wavefront OBJ by its ``v`` and ``f`` lines alone.
 
     Its texture coordinates, normals, materials and groups make a general reader split, drop and reorder vertices.
@@ -238,7 +246,7 @@ def require_counted_from_one(corners: NDArray[np.int64]) -> None:
         raise OmtwarpError("a face refers to vertex 0, and OBJ counts vertices from 1: the file counts from 0")
 
 
-def _read_stl(data: bytes, file: Path) -> _Read:
+def _read_stl(data: bytes) -> Triangles:
     count = int.from_bytes(data[80:84], "little")
     whole = 84 + 50 * count  # a head, a count, and for every triangle twelve numbers and an attribute
     binary = len(data) >= 84 and (len(data) == whole or not data.lstrip()[:5].lower() == b"solid")
@@ -281,7 +289,7 @@ def _stl_text(data: bytes) -> tuple[NDArray[np.float64], int]:
     return np.array(words, dtype=np.float64), ends[0]
 
 
-def _read_gifti(data: bytes, file: Path) -> _Read:
+def _read_gifti(file: Path) -> Triangles:
     image = load_gifti(file)
     points, triangles = image.get_arrays_from_intent("pointset"), image.get_arrays_from_intent("triangle")
     if len(points) != 1 or len(triangles) != 1:
@@ -289,17 +297,7 @@ def _read_gifti(data: bytes, file: Path) -> _Read:
     return points[0].data, triangles[0].data, []
 
 
-def _read_vtk(data: bytes, file: Path) -> _Read:
-    points, corners, sizes = read_vtk(data)
-    return points, *fans(corners, sizes)
-
-
-def _read_vtk_xml(data: bytes, file: Path) -> _Read:
-    points, corners, sizes = read_vtk_xml(data)
-    return points, *fans(corners, sizes)
-
-
-def _read_freesurfer(data: bytes, file: Path) -> _Read:
+def _read_freesurfer(data: bytes) -> Triangles:
     nibabel = nibabel_module()
     with scratch() as folder:  # nibabel reads it from a file
         (folder / "surface").write_bytes(data)
@@ -307,53 +305,37 @@ def _read_freesurfer(data: bytes, file: Path) -> _Read:
     return vertices, faces, []
 
 
-def _read_mz3(data: bytes, file: Path) -> _Read:
-    return *read_mz3(data), []
+def _of_polygons(read: Callable[[bytes], Polygons]) -> Callable[[bytes], Triangles]:
+    """Return a reader of triangles from one of polygons."""
+
+    def triangles(data: bytes) -> Triangles:
+        points, corners, sizes = read(data)
+        return points, *fans(corners, sizes)
+
+    return triangles
 
 
-def _read_freesurfer_text(data: bytes, file: Path) -> _Read:
-    return *read_freesurfer_text(data), []
-
-
-def _read_mni(data: bytes, file: Path) -> _Read:
-    points, corners, sizes = read_mni(data)
-    return points, *fans(corners, sizes)
-
-
-def _read_plates(data: bytes, file: Path) -> _Read:
-    return *read_plates(data), []
-
-
-def _read_by_meshio(data: bytes, file: Path) -> _Read:
-    name = MESHIO_FORMATS[file.name.lower().removesuffix(".gz").rpartition(".")[2]]
-    if name == "gmsh" and b"$MeshFormat" not in data:
-        name = "ansys"  # whose files have the same suffix
-    points, corners, sizes = read_by_meshio(data, name)
-    return points, *fans(corners, sizes)
-
-
-_OWN: dict[str, Callable[[bytes, Path], _Read]] = {
+_OWN: dict[str, Callable[[bytes], Triangles]] = {
     "npz": _read_npz,
     "ply": _read_ply,
     "obj": _read_obj,
     "off": _read_off,
     "stl": _read_stl,
-    "gii": _read_gifti,
-    "vtk": _read_vtk,
-    "vtp": _read_vtk_xml,
-    "vtu": _read_vtk_xml,
-    "mz3": _read_mz3,
-    "tab": _read_plates,
+    "vtk": _of_polygons(read_vtk),
+    "vtp": _of_polygons(read_vtk_xml),
+    "vtu": _of_polygons(read_vtk_xml),
+    "mz3": read_mz3,
+    "tab": read_plates,
     "freesurfer": _read_freesurfer,
-    "freesurfer text": _read_freesurfer_text,
-    "mni": _read_mni,
-    **dict.fromkeys(MESHIO_FORMATS, _read_by_meshio),
+    "freesurfer text": read_freesurfer_text,
+    "mni": _of_polygons(read_mni),
+    **{suffix: _of_polygons(partial(read_by_meshio, name=name)) for suffix, name in MESHIO_FORMATS.items()},
 }
-"""The formats that are not read through trimesh, by suffix."""
+"""The formats that are read neither through trimesh nor, as GIFTI, with other files that they name; by suffix."""
 
 
-def _read_scene(data: bytes, file: Path, suffix: str, together: bool) -> _Read:
-    known = {*scene_formats(), *VOLUMES, *(name for name in _OWN if " " not in name)} - {"freesurfer", "mni"}
+def _read_scene(data: bytes, file: Path, suffix: str, together: bool) -> Triangles:
+    known = {*scene_formats(), *VOLUMES, "gii", *(name for name in _OWN if " " not in name)} - {"freesurfer", "mni"}
     if suffix not in known and suffix in WAYS_ROUND:
         raise OmtwarpError(f"'.{suffix}' is not read: {WAYS_ROUND[suffix]}")
     if suffix not in known:

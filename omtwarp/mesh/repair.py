@@ -6,8 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import TINY, WELD, edge_keys
@@ -17,6 +15,7 @@ from omtwarp.mesh.validate import (
     Topology,
     as_arrays,
     check,
+    components_of,
     duplicate_faces,
     mesh_arrays,
     number,
@@ -257,23 +256,16 @@ class _Work:
         """Give every fan of faces around a vertex a vertex of its own."""
         if not len(self.faces):
             return
-        corners = self.faces.ravel()
-        fans = _fans(self.faces, len(self.points))
-        order = np.lexsort((fans, corners))
-        starts = np.ones(len(order), dtype=bool)
-        starts[1:] = (corners[order][1:] != corners[order][:-1]) | (fans[order][1:] != fans[order][:-1])
-        first_of_vertex = np.ones(len(order), dtype=bool)
-        first_of_vertex[1:] = corners[order][1:] != corners[order][:-1]
-        more = np.flatnonzero(starts & ~first_of_vertex)
+        topology = Topology(self.faces, len(self.points))
+        _, first, fan = np.unique(topology.fan_of_corner, return_index=True, return_inverse=True)
+        owner = self.faces.ravel()[first]  # the vertex of every fan, which the first of its fans keeps
+        order = np.argsort(owner, kind="stable")
+        more = order[1:][owner[order[1:]] == owner[order[:-1]]]
         if not len(more):
             return
-        copies = corners[order][more]
-        new = np.where(starts & ~first_of_vertex, np.cumsum(starts & ~first_of_vertex) + len(self.points) - 1, -1)
-        new[first_of_vertex] = corners[order][first_of_vertex]
-        kept = np.maximum.accumulate(np.where(starts, np.arange(len(order)), 0))
-        numbered = np.empty(len(order), dtype=np.int64)
-        numbered[order] = new[kept]
-        self.faces = numbered.reshape(-1, 3)
+        copies = owner[more]
+        owner[more] = len(self.points) + np.arange(len(more))
+        self.faces = owner[fan].reshape(-1, 3)
         self.points = np.concatenate([self.points, self.points[copies]])
         self.vertex_origin = np.concatenate([self.vertex_origin, self.vertex_origin[copies]])
         self.actions.append(
@@ -377,31 +369,10 @@ def _first_at_place(unit: NDArray[np.float64], edges: NDArray[np.int64], among: 
     near = near.reshape(len(places), -1)
     joined = far.reshape(len(places), -1) <= np.minimum(reach[:, None], reach[near])
     one, neighbour = np.nonzero(joined)
-    graph = coo_array((np.ones(len(one)), (one, near[one, neighbour])), shape=(len(places),) * 2)
-    labels = connected_components(graph, directed=False)[1]
+    _, labels = components_of(len(places), np.stack([one, near[one, neighbour]], axis=1))
     first_of_label = np.full(len(places), len(among))
     np.minimum.at(first_of_label, labels, first)
     return first_of_label[labels[inverse]]
-
-
-def _fans(faces: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-    """Return a number for every corner of every face, shape [3F].
-
-    It is equal for corners of faces that share edges at a vertex.
-    """
-    corner = np.arange(3 * len(faces))
-    tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    after = (corner // 3) * 3 + (corner + 1) % 3  # the corner of the same face at the edge's other end
-    low, high = np.minimum(tail, head), np.maximum(tail, head)
-    # Of every edge and each of its ends, the corners there of its faces.
-    keys = np.concatenate([low * count + high, low * count + high])
-    ends = np.concatenate([tail, head])
-    places = np.concatenate([corner, after])
-    order = np.lexsort((ends, keys))
-    same = (keys[order][1:] == keys[order][:-1]) & (ends[order][1:] == ends[order][:-1])
-    one, other = places[order][:-1][same], places[order][1:][same]
-    graph = coo_array((np.ones(len(one)), (one, other)), shape=(len(corner),) * 2)
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
 def _loops(half_edges: NDArray[np.int64]) -> list[list[int]]:

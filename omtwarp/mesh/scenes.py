@@ -175,7 +175,7 @@ def gltf_header(data: bytes, suffix: str) -> Document:
 
 
 def _document(text: bytes) -> Document:
-    document: Document = json.loads(text)
+    document = json.loads(text)
     if not isinstance(document, dict):
         raise ValueError("its JSON is no object")
     return document

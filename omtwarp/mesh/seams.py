@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.read import MeshFile, read_mesh
+from omtwarp.mesh.validate import Topology, components_of
 
 Ints = NDArray[np.int64]
 
@@ -76,13 +77,9 @@ def seam_copies(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> In
 
 def _boundary_vertices(count: int, faces: NDArray[np.integer]) -> NDArray[np.bool_]:
     """Return a mask, shape [V], of the vertices on edges that belong to one triangle only."""
-    corners = faces.astype(np.int64)
-    ring = np.roll(corners, -1, axis=1)
-    low, high = np.minimum(corners, ring).ravel(), np.maximum(corners, ring).ravel()
-    _, place, times = np.unique(low * count + high, return_inverse=True, return_counts=True)
-    alone = times[place.reshape(-1)] == 1
+    topology = Topology(faces.astype(np.int64), count)
     boundary = np.zeros(count, dtype=bool)
-    boundary[low[alone]] = boundary[high[alone]] = True
+    boundary[topology.edges[topology.edge_face_count == 1]] = True
     return boundary
 
 
@@ -136,11 +133,6 @@ def read_joined_mesh(
 
 def _in_one_piece(faces: Ints) -> bool:
     """Return whether all triangles are connected through their vertices."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     count = int(faces.max()) + 1 if faces.size else 0
-    rows, columns = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    graph = coo_matrix((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(count, count))
-    labels = connected_components(graph, directed=False)[1]
+    labels = components_of(count, np.stack([faces.ravel(), np.roll(faces, -1, axis=1).ravel()], axis=1))[1]
     return len(np.unique(labels[faces])) <= 1

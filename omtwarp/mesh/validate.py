@@ -390,20 +390,23 @@ class Topology:
     @cached_property
     def components(self) -> tuple[int, NDArray[np.int32]]:
         """Number of pieces joined through edges and the piece of every face, shape [F]."""
-        return _components(len(self.faces), self._pairs // 3)
+        return components_of(len(self.faces), self._pairs // 3)
+
+    @cached_property
+    def fan_of_corner(self) -> NDArray[np.int32]:
+        """A number for every corner of every face, equal where faces share edges at a vertex, shape [3 F]."""
+        first, second = self._pairs[:, 0], self._pairs[:, 1]
+        following = np.arange(self.faces.size).reshape(-1, 3)[:, [1, 2, 0]].ravel()  # corner at the head
+        aligned = self._forward[first] == self._forward[second]
+        low = np.stack([first, np.where(aligned, second, following[second])], axis=1)
+        high = np.stack([following[first], np.where(aligned, following[second], second)], axis=1)
+        return components_of(self.faces.size, np.concatenate([low, high]))[1]
 
     @cached_property
     def fans(self) -> NDArray[np.int64]:
         """Number of fans of faces, joined through edges, around every vertex, shape [V]; 0 where a vertex is unused."""
-        tail = self.faces.ravel()
-        first, second = self._pairs[:, 0], self._pairs[:, 1]
-        following = np.arange(len(tail)).reshape(-1, 3)[:, [1, 2, 0]].ravel()  # corner at the head
-        aligned = self._forward[first] == self._forward[second]
-        low = np.stack([first, np.where(aligned, second, following[second])], axis=1)
-        high = np.stack([following[first], np.where(aligned, following[second], second)], axis=1)
-        _, labels = _components(len(tail), np.concatenate([low, high]))
-        _, one_of_each = np.unique(labels, return_index=True)
-        return np.bincount(tail[one_of_each], minlength=self.vertex_count)
+        _, one_of_each = np.unique(self.fan_of_corner, return_index=True)
+        return np.bincount(self.faces.ravel()[one_of_each], minlength=self.vertex_count)
 
     @cached_property
     def orientation(self) -> tuple[bool, NDArray[np.bool_]]:
@@ -418,9 +421,9 @@ class Topology:
         clash = self._forward[self._pairs[two, 0]] == self._forward[self._pairs[two, 1]]
         straight = np.stack([first, second + count * clash], axis=1)
         turned = np.stack([first + count, second + count * ~clash], axis=1)
-        _, labels = _components(2 * count, np.concatenate([straight, turned]))
+        _, labels = components_of(2 * count, np.concatenate([straight, turned]))
         orientable = bool((labels[:count] != labels[count:]).all())
-        pieces, piece = _components(count, np.stack([first, second], axis=1))
+        pieces, piece = components_of(count, np.stack([first, second], axis=1))
         leader = np.full(pieces, count)
         np.minimum.at(leader, piece, np.arange(count))
         return orientable, labels[:count] != labels[leader[piece]]
@@ -430,14 +433,14 @@ class Topology:
         """Number of connected pieces of the boundary."""
         boundary = self.edges[self.edge_face_count == 1]
         ends, renumbered = np.unique(boundary, return_inverse=True)
-        return _components(len(ends), renumbered.reshape(-1, 2))[0]
+        return components_of(len(ends), renumbered.reshape(-1, 2))[0]
 
     @property
     def first_hole(self) -> tuple[int, int]:
         """How many edges the first connected piece of the boundary has, and its smallest vertex."""
         boundary = self.edges[self.edge_face_count == 1]
         ends, renumbered = np.unique(boundary, return_inverse=True)
-        _, labels = _components(len(ends), renumbered.reshape(-1, 2))
+        _, labels = components_of(len(ends), renumbered.reshape(-1, 2))
         return int((labels[renumbered.reshape(-1, 2)[:, 0]] == labels[0]).sum()), int(ends[0])
 
     @cached_property
@@ -462,7 +465,7 @@ class Topology:
         return self.edges[left[0]] if len(left) else self.edges[0]
 
 
-def _components(count: int, links: NDArray) -> tuple[int, NDArray[np.int32]]:
+def components_of(count: int, links: NDArray) -> tuple[int, NDArray[np.int32]]:
     """Return the number of a graph's connected components, and the component of every node, shape [count]."""
     graph = sparse.coo_array((np.ones(len(links), dtype=np.int8), (links[:, 0], links[:, 1])), shape=(count, count))
     pieces, labels = csgraph.connected_components(graph, directed=False)

@@ -16,11 +16,9 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.limits import LARGEST_MESH_FILE, amount
 from omtwarp.mesh.arrays import whole_numbers
-from omtwarp.mesh.polygons import counted_lists, triangles_of_strips
+from omtwarp.mesh.polygons import Polygons, counted_lists, triangles_of_strips
 
 Numbers = NDArray[np.generic]
-Polygons = tuple[Numbers, Numbers, NDArray[np.int64]]
-"""Points [V, 3], the corners of all polygons one after another, and how many each has [P]."""
 
 _LEGACY_TYPES = {
     "float": "f4", "double": "f8", "char": "i1", "unsigned_char": "u1", "short": "i2", "unsigned_short": "u2",

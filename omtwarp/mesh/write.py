@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,28 +90,7 @@ def _write(
             mesh.export(file)
 
 
-class _Primitive(TypedDict):
-    """Triangles of a mesh in glTF: numbers of accessors."""
-
-    attributes: dict[str, int]
-    indices: int
-
-
-class _Mesh(TypedDict):
-    """A mesh in glTF."""
-
-    primitives: list[_Primitive]
-
-
-class _Document(TypedDict):
-    """A glTF file, as far as targets are named in it."""
-
-    meshes: list[_Mesh]
-    accessors: list[dict[str, int]]
-    bufferViews: list[dict[str, int]]
-
-
-def _name_targets(document: _Document) -> None:
+def _name_targets(document: dict) -> None:
     """Add to a glTF file of trimesh's what its views of the buffer are for, which readers would otherwise infer."""
     for mesh in document["meshes"]:
         for primitive in mesh["primitives"]:

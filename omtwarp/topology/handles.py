@@ -23,6 +23,7 @@ from scipy.sparse import csgraph
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import edge_keys
 from omtwarp.mesh.origins import Derived
+from omtwarp.mesh.validate import components_of
 from omtwarp.topology.boundary import boundary_loops
 
 
@@ -303,8 +304,7 @@ def _cut_along(
     twin = np.where(ranked[place] == head * count + tail, sorter[place], -1)
     joined = (twin >= 0) & ~np.isin(np.minimum(tail, head) * count + np.maximum(tail, head), cut)
     links = np.stack([corner[joined], following[twin[joined]]], axis=1)
-    graph = sparse.coo_array((np.ones(len(links), dtype=np.int8), links.T), shape=(len(tail), len(tail)))
-    _, label = csgraph.connected_components(graph, directed=False)
+    _, label = components_of(len(tail), links)
     _, first = np.unique(label, return_index=True)
     owner = tail[first]
     kept = np.zeros(len(first), dtype=bool)
