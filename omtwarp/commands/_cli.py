@@ -6,31 +6,15 @@ import atexit
 import gc
 import os
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 
 import typer
 
 import omtwarp
+from omtwarp.commands import function_of
 from omtwarp.commands._command import Command, Group
 from omtwarp.commands._options import as_command
 from omtwarp.commands._streams import say, standard_streams, warnings_as_lines
-from omtwarp.commands.align import align_map
-from omtwarp.commands.benchmark import benchmark
-from omtwarp.commands.check import check_mesh
-from omtwarp.commands.cohort import cohort
-from omtwarp.commands.demo import demo
-from omtwarp.commands.distance import distance
-from omtwarp.commands.film import film_map
-from omtwarp.commands.group import group
-from omtwarp.commands.map import map_mesh
-from omtwarp.commands.preview import preview_mesh
-from omtwarp.commands.register import register_map
-from omtwarp.commands.report import report_on_map
-from omtwarp.commands.resample import resample_map
-from omtwarp.commands.spharm import spharm
-from omtwarp.commands.texture import texture_mesh
-from omtwarp.commands.transfer import transfer
-from omtwarp.commands.unwrap import unwrap_mesh
 from omtwarp.errors import INTERRUPTED, OmtwarpError, unexpected
 from omtwarp.files.interruptions import LINE, ending_the_process
 
@@ -103,27 +87,7 @@ SUMMARIES = {
     "demo": "Make a shape, map it, texture it and draw it.",
     "benchmark": "Time every stage and its memory on meshes of several sizes.",
 }
-"""One line about every command, short enough for a terminal of 80 columns."""
-
-COMMANDS: dict[str, Callable[..., None]] = {
-    "map": map_mesh,
-    "texture": texture_mesh,
-    "transfer": transfer,
-    "unwrap": unwrap_mesh,
-    "preview": preview_mesh,
-    "film": film_map,
-    "report": report_on_map,
-    "align": align_map,
-    "register": register_map,
-    "resample": resample_map,
-    "check": check_mesh,
-    "cohort": cohort,
-    "spharm": spharm,
-    "distance": distance,
-    "group": group,
-    "demo": demo,
-    "benchmark": benchmark,
-}
+"""One line about every command, short enough for a terminal of 80 columns; each is ``run`` in a module of its name."""
 
 
 def _show_version(wanted: bool) -> None:
@@ -138,7 +102,7 @@ def _common(
     pass
 
 
-def app_of(names: Iterable[str] = COMMANDS) -> typer.Typer:
+def app_of(names: Iterable[str] = SUMMARIES) -> typer.Typer:
     """Return the command line with the commands of these names; to read the options of all takes a while."""
     app = typer.Typer(
         cls=Group,
@@ -152,7 +116,7 @@ def app_of(names: Iterable[str] = COMMANDS) -> typer.Typer:
     app.callback()(_common)
     for name in names:
         register = app.command(name, cls=Command, short_help=SUMMARIES[name], epilog=EXAMPLES[name])
-        register(as_command(COMMANDS[name]))
+        register(as_command(function_of(name)))
     return app
 
 
@@ -177,7 +141,7 @@ def main(arguments: list[str] | None = None) -> None:
                 try:
                     words = sys.argv[1:] if arguments is None else arguments
                     with warnings_as_lines():
-                        app_of(COMMANDS.keys() & words[:1] or COMMANDS)(args=arguments, prog_name="omtwarp")
+                        app_of(SUMMARIES.keys() & words[:1] or SUMMARIES)(args=arguments, prog_name="omtwarp")
                 except OmtwarpError as error:
                     _fail(str(error))
         except BrokenPipeError:  # the reader of the output has ended

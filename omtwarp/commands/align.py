@@ -15,7 +15,7 @@ from omtwarp.commands._work import show_facts
 from omtwarp.options import AlignBy
 
 
-def align_map(
+def run(
     *,
     pair: Pair,
     to: Annotated[

@@ -84,7 +84,7 @@ class Workload:
     )
 
 
-def benchmark(
+def run(
     *,
     workload: Workload,
     mapping: Annotated[MapOptions, Only(("refine",))],
@@ -116,7 +116,8 @@ def benchmark(
     wanted = [word.strip() for word in workload.devices.split(",")]
     for name in wanted:
         start_device(name)
-    from omtwarp.benchmark import markdown, run
+    from omtwarp.benchmark import markdown
+    from omtwarp.benchmark import run as measure
     from omtwarp.device.start import wp
 
     if wanted == ["auto"]:
@@ -124,7 +125,7 @@ def benchmark(
     asked = {"meshes": given, "sizes": parse_sizes(workload.sizes), "devices": wanted}
     asked["shapes"] = tuple(word.strip() for word in workload.shapes.split(","))
     refine = str(mapping.refine or Refinement.NONE)
-    result = run(**vars(workload) | asked, refine=refine, progress=None if quiet else say)
+    result = measure(**vars(workload) | asked, refine=refine, progress=None if quiet else say)
     if verbose:
         for mesh in result["meshes"]:
             for times in mesh["runs"]:

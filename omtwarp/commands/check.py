@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from omtwarp.mesh.validate import Defect
 
 
-def check_mesh(
+def run(
     *,
     meshes: MeshArguments,
     repair: Annotated[bool, typer.Option("--repair", help="Repair the mesh, and list what was done.")] = False,

@@ -36,7 +36,7 @@ def parse_shard(text: str) -> tuple[int, int]:
     return int(part), int(parts)
 
 
-def cohort(
+def run(
     *,
     manifest: Annotated[
         str,

@@ -27,7 +27,7 @@ UP, FRONT, VIEW = "z", "-y", (40.0, 15.0)
 NAMES = ("creature.ply", "map.npz", "report.json", "globe.glb", "globe.png", "circles.png", "comparison.png")
 
 
-def demo(
+def run(
     *,
     output: Annotated[Path, output_option("Folder of the results.", metavar="DIRECTORY")] = Path("out"),
     faces: Annotated[

@@ -14,7 +14,7 @@ from omtwarp.commands._work import load_whole_map, show_facts, start_device
 from omtwarp.options import Device, MapOptions
 
 
-def distance(
+def run(
     *,
     first: Annotated[Path, typer.Argument(metavar="A", callback=input_file, help="A map (.npz); - is standard input.")],
     second: Annotated[Path, typer.Argument(metavar="B", callback=input_file, help="Another map (.npz).")],

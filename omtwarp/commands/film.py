@@ -37,7 +37,7 @@ def film_size(text: str | None) -> str | None:
     return None if text is None else picture_size(text)
 
 
-def film_map(
+def run(
     *,
     output: Annotated[
         Path,

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from omtwarp.shape_analysis.group import GroupStudy
 
 
-def group(
+def run(
     *,
     sources: Annotated[
         list[str],

@@ -174,7 +174,7 @@ class Poles:
         return result if self.up is None and self.front is None else standing(result, None, self.up, self.front)
 
 
-def map_mesh(
+def run(
     *,
     meshes: MeshArguments,
     output: Annotated[
@@ -337,11 +337,11 @@ def weights_of(mass: Mass, sound: Input, structure: str | None) -> tuple[NDArray
         OmtwarpError: the file holds no numbers, or not as many as the mesh's file has vertices or triangles; or parts
             of the repaired mesh have no weights.
     """
+    if mass.weights is None:
+        return None, mass.weights_at
     from omtwarp.measures import weights_belong_to
     from omtwarp.mesh.data import read_data
 
-    if mass.weights is None:
-        return None, mass.weights_at
     columns = read_data(mass.weights, structure).values
     if columns.shape[1] != 1:
         raise OmtwarpError(f"{mass.weights}: {columns.shape[1]} numbers for every vertex or face, not one")

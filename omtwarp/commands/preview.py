@@ -73,7 +73,7 @@ class Look:
     wireframe: Annotated[bool, typer.Option("--wireframe", help="Draw the triangles' edges.")] = False
 
 
-def preview_mesh(
+def run(
     *,
     output: Annotated[
         Path,

@@ -141,7 +141,7 @@ class Strength:
         return dict(vars(self))
 
 
-def register_map(
+def run(
     *,
     pair: Pair,
     several: Several,
@@ -233,11 +233,11 @@ def _register_many(pair: Pair, several: Several, strength: Strength, printing: P
     from omtwarp.registration import register_group, register_sequence
 
     with progress_bar(printing.quiet, printing.verbose) as progress, warnings_as_lines():
-        run: Callable[..., GroupRegistration | SequenceRegistration] = register_sequence
+        warp: Callable[..., GroupRegistration | SequenceRegistration] = register_sequence
         if several.group:
-            run = partial(register_group, rounds=several.rounds)
+            warp = partial(register_group, rounds=several.rounds)
         maps = [pair.source, *(several.more or [])]
-        table = run(maps, pair.output, progress=progress, **strength.keywords()).table
+        table = warp(maps, pair.output, progress=progress, **strength.keywords()).table
     made = pair.output / ("template.npz" if several.group else "strain.npz")
     drift = max(one.get("drift", 0.0) for one in table.values())
     told = "" if several.group else f"; drift at most {drift:.2f} degrees"

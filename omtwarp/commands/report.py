@@ -21,7 +21,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output
 
 
-def report_on_map(
+def run(
     *,
     output: Annotated[
         Path,

@@ -89,7 +89,7 @@ class Given:
         return replace(given, structure=given.structure or structure)
 
 
-def resample_map(
+def run(
     *,
     source: Annotated[
         str,

@@ -27,7 +27,7 @@ class Fit(StrEnum):
     QUADRATURE = "quadrature"
 
 
-def spharm(
+def run(
     *,
     output: Annotated[
         Path,

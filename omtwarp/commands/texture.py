@@ -149,7 +149,7 @@ class Picture:
         return sides
 
 
-def texture_mesh(
+def run(
     *,
     output: Annotated[
         Path,

@@ -16,7 +16,7 @@ from omtwarp.files.output import check_output
 from omtwarp.options import AtlasName, Coordinates, Device, MapOptions
 
 
-def transfer(
+def run(
     *,
     source: Annotated[
         Path, typer.Argument(metavar="FROM", callback=input_file, help="A mesh with a texture or colours, or -.")

@@ -15,7 +15,7 @@ from omtwarp.files.output import check_output
 from omtwarp.options import MapOptions
 
 
-def unwrap_mesh(
+def run(
     *,
     output: Annotated[
         Path,

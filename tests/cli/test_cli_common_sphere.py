@@ -19,7 +19,7 @@ from sphere_truths import random_rotation
 import omtwarp
 from omtwarp.commands._cli import main
 from omtwarp.commands._options import as_command
-from omtwarp.commands.register import register_map
+from omtwarp.commands.register import run as register
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
 from omtwarp.mesh.data import read_data
@@ -84,7 +84,7 @@ def test_register_to_another_map(desk, capsys):
 
 
 def test_register_has_the_defaults_of_the_function():
-    here, there = (inspect.signature(one).parameters for one in (as_command(register_map), omtwarp.register))
+    here, there = (inspect.signature(one).parameters for one in (as_command(register), omtwarp.register))
     for name in ("stiffness", "max_strain"):
         assert here[name].default == there[name].default
 
