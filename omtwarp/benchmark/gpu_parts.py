@@ -16,8 +16,8 @@ import numpy as np
 
 from omtwarp.benchmark.meshes import made
 from omtwarp.benchmark.roofline import LaunchRecorder, copy_bandwidth
-from omtwarp.device.cores import core_count
 from omtwarp.device.graphs import step_by_step
+from omtwarp.device.names import core_count
 from omtwarp.device.policy import is_cuda, resolve_device
 from omtwarp.device.prewarm import prewarm
 from omtwarp.device.start import wp

@@ -9,8 +9,7 @@ import typer
 
 from omtwarp.commands._features import Pair
 from omtwarp.commands._options import Printing
-from omtwarp.commands._progress import progress_bar, steps
-from omtwarp.commands._streams import input_file, warnings_as_lines
+from omtwarp.commands._streams import input_file, progress_bar, steps, warnings_as_lines
 from omtwarp.commands._work import show_facts
 from omtwarp.options import AlignBy
 

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Required, TypedDict
 import typer
 
 from omtwarp.commands._options import MeshArguments, Printing, output_option
-from omtwarp.commands._progress import step_times
-from omtwarp.commands._streams import say
+from omtwarp.commands._streams import say, step_times
 from omtwarp.commands._work import each, of_a_map, outputs_of, report_text
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from omtwarp.commands._facts import facts_of, summary
 from omtwarp.commands._options import Printing, output_option
-from omtwarp.commands._work import make_map, report_text, say_stages, start_device
+from omtwarp.commands._work import facts_of, make_map, report_text, say_stages, start_device, summary
 from omtwarp.commands.map import save
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.limits import MOST_DEMO_FACES

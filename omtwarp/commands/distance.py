@@ -8,8 +8,7 @@ from typing import Annotated
 import typer
 
 from omtwarp.commands._options import Printing
-from omtwarp.commands._progress import progress_bar
-from omtwarp.commands._streams import input_file
+from omtwarp.commands._streams import input_file, progress_bar
 from omtwarp.commands._work import load_whole_map, show_facts, start_device
 from omtwarp.options import Device, MapOptions
 

@@ -23,7 +23,7 @@ from omtwarp.commands._options import (
     output_option,
     picture_size,
 )
-from omtwarp.commands._progress import progress_bar
+from omtwarp.commands._streams import progress_bar
 from omtwarp.commands._work import map_from, show_each, start_device, targets_of
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output

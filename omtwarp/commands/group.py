@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from omtwarp.commands._options import Printing, output_option
-from omtwarp.commands._progress import progress_bar
-from omtwarp.commands._streams import STREAM, input_file, input_table, say
+from omtwarp.commands._streams import STREAM, input_file, input_table, progress_bar, say
 from omtwarp.commands._work import load_whole_map, show_facts, start_device
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.files.output import check_folder, folder_of_results

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from omtwarp.commands._facts import MapFacts, facts_of, summary
 from omtwarp.commands._options import (
     ROUTE,
     FillAreaOption,
@@ -22,7 +21,9 @@ from omtwarp.commands._options import (
 )
 from omtwarp.commands._painted import standing
 from omtwarp.commands._work import (
+    MapFacts,
     each,
+    facts_of,
     make_map,
     outputs_of,
     read_sound_mesh,
@@ -30,6 +31,7 @@ from omtwarp.commands._work import (
     require_bijective,
     say_stages,
     start_device,
+    summary,
 )
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output, staged

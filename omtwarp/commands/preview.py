@@ -21,8 +21,7 @@ from omtwarp.commands._options import (
     output_option,
     size_text,
 )
-from omtwarp.commands._progress import step_times
-from omtwarp.commands._streams import input_file
+from omtwarp.commands._streams import input_file, step_times
 from omtwarp.commands._work import show_each, targets_of
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output

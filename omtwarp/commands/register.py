@@ -13,8 +13,7 @@ import typer
 
 from omtwarp.commands._features import Pair
 from omtwarp.commands._options import Printing, named
-from omtwarp.commands._progress import progress_bar
-from omtwarp.commands._streams import input_file, is_standard_output, warnings_as_lines
+from omtwarp.commands._streams import input_file, is_standard_output, progress_bar, warnings_as_lines
 from omtwarp.commands._work import show_facts
 from omtwarp.commands.film import FILMS
 from omtwarp.errors import OmtwarpError

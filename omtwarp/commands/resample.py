@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from omtwarp.commands._options import Printing, named, output_option
-from omtwarp.commands._progress import progress_bar, steps
-from omtwarp.commands._streams import STREAM, input_file, output_file
+from omtwarp.commands._streams import STREAM, input_file, output_file, progress_bar, steps
 from omtwarp.commands._work import show_facts, start_device
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from omtwarp.commands._options import MapOption, OptionalMesh, Printing, RepairOption, Source, output_option
-from omtwarp.commands._progress import progress_bar, steps
+from omtwarp.commands._streams import progress_bar, steps
 from omtwarp.commands._work import map_from, require_whole, show_facts, start_device
 from omtwarp.files.output import check_output, staged
 from omtwarp.options import Device, MapOptions

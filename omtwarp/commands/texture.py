@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from omtwarp.commands._facts import sizes
 from omtwarp.commands._options import (
     FrontOption,
     ImageOption,
@@ -19,9 +18,8 @@ from omtwarp.commands._options import (
     output_option,
 )
 from omtwarp.commands._painted import painted_map, standing, with_objects
-from omtwarp.commands._progress import step_times
-from omtwarp.commands._streams import warnings_as_lines
-from omtwarp.commands._work import map_from, require_bijective, show_each, start_device, targets_of, with_files
+from omtwarp.commands._streams import step_times, warnings_as_lines
+from omtwarp.commands._work import map_from, require_bijective, show_each, sizes, start_device, targets_of, with_files
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output
 from omtwarp.options import AtlasName, Coordinates, Keep, PatternName, ProjectionName, TextureFormat

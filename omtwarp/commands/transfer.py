@@ -7,11 +7,10 @@ from typing import Annotated
 
 import typer
 
-from omtwarp.commands._facts import sizes
 from omtwarp.commands._options import Printing, RepairOption, output_option
 from omtwarp.commands._painted import painted_maps
 from omtwarp.commands._streams import input_file, warnings_as_lines
-from omtwarp.commands._work import show_facts, with_files
+from omtwarp.commands._work import show_facts, sizes, with_files
 from omtwarp.files.output import check_output
 from omtwarp.options import AtlasName, Coordinates, Device, MapOptions
 

@@ -1,7 +1,8 @@
-"""Names of devices and of solvers, as users write them; nothing heavy is imported."""
+"""Names of devices and of solvers, as users write them, and the number of cores; nothing heavy is imported."""
 
 from __future__ import annotations
 
+import os
 import re
 from enum import StrEnum
 
@@ -27,3 +28,10 @@ def parse_device(value: object) -> str:
     if name not in ("auto", "cpu", "cuda") and not (re.fullmatch(r"cuda:[0-9]{1,4}", name)):
         raise OmtwarpError(f"unknown device {shown(value)}: use auto, cpu, cuda or cuda:N")
     return name
+
+
+def core_count() -> int:
+    """Return the number of cores that this process may use, which ``OMTWARP_THREADS`` lowers."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    wanted = os.environ.get("OMTWARP_THREADS", "")
+    return min(cores, max(int(wanted), 1)) if re.fullmatch("[0-9]{1,9}", wanted) else cores

@@ -10,7 +10,7 @@ from functools import lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
-from omtwarp.device.cores import core_count
+from omtwarp.device.names import core_count
 from omtwarp.device.policy import SMALLEST_SHARED_LAUNCH, launch_parts_of
 from omtwarp.device.start import wp
 

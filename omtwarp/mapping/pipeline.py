@@ -14,8 +14,7 @@ import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.conformal import density
-from omtwarp.device.arrays import vectors
-from omtwarp.device.memory import give_back
+from omtwarp.device.arrays import give_back, vectors
 from omtwarp.device.policy import resolve_device, solves_with_scipy, solving_with, wanted_solver
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads

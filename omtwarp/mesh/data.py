@@ -30,8 +30,7 @@ from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import array_of, read_bytes
-from omtwarp.files.limits import LARGEST_MESH_FILE
-from omtwarp.files.memory import memory_for_file
+from omtwarp.files.limits import LARGEST_MESH_FILE, memory_for_file
 from omtwarp.files.output import staged
 from omtwarp.mesh.arrays import single_precision
 from omtwarp.mesh.neuro import load_gifti, nibabel_module, structure_of

@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import read_arrays, read_bytes, read_up_to
-from omtwarp.files.limits import LARGEST_MESH_FILE, MOST_FACES, amount
-from omtwarp.files.memory import memory_for_file
+from omtwarp.files.limits import LARGEST_MESH_FILE, MOST_FACES, amount, memory_for_file
 from omtwarp.files.output import as_path, scratch
 from omtwarp.mesh.arrays import whole_number, whole_numbers
 from omtwarp.mesh.neuro import load_gifti, nibabel_module

@@ -56,8 +56,7 @@ from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics import optimality_kernels as kernels
 from omtwarp.metrics.ascent import ascend
-from omtwarp.metrics.optimality_dual import Bound, TransportDual
-from omtwarp.metrics.optimality_sources import SourceBound, SourceDual
+from omtwarp.metrics.optimality_dual import Bound, SourceBound, SourceDual, TransportDual
 from omtwarp.options import Cost, Progress, Record
 from omtwarp.solvers.poisson import cotangent_solver
 
@@ -67,7 +66,7 @@ ASCENT_STEPS = 3  # by default, as each costs as much as the bound itself
 GOOD_ENOUGH = 1e-4
 """Ascent stops at this gap by default: a tenth of what separates the maps of practice from the optimum."""
 # Above this gap, and where the x_i of whole limbs are nearly one point, φ at the x_i is raised in place of ψ, by so
-# many steps (:mod:`omtwarp.metrics.optimality_sources`): on an octopus the gap is 53 % with the fitted ψ, 3.3 % with
+# many steps (:mod:`omtwarp.metrics.optimality_dual`): on an octopus the gap is 53 % with the fitted ψ, 3.3 % with
 # the fitted φ, and 0.69 % after these. With smaller gaps it would hide curl that shifts points by less than half an
 # edge, as only the x_i limit ψ. Of the octopus it hides little: after ten steps the gap is 0.60 %, and 0.63 % with its
 # triangles quartered.
@@ -255,7 +254,7 @@ def _measure(
     curl: Curl | None = None,
 ) -> Optimality:
     # Above this gap, and where the x_i of whole limbs are nearly one point, φ at the x_i is raised in place of ψ, by so
-    # many steps (:mod:`omtwarp.metrics.optimality_sources`): on an octopus the gap is 53 % with the fitted ψ, 3.3 %
+    # many steps (:mod:`omtwarp.metrics.optimality_dual`): on an octopus the gap is 53 % with the fitted ψ, 3.3 %
     # with the fitted φ, and 0.69 % after these. With smaller gaps it would hide curl that shifts points by less than
     # half an edge, as only the x_i limit ψ. Of the octopus it hides little: after ten steps the gap is 0.60 %, and 0.63
     # % with its triangles quartered.

@@ -15,8 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.device.arrays import empty
-from omtwarp.device.memory import Workspace
+from omtwarp.device.arrays import Workspace, empty
 from omtwarp.device.start import wp
 from omtwarp.device.threads import Arguments, cut, launch_parts
 from omtwarp.mesh.quarter import PARTS, QuarteredSurface

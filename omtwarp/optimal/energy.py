@@ -29,8 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.device.arrays import empty
-from omtwarp.device.memory import Workspace
+from omtwarp.device.arrays import Workspace, empty
 from omtwarp.device.start import wp
 from omtwarp.device.sums import Reading, sums_for
 from omtwarp.device.threads import Arguments, cut, launch_parts

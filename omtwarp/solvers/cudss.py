@@ -15,7 +15,7 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.device.memory import Workspace
+from omtwarp.device.arrays import Workspace
 from omtwarp.device.policy import solver_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError

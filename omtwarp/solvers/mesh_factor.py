@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
-from omtwarp.device.memory import Workspace
+from omtwarp.device.arrays import Workspace
 from omtwarp.device.policy import solves_with_cudss, solves_with_scipy
 from omtwarp.device.start import wp
 from omtwarp.device.threads import pool

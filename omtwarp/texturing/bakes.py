@@ -16,7 +16,7 @@ from omtwarp.device.start import KERNEL_OPTIONS, wp
 from omtwarp.device.threads import launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.operators import corner_cotangents, cotangent_laplacian
-from omtwarp.geometry.strips import in_strips
+from omtwarp.geometry.space_order import in_strips
 from omtwarp.mesh.arrays import TINY, Bytes, Floats, Ints
 from omtwarp.mesh.data import read_data
 from omtwarp.mesh.origins import Origins

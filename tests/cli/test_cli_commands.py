@@ -269,14 +269,14 @@ def test_an_interruption_while_the_command_is_read_gives_one_line(module):
 
 
 def test_no_progress_where_nobody_looks(capsys):
-    from omtwarp.commands._progress import progress_bar
+    from omtwarp.commands._streams import progress_bar
 
     with progress_bar() as progress:
         assert progress is None
 
 
 def test_progress_on_a_terminal(monkeypatch, capsys):
-    from omtwarp.commands._progress import progress_bar
+    from omtwarp.commands._streams import progress_bar
 
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
     with progress_bar(quiet=True) as progress:

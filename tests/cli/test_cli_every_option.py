@@ -13,7 +13,7 @@ import typer
 from PIL import Image
 
 from omtwarp.cohort.executors import Host
-from omtwarp.cohort.work import run_item
+from omtwarp.cohort.host import run_item
 from omtwarp.commands._cli import SUMMARIES, app_of, main
 from omtwarp.mesh import shapes
 from omtwarp.mesh.write import write_mesh

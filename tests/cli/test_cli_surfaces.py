@@ -12,7 +12,7 @@ from scipy import sparse
 
 import omtwarp
 from omtwarp.commands._cli import main
-from omtwarp.commands._facts import quality
+from omtwarp.commands._work import quality
 from omtwarp.maps.torus_map import read_map
 from omtwarp.mesh import shapes
 from omtwarp.mesh.read import read_mesh

@@ -19,6 +19,7 @@ import pytest
 import omtwarp
 from omtwarp.cohort import read_manifest, run_cohort
 from omtwarp.cohort.executors import Host, make_folders
+from omtwarp.cohort.host import run_item
 from omtwarp.cohort.item import (
     Job,
     complete_journal,
@@ -30,7 +31,6 @@ from omtwarp.cohort.item import (
 )
 from omtwarp.cohort.page import outliers
 from omtwarp.cohort.table import map_of, read_table
-from omtwarp.cohort.work import run_item
 from omtwarp.commands._cli import main
 from omtwarp.errors import OmtwarpError
 from omtwarp.maps.result import MapResult

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from omtwarp.device.memory import Workspace, give_back
+from omtwarp.device.arrays import Workspace, give_back
 
 # In a process of its own: what other tests have freed, and what they keep, is no part of a map.
 MEASURE = """

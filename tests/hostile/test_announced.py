@@ -18,7 +18,7 @@ import pytest
 from PIL import Image
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files.memory import ROOM, TIMES, memory_for_file
+from omtwarp.files.limits import ROOM, TIMES, memory_for_file
 from omtwarp.mesh.data import read_data
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.shapes import icosphere
@@ -194,8 +194,8 @@ def test_a_small_file_takes_little_room(tmp_path, name):
 
 def test_pictures_beside_a_mesh_are_no_part_of_its_bound(tmp_path, monkeypatch):
     """A small mesh may have large pictures: only its parser is bounded by its size."""
-    monkeypatch.setattr("omtwarp.files.memory.ROOM", 0)
-    monkeypatch.setattr("omtwarp.files.memory.TIMES", 1000)
+    monkeypatch.setattr("omtwarp.files.limits.ROOM", 0)
+    monkeypatch.setattr("omtwarp.files.limits.TIMES", 1000)
     rows = ["mtllib a.mtl", "v 0 0 0", "v 1 0 0", "v 0 1 0", "vt 0 0", "usemtl a", "f 1/1 2/1 3/1"]
     (tmp_path / "a.obj").write_text("\n".join(rows), "ascii")
     (tmp_path / "a.mtl").write_text("newmtl a\nmap_Kd a.png\n", "ascii")

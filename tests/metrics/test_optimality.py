@@ -13,8 +13,14 @@ from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.metrics import optimality_kernels as kernels
 from omtwarp.metrics.ascent import ascend
 from omtwarp.metrics.optimality import map_optimality, optimality, relative_curl
-from omtwarp.metrics.optimality_dual import LONGEST, TransportDual, narrow_parts, order_by_halves, tree_segments
-from omtwarp.metrics.optimality_sources import SourceDual
+from omtwarp.metrics.optimality_dual import (
+    LONGEST,
+    SourceDual,
+    TransportDual,
+    narrow_parts,
+    order_by_halves,
+    tree_segments,
+)
 
 
 def latitude_map(frequency: int, shift: float = 0.6, twist: float = 0.0):

@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.device.memory import Workspace
+from omtwarp.device.arrays import Workspace
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads, core_count, load, run_all
 from omtwarp.solvers.cholesky.dissection import Dissection

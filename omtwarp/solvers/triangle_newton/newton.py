@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.device.memory import Workspace
+from omtwarp.device.arrays import Workspace
 from omtwarp.device.start import wp
 from omtwarp.device.threads import Arguments, cut, launch_parts
 from omtwarp.errors import OmtwarpError
