@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.alignment.align import DEGREE, mirror_image
-from omtwarp.alignment.features import feature_coefficients, own_features
+from omtwarp.alignment.align import DEGREE, feature_coefficients, mirror_image, own_features
 from omtwarp.alignment.rotation_search import Complex, best_rotation, complex_coefficients, rotated
 from omtwarp.errors import OmtwarpError
 from omtwarp.options import Progress

@@ -14,8 +14,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from omtwarp.benchmark.meshes import made
 from omtwarp.benchmark.roofline import LaunchRecorder, copy_bandwidth
+from omtwarp.benchmark.runner import made
 from omtwarp.device.graphs import step_by_step
 from omtwarp.device.names import core_count
 from omtwarp.device.policy import is_cuda, resolve_device

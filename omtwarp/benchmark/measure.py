@@ -19,7 +19,7 @@ from scipy import sparse
 from omtwarp.benchmark.tables import Gpu, Machine
 from omtwarp.device.start import wp
 from omtwarp.device.threads import core_count
-from omtwarp.files.children import interpreter
+from omtwarp.files.interruptions import interpreter
 from omtwarp.mapping.pipeline import versions
 
 

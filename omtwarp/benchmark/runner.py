@@ -1,17 +1,18 @@
-"""Measurement of maps of many meshes, stage by stage, and of one sparse factorisation of each."""
+"""Measurement of maps of generated shapes and given meshes, stage by stage, and of one sparse factorisation of each."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import cast
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
 from omtwarp.benchmark.measure import Clock, PeakMemory, first_use, machine, splu_reference
-from omtwarp.benchmark.meshes import MeshSource, all_meshes, made
 from omtwarp.benchmark.roofline import kernel_table
 from omtwarp.benchmark.tables import Benchmark, MapTimes, MeshTimes, StageTimes
 from omtwarp.device.policy import resolve_device
@@ -19,10 +20,75 @@ from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import cotangent_laplacian
 from omtwarp.mapping.pipeline import map_to_sphere
+from omtwarp.mesh import shapes
+from omtwarp.mesh.checks import MeshLike, as_surface
+from omtwarp.mesh.quarter import quarter
+from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.surface import Surface
 from omtwarp.options import Record
 from omtwarp.solvers.cholesky import MultifrontalCholesky, surface_dissection
 from omtwarp.solvers.cholesky.saddle import expand
+
+SHAPES = ("blob", "creature", "sphere")
+
+
+def made(shape: str, face_count: int) -> Surface:
+    """Return a generated shape with about so many faces: ``blob`` (a potato), ``creature`` (the demo's) or ``sphere``.
+
+    Raises:
+        OmtwarpError: an unknown shape.
+    """
+    if shape == "blob":
+        # Amplitude, of the blob's bumps, in radii: a plain convention, which all published times were taken with
+        return shapes.blob(seed=1, amplitude=0.3, sphere=face_count)
+    if shape == "creature":
+        return shapes.demo_shape(face_count)
+    if shape == "sphere":
+        return shapes.icosphere_near(face_count)
+    raise OmtwarpError(f"unknown shape '{shape}': use {', '.join(SHAPES)}")
+
+
+MeshSource: TypeAlias = str | os.PathLike[str] | MeshLike
+"""A mesh to measure: its file, or a surface in any form."""
+
+
+def all_meshes(
+    shapes: tuple[str, ...], sizes: tuple[int, ...], meshes: tuple[MeshSource, ...], subdivisions: int
+) -> Iterator[tuple[str, str, Surface]]:
+    """Yield the family, name and surface of every mesh to measure, one in memory at a time.
+
+    Args:
+        shapes: generated shapes.
+        sizes: their numbers of faces.
+        meshes: mesh files, or pairs of vertices and faces.
+        subdivisions: how many times every given mesh is subdivided as well.
+
+    Raises:
+        OmtwarpError: a mesh cannot be read or mapped.
+    """
+    for shape in shapes:
+        for size in sorted(sizes):
+            surface = made(shape, size)
+            yield shape, f"{shape}_{label(surface.face_count)}", surface
+    for number, mesh in enumerate(meshes):
+        if isinstance(mesh, str | os.PathLike):
+            name = Path(mesh).stem
+            read = read_mesh(Path(mesh))
+            surface = as_surface((read.vertices, read.faces))
+        else:
+            name, surface = f"mesh {number + 1}", as_surface(mesh)
+        for level in range(subdivisions + 1):
+            yield name, name if level == 0 else f"{name} / {4**level}", surface
+            if level < subdivisions:
+                surface = quarter(surface).surface
+
+
+def label(count: int) -> str:
+    """Shorten a number of faces to a few characters: 5k, 1.3M."""
+    if count >= 1_000_000:
+        return f"{count / 1e6:.1f}M".replace(".0M", "M")
+    return f"{count / 1e3:.0f}k" if count >= 1000 else str(count)
+
 
 SIZES = (5_000, 20_000, 80_000)  # faces, each four times the one before, as a subdivision has them
 # SuperLU needs about 10 kB per vertex, and minutes, beyond this many faces.

@@ -14,7 +14,7 @@ from typing import Protocol, TypeAlias
 
 from omtwarp.cohort.item import CRASHED, MEMORY, TIMEOUT, Job, Row, read_record, settle
 from omtwarp.errors import OmtwarpError
-from omtwarp.files.children import interpreter, safe_paths
+from omtwarp.files.interruptions import interpreter, safe_paths
 
 Record: TypeAlias = Row
 

@@ -45,9 +45,8 @@ from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.checks import MeshLike
 from omtwarp.mesh.neuro import structure_of
-from omtwarp.mesh.read import read_mesh
+from omtwarp.mesh.read import read_joined_mesh, read_mesh
 from omtwarp.mesh.repair import NOTED_LOSS, repair
-from omtwarp.mesh.seams import read_joined_mesh
 from omtwarp.mesh.shapes import blob
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.mesh.write import write_mesh

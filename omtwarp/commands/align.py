@@ -7,10 +7,9 @@ from typing import Annotated
 
 import typer
 
-from omtwarp.commands._features import Pair
 from omtwarp.commands._options import Printing
 from omtwarp.commands._streams import input_file, progress_bar, steps, warnings_as_lines
-from omtwarp.commands._work import show_facts
+from omtwarp.commands._work import Pair, show_facts
 from omtwarp.options import AlignBy
 
 

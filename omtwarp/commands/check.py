@@ -101,7 +101,7 @@ def facts_of(mesh: Path, repair: bool, target: Path | None, *, verbose: bool) ->
         OmtwarpError: the file cannot be read, or the repaired mesh cannot be written.
     """
     from omtwarp.mapping.verdict import foretell
-    from omtwarp.mesh.seams import read_joined_mesh
+    from omtwarp.mesh.read import read_joined_mesh
     from omtwarp.mesh.surface import Surface
     from omtwarp.mesh.validate import check
     from omtwarp.mesh.write import write_mesh

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from omtwarp.commands._features import Pair
 from omtwarp.commands._options import Printing, named
 from omtwarp.commands._streams import input_file, is_standard_output, progress_bar, warnings_as_lines
-from omtwarp.commands._work import show_facts
+from omtwarp.commands._work import Pair, show_facts
 from omtwarp.commands.film import FILMS
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_folder, check_output

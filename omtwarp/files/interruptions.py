@@ -1,4 +1,6 @@
-"""Interruptions of the command line: one line on standard error, nothing left that was staged, the process ended.
+"""Interruptions of the command line, and interpreters beside this one.
+
+An interruption gives one line on standard error, leaves nothing that was staged, and ends the process.
 
 Python's own handler waits until native code returns, which in a factorisation or a long kernel takes more than a
 second. While it waits a thread, woken by the signal, ends the process. Code that never lets go of the interpreter's
@@ -11,9 +13,11 @@ import contextlib
 import os
 import shutil
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 
@@ -140,3 +144,33 @@ def _watch(readable: int) -> None:
             time.sleep(seconds_for_handler)
             if _tidy(number):
                 os._exit(INTERRUPTED - signal.SIGINT + number)
+
+
+_ROOT = str(Path(__file__).resolve().parents[2])
+_FIND_PACKAGE = "import sys; sys.path.insert(0, sys.argv.pop(1)); "
+
+
+def interpreter(code: str, *arguments: str) -> list[str]:
+    """Return the command line of an interpreter that runs some code with this very package.
+
+    With ``-P`` the working directory is no place for modules: a ``signal.py`` there is data, as every file of a user's.
+
+    Args:
+        code: what it runs, on one line.
+        arguments: what it finds in ``sys.argv[1:]``.
+    """
+    return [sys.executable, "-P", "-c", _FIND_PACKAGE + code, _ROOT, *arguments]
+
+
+@contextmanager
+def safe_paths() -> Iterator[None]:
+    """Let interpreters that libraries start inside of it import nothing from the working directory either."""
+    before = os.environ.get("PYTHONSAFEPATH")
+    os.environ["PYTHONSAFEPATH"] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            os.environ.pop("PYTHONSAFEPATH", None)
+        else:
+            os.environ["PYTHONSAFEPATH"] = before

@@ -1,6 +1,7 @@
 """Limits on the size of inputs and outputs, above those of real work and checked before any work is done.
 
-Memory that a parser may allocate is bounded too, on Linux alone. The limits keep a damaged or hostile file, or a typing error, from filling memory or running for ever.
+Memory that a parser may allocate is bounded too, on Linux alone. The limits keep a damaged or hostile file, or a typing
+error, from filling memory or running for ever.
 """
 
 from __future__ import annotations

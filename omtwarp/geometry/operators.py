@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
+from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
@@ -197,3 +198,20 @@ class DifferentialOperators:
     def voronoi_areas(self) -> wp.array:
         """Compute :func:`voronoi_areas` by a kernel, as a Warp array [V]."""
         return self._run(kernels.vertex_voronoi_areas, False, None, None, wp.float64, None, True)
+
+
+def cotangent_edge_weights(surface: Surface, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the weight of every edge in the matrix D of section 4.1, (cot R + cot S) / 2, shape [E].
+
+    Minus the entries of :func:`omtwarp.geometry.cotangent_laplacian` off the diagonal, in the order of
+    :attr:`Surface.edges`.
+
+    Args:
+        surface: a closed surface.
+        points: positions of its vertices, shape [V, 3].
+    """
+    mesh = surface.on("cpu")
+    weights = wp.empty(len(mesh.edge_corners), dtype=wp.float64, device="cpu")
+    inputs = [vectors(points, weights.device), mesh.faces, mesh.edge_corners]
+    wp.launch(kernels.edge_weights_of_corners, dim=weights.size, inputs=inputs, outputs=[weights], device="cpu")
+    return weights.numpy()

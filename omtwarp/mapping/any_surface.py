@@ -56,10 +56,9 @@ from omtwarp.options import (
 from omtwarp.spheres import triangle_solid_angles
 from omtwarp.texturing.density import TargetLike
 from omtwarp.topology.boundary import boundary_half_edges, boundary_loops, loop_length
-from omtwarp.topology.cuts import cut_open
 from omtwarp.topology.doubling import Double, double, quartered_double, split_chords
 from omtwarp.topology.filling import FilledSurface, fill_holes
-from omtwarp.topology.handles import cut_handles, slit_open
+from omtwarp.topology.handles import cut_handles, cut_open, slit_open
 from omtwarp.topology.kind import Part, described, numbered_in_space, options_for, parts_of, places_of
 from omtwarp.torus.mapping import map_to_torus
 
@@ -421,7 +420,7 @@ class _Opened(Derived):
         small: index of the first loop with a small filling; those of all later ones are small too.
         pairs: the two sides of each cut.
         filled: the surface with its loops filled.
-        cut_along: the kind of each cut, see :func:`omtwarp.topology.cuts.cut_open`.
+        cut_along: the kind of each cut, see :func:`omtwarp.topology.handles.cut_open`.
     """
 
     loops: list[NDArray[np.int64]]

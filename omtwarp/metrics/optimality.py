@@ -65,11 +65,6 @@ Array = NDArray[np.float64]
 ASCENT_STEPS = 3  # by default, as each costs as much as the bound itself
 GOOD_ENOUGH = 1e-4
 """Ascent stops at this gap by default: a tenth of what separates the maps of practice from the optimum."""
-# Above this gap, and where the x_i of whole limbs are nearly one point, φ at the x_i is raised in place of ψ, by so
-# many steps (:mod:`omtwarp.metrics.optimality_dual`): on an octopus the gap is 53 % with the fitted ψ, 3.3 % with
-# the fitted φ, and 0.69 % after these. With smaller gaps it would hide curl that shifts points by less than half an
-# edge, as only the x_i limit ψ. Of the octopus it hides little: after ten steps the gap is 0.60 %, and 0.63 % with its
-# triangles quartered.
 STEPS_BEFORE = 3  # ascent, for progress: the curl, the first potential and its bound
 
 

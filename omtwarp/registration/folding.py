@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.geometry.edge_weights import cotangent_edge_weights
+from omtwarp.geometry.operators import cotangent_edge_weights
 from omtwarp.mesh.surface import Surface, triangle_areas, vertex_normals
 from omtwarp.solvers.cholesky.dissection import Dissection, dissect
 from omtwarp.solvers.mesh_factor import mesh_factor

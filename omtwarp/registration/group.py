@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.alignment.features import feature_coefficients
+from omtwarp.alignment.align import feature_coefficients
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.files.inputs import read_arrays
 from omtwarp.files.output import as_path, folder_of_results, written_by_omtwarp

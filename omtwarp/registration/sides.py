@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.alignment.align import feature_rotations
-from omtwarp.alignment.features import checked_features, sphere_weights
+from omtwarp.alignment.align import checked_features, sphere_weights
 from omtwarp.alignment.rotation_search import Best
 from omtwarp.errors import OmtwarpError
 from omtwarp.maps.result import MapResult

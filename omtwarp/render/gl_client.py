@@ -21,7 +21,7 @@ import time
 from contextlib import suppress
 from typing import IO, TYPE_CHECKING, cast
 
-from omtwarp.files.children import interpreter
+from omtwarp.files.interruptions import interpreter
 
 if TYPE_CHECKING:  # commands start the drawing process before they import NumPy
     import numpy as np

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
-from omtwarp.geometry.edge_weights import cotangent_edge_weights
+from omtwarp.geometry.operators import cotangent_edge_weights
 from omtwarp.mesh.surface import Surface
 from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.solvers.mesh_factor import surface_factor

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import WELD, Bytes, Floats, Ints, whole_numbers
-from omtwarp.mesh.seams import compressed, seam_copies
+from omtwarp.mesh.read import compressed, seam_copies
 from omtwarp.mesh.surface import unit_normals, vertex_normals
 from omtwarp.options import TextureFormat
 from omtwarp.texturing.export import Part, export, split_corners

@@ -10,17 +10,14 @@ from typer.testing import CliRunner
 
 from omtwarp.benchmark import markdown, run, runner
 from omtwarp.benchmark.measure import PeakMemory, first_use, splu_reference
-from omtwarp.benchmark.meshes import label, made, subdivided
 from omtwarp.benchmark.roofline import LISTED, LaunchRecorder, copy_bandwidth, moved_bytes
-from omtwarp.benchmark.runner import fitted_exponent, growth_exponents, reference_system
+from omtwarp.benchmark.runner import fitted_exponent, growth_exponents, label, made, reference_system
 from omtwarp.benchmark.tables import table
 from omtwarp.commands.benchmark import parse_sizes
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import cotangent_laplacian
 from omtwarp.mesh.shapes import blob, icosphere
-from omtwarp.mesh.surface import triangle_areas
-from omtwarp.mesh.validate import check
 from omtwarp.wavelets.kernels import scale_values
 
 
@@ -175,16 +172,6 @@ def test_the_mark_of_a_memory_pool_counts_for_the_map_that_raises_it(monkeypatch
     monkeypatch.setattr(runner, "most_used", lambda device: next(found))
     surface = icosphere(2)
     assert runner.measure_map(surface, "cpu", None)["device_bytes"] == peak
-
-
-def test_subdivision_keeps_the_surface():
-    surface = blob(seed=2, sphere=320)
-    fine = subdivided(surface)
-    assert fine.face_count == 4 * surface.face_count and not check(fine.vertices, fine.faces)
-    np.testing.assert_array_equal(fine.vertices[: surface.vertex_count], surface.vertices)
-    children = triangle_areas(fine.vertices, fine.faces).reshape(-1, 4)
-    own = triangle_areas(surface.vertices, surface.faces)
-    np.testing.assert_allclose(children, np.repeat(own[:, None] / 4, 4, axis=1), rtol=1e-12)
 
 
 @pytest.mark.parametrize("shape", ["blob", "creature", "sphere"])

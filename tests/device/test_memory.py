@@ -10,7 +10,7 @@ from omtwarp.device.arrays import Workspace, give_back
 
 # In a process of its own: what other tests have freed, and what they keep, is no part of a map.
 MEASURE = """
-from omtwarp.benchmark.meshes import made
+from omtwarp.benchmark.runner import made
 from omtwarp.benchmark.runner import factor_bytes, measure_map
 measure_map(made("blob", 2000), "cpu", "none")
 surface = made("blob", 20_000)

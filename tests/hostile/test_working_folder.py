@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import omtwarp
-from omtwarp.files.children import interpreter
+from omtwarp.files.interruptions import interpreter
 from omtwarp.mesh import shapes
 from omtwarp.mesh.write import write_mesh
 

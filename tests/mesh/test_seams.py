@@ -9,7 +9,7 @@ import trimesh
 import omtwarp
 from omtwarp.commands._cli import main
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.seams import read_joined_mesh, seam_copies
+from omtwarp.mesh.read import read_joined_mesh, seam_copies
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import omtwarp
 from omtwarp import OmtwarpError, align, resample, shapes
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.resampling import SpherePoints, as_points
-from omtwarp.resampling.overlap import overlap_areas
+from omtwarp.resampling.resample import overlap_areas
 from omtwarp.shape_analysis import shape_distance, study_group
 
 TURN = Rotation.from_rotvec([0.3, -0.8, 1.1]).as_matrix()

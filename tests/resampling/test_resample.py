@@ -12,7 +12,7 @@ from sphere_truths import pushed_north, random_rotation, twisted
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh import shapes
 from omtwarp.resampling import resample
-from omtwarp.resampling.overlap import overlap_areas
+from omtwarp.resampling.resample import overlap_areas
 from omtwarp.spheres import mesh_grid, named_grid
 
 METHODS = ["barycentric", "nearest", "adaptive", "conservative"]

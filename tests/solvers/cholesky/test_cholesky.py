@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.sparse.linalg import splu, spsolve
 
 from omtwarp.geometry import cotangent_laplacian
-from omtwarp.geometry.edge_weights import cotangent_edge_weights
+from omtwarp.geometry.operators import cotangent_edge_weights
 from omtwarp.mesh.shapes import blob, icosphere, random_sphere, uv_sphere
 from omtwarp.mesh.surface import Surface
 from omtwarp.solvers.cholesky import (
