@@ -10,7 +10,7 @@ from scipy import sparse
 
 from omtwarp.device.arrays import triangles, vectors
 from omtwarp.device.policy import resolve_device
-from omtwarp.device.start import KERNEL_OPTIONS, ONE, THREE, ZERO, wp
+from omtwarp.device.start import KERNEL_OPTIONS, LARGE, ONE, THREE, ZERO, wp
 from omtwarp.device.threads import Arguments, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.spherical import TINY
@@ -19,11 +19,6 @@ from omtwarp.mesh.arrays import normalised
 wp.set_module_options(KERNEL_OPTIONS)
 
 
-# A point this far (in barycentric coordinates) outside of a triangle is taken as on its edge: ten thousand units of
-# roundoff, so that a walk does not go back and forth across an edge that the point lies on.
-OUTSIDE = wp.constant(wp.float64(-1e-12))
-WALK_LIMIT = wp.constant(2000)
-LARGE = wp.constant(wp.float64(1e300))
 # Boxes are kept in single precision, whose unit of roundoff at 1 is 6e-8: they are grown by more than what is lost.
 BOX_MARGIN = wp.constant(wp.float64(1e-6))
 
@@ -72,7 +67,7 @@ def walk(
     """Walk from a face to the face that holds p, across the edge that p lies furthest beyond; for moving points."""
     f = int(start)
     weights = wp.vec3d()
-    for _ in range(WALK_LIMIT):
+    for _ in range(2000):
         face = faces[f]
         weights = spherical_barycentric(p, points[face[0]], points[face[1]], points[face[2]])
         worst = int(0)
@@ -80,7 +75,8 @@ def walk(
             worst = int(1)
         if weights[2] < weights[worst]:
             worst = int(2)
-        if weights[worst] >= OUTSIDE:
+        # A few thousand units of roundoff outside is on the edge, so that a walk does not go back and forth across it.
+        if weights[worst] >= -wp.float64(1e-12):
             break
         # Corner k is opposite to the edge between corners k + 1 and k + 2.
         edge = worst + 1

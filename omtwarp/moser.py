@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
-from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, THREE, ZERO, wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, THREE, ZERO, wp
 from omtwarp.device.sums import sums_for
 from omtwarp.device.threads import Arguments, blas_threads, launch_parts
 from omtwarp.geometry.spherical import TINY
@@ -31,7 +31,6 @@ THREE_QUARTERS = wp.constant(wp.float64(0.75))
 TWO_NINTHS = wp.constant(wp.float64(2.0 / 9.0))
 THIRD = wp.constant(wp.float64(1.0 / 3.0))
 FOUR_NINTHS = wp.constant(wp.float64(4.0 / 9.0))
-LARGEST_DENSITY = wp.constant(wp.float64(1e300))  # instead of infinity
 
 
 @wp.func(inline=True)
@@ -118,8 +117,8 @@ def sources_and_density(
     around = around / THREE
     wanted_around = wanted_around / THREE
     sources[v] = masses[v] - wanted_around
-    mu[v] = wp.min(masses[v] / around, LARGEST_DENSITY)
-    excess[v] = wp.min(wanted_around / around - ONE, LARGEST_DENSITY)
+    mu[v] = wp.min(masses[v] / around, LARGE)
+    excess[v] = wp.min(wanted_around / around - ONE, LARGE)
 
 
 @wp.kernel

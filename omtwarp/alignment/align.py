@@ -22,10 +22,6 @@ from omtwarp.spheres import SphereGrid, triangle_solid_angles
 Floats = NDArray[np.float64]
 
 
-# Of the largest value: a feature that varies less is rounding around a constant (1e-16 times the root of the vertices).
-LEAST_VARIATION = 1e-9
-
-
 def sphere_weights(points: SpherePoints) -> Floats:
     """Return a third of the spherical triangles' areas around every vertex, shape [V].
 
@@ -95,13 +91,14 @@ def spread(values: Floats, weights: Floats) -> float:
     return float(np.sqrt(max(weights @ (values - mean) ** 2 / weights.sum(), 0.0)))
 
 
-def is_constant(values: Floats, weights: Floats, least: float = LEAST_VARIATION) -> bool:
+def is_constant(values: Floats, weights: Floats, least: float = 1e-9) -> bool:
     """Return whether a feature is the same all over the sphere.
 
     Args:
         values: shape [V].
         weights: of the vertices, shape [V].
-        least: variation, as a part of the largest value, up to which it is.
+        least: variation, as a part of the largest value, up to which it is; less than the default is rounding around a
+            constant (1e-16 times the root of the vertices).
     """
     return not spread(values, weights) > least * np.abs(values).max()
 

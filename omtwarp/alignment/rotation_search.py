@@ -28,10 +28,6 @@ from omtwarp.mesh.arrays import ROUND_OFF, TINY
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-# Newton starts from so many of the grid's local maxima, at least start_apart degrees from one another. With half and
-# twice of these and of DISTINCT a turned creature is turned back to round-off.
-DISTINCT = 5.0  # degrees: maxima further apart than this are two
-
 
 @dataclass(frozen=True)
 class Best:
@@ -144,7 +140,7 @@ def best_rotations(a: Complex, b: Complex) -> list[Best]:
     climbed.sort(key=lambda entry: -entry[1])
     distinct: list[tuple[Floats, float, int]] = []
     for entry in climbed:
-        if all(_apart(entry[0], other[0]) > DISTINCT for other in distinct):
+        if all(_apart(entry[0], other[0]) > 5.0 for other in distinct):
             distinct.append(entry)
     after = [value / norm for _, value, _ in distinct[1:]] + [-1.0]
     return [Best(entry[0], entry[1] / norm, other, entry[2]) for entry, other in zip(distinct, after, strict=True)]
@@ -171,7 +167,7 @@ def improved(a: Complex, b: Complex, best: Best, weights: Floats) -> Best:
 def _starts(grid: Floats, size: int) -> list[Floats]:
     """Return the highest local maxima of the correlation on the grid, where the climbs start."""
     # Newton starts from so many of the grid's local maxima, at least start_apart degrees from one another. With half
-    # and twice of these and of DISTINCT a turned creature is turned back to round-off.
+    # and twice of these a turned creature is turned back to round-off.
     starts = 8
     start_apart = 15.0
     around = maximum_filter(grid, size=3, mode=("wrap", "nearest", "wrap"))

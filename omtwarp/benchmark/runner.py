@@ -90,14 +90,9 @@ def label(count: int) -> str:
     return f"{count / 1e3:.0f}k" if count >= 1000 else str(count)
 
 
-SIZES = (5_000, 20_000, 80_000)  # faces, each four times the one before, as a subdivision has them
-# SuperLU needs about 10 kB per vertex, and minutes, beyond this many faces.
-LARGEST_REFERENCE = 500_000
-
-
 def run(
     *,
-    sizes: Sequence[int] = SIZES,
+    sizes: Sequence[int] = (5_000, 20_000, 80_000),
     shapes: Sequence[str] = ("blob",),
     meshes: Sequence[MeshSource] = (),
     subdivisions: int = 0,
@@ -106,7 +101,7 @@ def run(
     refine: str | float | None = "none",
     kernels: bool = False,
     cold: bool = False,
-    largest_reference: int = LARGEST_REFERENCE,
+    largest_reference: int = 500_000,
     progress: Callable[[str], None] | None = None,
 ) -> Benchmark:
     """Measure whole maps, from the arrays to the final map, with kernels compiled beforehand.
@@ -126,7 +121,8 @@ def run(
         refine: how maps are refined, see :func:`omtwarp.map_to_sphere`.
         kernels: also time every kernel by itself, and count the memory it has to move, on the largest mesh.
         cold: also measure compilation into an empty cache, and the start of the program.
-        largest_reference: meshes with more faces are not factorised for comparison.
+        largest_reference: meshes with more faces are not factorised for comparison, as SuperLU needs about 10 kB per
+            vertex, and minutes.
         progress: called with one line of text before each measurement.
 
     Returns:

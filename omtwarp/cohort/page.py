@@ -20,7 +20,6 @@ MEASURES = {
     "ring": "area around vertices",
     "seconds": "seconds",
 }
-PICTURE = (360, 270)  # pixels
 
 
 def write_page(rows: Sequence[Row], folder: Path) -> Path:
@@ -85,7 +84,7 @@ def _figure(row: Row, why: str, folder: Path) -> Markup:
     """Return a picture of a surface, its map drawn on it as circles that would be equal on the sphere."""
     try:
         result = MapResult.load(folder / "maps" / f"{row['id']}.npz")
-        picture = preview(result, size=PICTURE, device="cpu")
+        picture = preview(result, size=(360, 270), device="cpu")
     except Exception as error:
         caption = element("figcaption", element("b", str(row["id"])), ": ", why)
         return element("figure", caption, element("p", f"no picture: {error}"))

@@ -20,7 +20,6 @@ from omtwarp.files.output import digest_of, folder_of_results, require_own
 from omtwarp.options import AreaMatch, FillArea, MapKeywords, MapOptions, Progress, Record
 
 RESULTS = ("table.parquet", "table.csv", "report.html")
-TIME_LIMIT = 3600.0  # seconds; the largest surfaces of the field, 330,000 faces, take one to two minutes
 
 
 @dataclass(frozen=True)
@@ -48,7 +47,7 @@ def run_cohort(
     executor: str = "local",
     workers: int | None = None,
     shard: tuple[int, int] = (1, 1),
-    time_limit: float = TIME_LIMIT,
+    time_limit: float = 3600.0,
     memory_limit: float = 0.0,
     retry: bool = False,
     collect: bool = False,
@@ -69,7 +68,7 @@ def run_cohort(
         executor: ``local``, ``dask``, ``dask:ADDRESS``, ``slurm`` or ``submitit-local``.
         workers: items at once; one for each core by default.
         shard: (i, n) works on every n-th item, the i-th first, counting from 1.
-        time_limit: seconds that an item may take.
+        time_limit: seconds that an item may take; the largest surfaces of the field, 330,000 faces, take 60 to 120.
         memory_limit: GiB that it may allocate (on Linux); 0 for no limit.
         retry: work again on items that failed.
         collect: only write the table and the page of what is there.

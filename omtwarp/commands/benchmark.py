@@ -13,7 +13,7 @@ from omtwarp.commands._options import Only, VerboseOption, output_option
 from omtwarp.commands._streams import input_file, output_file, say
 from omtwarp.commands._work import report_text, start_device
 from omtwarp.errors import OmtwarpError
-from omtwarp.files.limits import MOST_FACES, MOST_REPEATS
+from omtwarp.files.limits import MOST_FACES
 from omtwarp.files.output import check_output, staged
 from omtwarp.options import MapOptions, Refinement
 
@@ -73,9 +73,7 @@ class Workload:
     devices: Annotated[
         str, typer.Option("--device", metavar="cpu,cuda:0", help="Devices to map on; auto is every device there is.")
     ] = "auto"
-    repeats: Annotated[
-        int, typer.Option(min=1, max=MOST_REPEATS, help="Number of maps, of which the median is taken.")
-    ] = 3
+    repeats: Annotated[int, typer.Option(min=1, max=1000, help="Number of maps, of which the median is taken.")] = 3
     kernels: Annotated[bool, typer.Option("--kernels", help="Also measure every kernel, and the memory it moves.")] = (
         False
     )

@@ -12,7 +12,6 @@ from omtwarp.commands._options import Printing, output_option
 from omtwarp.commands._work import facts_of, make_map, report_text, say_stages, start_device, summary
 from omtwarp.commands.map import save
 from omtwarp.errors import OmtwarpError
-from omtwarp.files.limits import MOST_DEMO_FACES
 from omtwarp.files.output import check_output, folder_of_results, staged
 from omtwarp.options import Device, MapOptions
 
@@ -29,9 +28,7 @@ NAMES = ("creature.ply", "map.npz", "report.json", "globe.glb", "globe.png", "ci
 def run(
     *,
     output: Annotated[Path, output_option("Folder of the results.", metavar="DIRECTORY")] = Path("out"),
-    faces: Annotated[
-        int, typer.Option(min=2000, max=MOST_DEMO_FACES, help="Roughly how many faces the shape has.")
-    ] = 20000,
+    faces: Annotated[int, typer.Option(min=2000, max=2_000_000, help="Roughly how many faces the shape has.")] = 20000,
     device: Device = MapOptions.device,
     printing: Printing,
 ) -> None:

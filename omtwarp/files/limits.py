@@ -20,7 +20,6 @@ LARGEST_DIRECTORY = (
 )  # bytes of an .npz's list of arrays, each entry of which takes ten times as many: maps have 2e3
 LARGEST_REPORT = 256 * 2**20  # bytes of a report's text in an .npz: those of long flows have 1e6
 MOST_FACES = 2**25  # triangles: maps of 2 million were measured, and each takes about 1.3 kB of memory
-MOST_DEMO_FACES = 2_000_000  # of the demo's shape, which a grid of 4e8 numbers is computed for
 LARGEST_PICTURE_FILE = 2 * 2**30  # bytes: the largest pictures below, uncompressed
 LONGEST_SIDE = 32768  # texels of a picture or texture along one side
 MOST_TEXELS = 16384 * 16384  # of a picture: what GPUs hold in one texture; NASA's largest Blue Marble is 21600 x 10800
@@ -28,7 +27,6 @@ LARGEST_VIEW = 8192  # pixels of a drawn picture along one side
 MOST_FRAMES = 3600  # of a film: a minute at 60 per second
 MOST_FILM_PIXELS = 2**31  # of all its frames together, which are in memory at a time, 3 bytes each
 FRAMES_PER_SECOND = (0.1, 240.0)  # of a film: chosen, from a slide show to the fastest screens
-MOST_REPEATS = 1000  # of a measurement: the median needs no more, and more is most likely a mistake
 
 
 def amount(bytes_: int) -> str:

@@ -10,8 +10,6 @@ from omtwarp.geometry.spherical import TINY, hat_gradient
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-EIGHTH = wp.constant(wp.float64(0.125))
-
 
 @wp.func
 def unit_normal(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
@@ -126,7 +124,7 @@ def vertex_voronoi_areas(
         s = corners[n] - 3 * f
         b, c = vertices[faces[f, (s + 1) % 3]], vertices[faces[f, (s + 2) % 3]]
         # Each edge's half-length times its dual length is twice the area of its share of the cell.
-        total += EIGHTH * (
+        total += wp.float64(0.125) * (
             wp.length_sq(b - a) * corner_cotangent(c, a, b) + wp.length_sq(c - a) * corner_cotangent(b, c, a)
         )
     area_out[i] = total

@@ -33,8 +33,6 @@ Numbers = NDArray[np.generic]
 
 _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}  # by componentType
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
-_GLB_HEADER, _CHUNK_HEADER = 12, 8  # bytes of a .glb before its first chunk, and of each chunk before its content
-_JSON, _BIN = 0x4E4F534A, 0x004E4942  # the types of its chunks, "JSON" and "BIN" in ASCII
 
 
 Document: TypeAlias = dict
@@ -95,19 +93,18 @@ def with_document(data: bytes, document: Document, binary: bool) -> bytes:
     if not binary:
         return text
     text += b" " * (-len(text) % 4)
-    length = struct.unpack("<I", data[_GLB_HEADER : _GLB_HEADER + 4])[0]
-    chunks = data[_GLB_HEADER + _CHUNK_HEADER + length :]
-    whole = _GLB_HEADER + _CHUNK_HEADER + len(text) + len(chunks)
-    return struct.pack("<4sIIII", b"glTF", 2, whole, len(text), _JSON) + text + chunks
+    head = struct.calcsize("<4sIII4s")  # of the file and of its first chunk
+    chunks = data[head + struct.unpack("<I", data[12:16])[0] :]
+    return struct.pack("<4sIII4s", b"glTF", 2, head + len(text) + len(chunks), len(text), b"JSON") + text + chunks
 
 
 def _binary_chunk(data: bytes) -> bytes:
     """Return the bytes of a ``.glb`` behind its JSON; none where it has none."""
-    place = _GLB_HEADER
-    while place + _CHUNK_HEADER <= len(data):
-        length, kind = struct.unpack("<II", data[place : place + _CHUNK_HEADER])
-        place += _CHUNK_HEADER
-        if kind == _BIN:
+    place = 12  # behind the header
+    while place + 8 <= len(data):
+        length, kind = struct.unpack("<I4s", data[place : place + 8])
+        place += 8
+        if kind == b"BIN\0":
             return data[place : place + length]
         place += length
     return b""

@@ -29,9 +29,6 @@ _XML_TYPES = {
     "UInt64": "u8", "Float32": "f4", "Float64": "f8",
 }  # fmt: skip
 
-# Numbers of VTK's kinds of cells that are points, lines, polygons, strips and pixels (squares numbered row by row).
-_STRIP, _PIXEL = 6, 8
-_FLAT = (5, 7, 9)
 _SURFACE = "extract its surface first, in ParaView by 'Extract Surface'"
 
 
@@ -162,9 +159,9 @@ def _of_kinds(corners: Numbers, sizes: NDArray[np.int64], kinds: Numbers) -> tup
         OmtwarpError: cells that are no flat polygons.
     """
     # Numbers of VTK's kinds of cells that are points, lines, polygons, strips and pixels (squares numbered row by row).
-    no_area = (1, 2, 3, 4)
+    no_area, flat_kinds, strip_kind, pixel_kind = (1, 2, 3, 4), (5, 7, 9), 6, 8
     types = whole_numbers(kinds, "CELL_TYPES", (len(sizes),))
-    other = ~np.isin(types, (*no_area, *_FLAT, _STRIP, _PIXEL))
+    other = ~np.isin(types, (*no_area, *flat_kinds, strip_kind, pixel_kind))
     if other.any():
         first = int(np.argmax(other))
         what = (
@@ -172,10 +169,10 @@ def _of_kinds(corners: Numbers, sizes: NDArray[np.int64], kinds: Numbers) -> tup
         )
         raise OmtwarpError(f"not a surface: {what}; {_SURFACE}")
     starts = np.cumsum(sizes) - sizes
-    pixels = starts[(types == _PIXEL) & (sizes == 4)]
+    pixels = starts[(types == pixel_kind) & (sizes == 4)]
     ordered = np.array(corners)
     ordered[pixels + 2], ordered[pixels + 3] = corners[pixels + 3], corners[pixels + 2]
-    flat, strip = np.isin(types, (*_FLAT, _PIXEL)), types == _STRIP
+    flat, strip = np.isin(types, (*flat_kinds, pixel_kind)), types == strip_kind
     polygons = ordered[np.repeat(flat, sizes)], sizes[flat]
     return _with_strips(polygons, (corners[np.repeat(strip, sizes)], sizes[strip]))
 

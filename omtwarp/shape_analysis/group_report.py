@@ -24,7 +24,6 @@ from omtwarp.shape_analysis.linear_model import Effect
 
 SHOWN = 2.0  # standard deviations to either side of the mean
 SIGNIFICANT = 0.05  # level of the corrected p values, the customary one
-PICTURE = (420, 300)  # pixels
 
 
 def write_group_report(
@@ -183,6 +182,6 @@ def _picture(
         reach = max(float(np.abs(values).max()), np.finfo(float).tiny)
         values = ScalarField(values, "coolwarm", (-reach, reach))
     drawn = preview(
-        (surface.vertices, surface.faces), size=PICTURE, views=view, scalar=values, backend="warp", device="cpu"
+        (surface.vertices, surface.faces), size=(420, 300), views=view, scalar=values, backend="warp", device="cpu"
     )
     return figure(drawn, name, f", {view}")

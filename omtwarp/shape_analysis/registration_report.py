@@ -17,7 +17,6 @@ from omtwarp.resampling import SpherePoints, resample
 
 Floats = NDArray[np.float64]
 
-PICTURE = (360, 300)  # pixels
 VIEWS = ("left", "right")
 
 
@@ -91,5 +90,5 @@ def _facts(found: Registration) -> Markup:
 def _figure(
     mesh: tuple[Floats, NDArray[np.int32]], values: Floats, name: str, words: str, ends: tuple[float, float]
 ) -> Markup:
-    picture = preview(mesh, size=PICTURE, views=VIEWS, up="z", scalar=values, colormap="coolwarm", scalar_range=ends)
+    picture = preview(mesh, size=(360, 300), views=VIEWS, up="z", scalar=values, colormap="coolwarm", scalar_range=ends)
     return figure(picture, name, words)

@@ -21,8 +21,6 @@ from scipy.sparse.linalg import spsolve
 from omtwarp.geometry.operators import corner_cotangents
 from omtwarp.mesh.origins import Derived
 
-LEAST_WEIGHT = 1e-3  # of an edge: positive, so that a vertex lies among its neighbours
-
 
 @dataclass(frozen=True)
 class Patch:
@@ -117,7 +115,8 @@ def _strip(outer: NDArray[np.float64], inner: NDArray[np.float64], first: int, s
 def _harmonic(shape: NDArray[np.float64], faces: NDArray[np.int64], loop: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return harmonic positions of all vertices by a shape's cotangent weights, the loop held, shape [n + K, 3]."""
     count, held = len(shape), len(loop)
-    halves = 0.5 * np.clip(corner_cotangents(shape, faces), LEAST_WEIGHT, 1.0 / LEAST_WEIGHT)
+    # Weights are positive, so that a vertex lies among its neighbours.
+    halves = 0.5 * np.clip(corner_cotangents(shape, faces), 1e-3, 1e3)
     one, other = np.roll(faces, -1, axis=1).ravel(), np.roll(faces, -2, axis=1).ravel()
     weights = sparse.coo_array((halves.ravel(), (one, other)), shape=(count, count)).tocsr()
     weights = weights + weights.T
