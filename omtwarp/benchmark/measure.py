@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from omtwarp.benchmark.tables import Gpu, Machine
+from omtwarp.benchmark.tables import Facts
 from omtwarp.device.start import wp
 from omtwarp.device.threads import core_count
 from omtwarp.files.interruptions import interpreter
@@ -80,9 +80,9 @@ def splu_reference(laplacian: sparse.csc_matrix, right: NDArray[np.float64]) -> 
     return clock.read()
 
 
-def machine(devices: tuple[str, ...]) -> Machine:
+def machine(devices: tuple[str, ...]) -> Facts:
     """Describe the machine and the versions of the libraries."""
-    gpus: list[Gpu] = []
+    gpus: list[Facts] = []
     for name in devices:
         device = wp.get_device(name)
         if device.is_cuda:

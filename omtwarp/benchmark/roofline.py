@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from omtwarp.benchmark.tables import FlowTimes, KernelRow, KernelTable
+from omtwarp.benchmark.tables import Facts
 from omtwarp.device.graphs import step_by_step
 from omtwarp.device.start import wp
 from omtwarp.mapping.pipeline import map_to_sphere
@@ -144,7 +144,7 @@ def copy_bandwidth(device: str, megabytes: int = 256, repeats: int = 5) -> float
     return 16.0 * count / best
 
 
-def kernel_table(surface: Surface, device: str, refine: str | float | None) -> KernelTable:
+def kernel_table(surface: Surface, device: str, refine: str | float | None) -> Facts:
     """Map a surface with every launch recorded.
 
     Args:
@@ -162,7 +162,7 @@ def kernel_table(surface: Surface, device: str, refine: str | float | None) -> K
     even = map_to_sphere((surface.vertices, surface.faces), device=device, until="moser", optimality=False).sphere
     flow = flow_iterations(surface, mapped.conformal, even, device)
     flow["part_of_copy"] = flow["bytes"] / flow["seconds"] / bandwidth
-    rows: list[KernelRow] = []
+    rows: list[Facts] = []
     for name, record in sorted(recorder.kernels.items(), key=lambda item: -item[1].seconds):
         rate = record.moved / record.seconds if record.seconds > 0.0 else 0.0
         rows.append(
@@ -179,7 +179,7 @@ def kernel_table(surface: Surface, device: str, refine: str | float | None) -> K
     return {"device": device, "faces": surface.face_count, "bandwidth": bandwidth, "kernels": rows, "flow": flow}
 
 
-def flow_iterations(surface: Surface, start: ArrayLike, initial: ArrayLike, device: str, most: int = 20) -> FlowTimes:
+def flow_iterations(surface: Surface, start: ArrayLike, initial: ArrayLike, device: str, most: int = 20) -> Facts:
     """Time an iteration of the transport flow as a map runs it: on CUDA replayed as a graph.
 
     Args:

@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TypeAlias, cast
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from scipy import sparse
 
 from omtwarp.benchmark.measure import Clock, PeakMemory, first_use, machine, splu_reference
 from omtwarp.benchmark.roofline import kernel_table
-from omtwarp.benchmark.tables import Benchmark, MapTimes, MeshTimes, StageTimes
+from omtwarp.benchmark.tables import Facts
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
@@ -103,7 +103,7 @@ def run(
     cold: bool = False,
     largest_reference: int = 500_000,
     progress: Callable[[str], None] | None = None,
-) -> Benchmark:
+) -> Facts:
     """Measure whole maps, from the arrays to the final map, with kernels compiled beforehand.
 
     Each mesh is mapped ``repeats`` times on each device after a small map has warmed the device up, and factorised
@@ -139,7 +139,7 @@ def run(
     names = tuple(str(resolve_device(device)) for device in devices)
     notify = progress or (lambda text: None)
     # Format, of the file of results; to be raised when a field changes its meaning
-    result: Benchmark = {
+    result: Facts = {
         "format": 1,
         "machine": machine(names),
         "settings": {"repeats": repeats, "refine": refine, "largest_reference": largest_reference},
@@ -173,13 +173,13 @@ def measure_mesh(
     refine: str | float | None,
     largest_reference: int,
     notify: Callable[[str], None],
-) -> MeshTimes:
+) -> Facts:
     """Measure the reference factorisation and the maps of one mesh."""
     system = reference_system(surface) if surface.face_count <= largest_reference else None
     references: list[tuple[float, float]] = []
-    runs: list[MapTimes] = []
+    runs: list[Facts] = []
     for device in devices:
-        measured: list[MapTimes] = []
+        measured: list[Facts] = []
         for repeat in range(repeats):
             notify(f"{label}: {device}, map {repeat + 1} of {repeats}")
             before = None
@@ -210,7 +210,7 @@ def measure_mesh(
     }
 
 
-def measure_map(surface: Surface, device: str, refine: str | float | None) -> MapTimes:
+def measure_map(surface: Surface, device: str, refine: str | float | None) -> Facts:
     """Measure one map from vertices and faces alone, with nothing kept of an earlier one but kernels."""
     vertices, faces = surface.vertices.copy(), surface.faces.copy()
     marks: dict[str, float] = {}
@@ -227,7 +227,7 @@ def measure_map(surface: Surface, device: str, refine: str | float | None) -> Ma
     wp.synchronize_device(where)
     wall, cpu = clock.read()
     used = most_used(where)
-    stages: list[StageTimes] = []
+    stages: list[Facts] = []
     before = 0.0
     for stage in mapped.report["stages"]:
         now = marks.get(stage["name"], math.nan)
@@ -283,10 +283,10 @@ def factor_bytes(surface: Surface) -> int:
     return MultifrontalCholesky(expand(surface_dissection(surface))[0]).storage
 
 
-def median_of(runs: list[MapTimes]) -> MapTimes:
+def median_of(runs: list[Facts]) -> Facts:
     """Return the median over repeated maps of one mesh of every number, stage by stage."""
-    stages = [cast(StageTimes, _median([run["stages"][k] for run in runs])) for k in range(len(runs[0]["stages"]))]
-    return cast(MapTimes, _median(runs) | {"stages": stages})
+    stages = [_median([run["stages"][k] for run in runs]) for k in range(len(runs[0]["stages"]))]
+    return _median(runs) | {"stages": stages}
 
 
 def _median(records: Sequence[Mapping[str, object]]) -> dict[str, object]:
@@ -304,7 +304,7 @@ def _median(records: Sequence[Mapping[str, object]]) -> dict[str, object]:
     return out
 
 
-def growth_exponents(meshes: list[MeshTimes]) -> dict[str, dict[str, dict[str, float]]]:
+def growth_exponents(meshes: list[Facts]) -> dict[str, dict[str, dict[str, float]]]:
     """Fit exponents p of time ~ faces^p to logarithms by least squares, by family, device and stage (and ``total``).
 
     From :data:`ASYMPTOTIC` faces on where at least two meshes of the family are that large.

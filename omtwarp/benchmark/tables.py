@@ -2,123 +2,16 @@
 
 from __future__ import annotations
 
-from typing import NotRequired, TypedDict
+from typing import TypeAlias
 
+Facts: TypeAlias = dict
+"""Figures by name, ready for JSON, times in seconds and memory in bytes.
 
-class StageTimes(TypedDict):
-    """A stage of a map; times in seconds, ``ratio`` to the reference's."""
-
-    name: str
-    seconds: float
-    cpu_seconds: float
-    iterations: int
-    flips: int
-    area: float
-    ratio: NotRequired[float | None]
-
-
-class MapTimes(TypedDict):
-    """A map, or the medians of several; memory in bytes above what the process held before.
-
-    ``device_bytes`` is None where an earlier map of the process needed as much of the device.
-    """
-
-    device: NotRequired[str]
-    seconds: float
-    cpu_seconds: float
-    ratio: NotRequired[float | None]
-    cpu_ratio: NotRequired[float | None]
-    peak_bytes: int | None
-    device_bytes: int | None
-    flips: int
-    bijective: bool
-    stages: list[StageTimes]
-
-
-class MeshTimes(TypedDict):
-    """A mesh, its reference where it was measured, and its maps, one on each device."""
-
-    family: str
-    name: str
-    vertices: int
-    faces: int
-    splu: dict[str, float] | None
-    factor_bytes: int
-    runs: list[MapTimes]
-
-
-class KernelRow(TypedDict):
-    """All launches of a kernel: their number, time and the memory that they had to move."""
-
-    name: str
-    launches: int
-    threads: int
-    seconds: float
-    bytes: int
-    bytes_per_second: float
-    part_of_copy: float
-
-
-class FlowTimes(TypedDict):
-    """The mean iteration of the transport flow, as :func:`omtwarp.benchmark.roofline.flow_iterations` has it."""
-
-    iterations: int
-    seconds: float
-    launches: float
-    bytes: float
-    part_of_copy: NotRequired[float]
-
-
-class KernelTable(TypedDict):
-    """The kernels of a map on a device, and the rate of a plain copy in bytes per second."""
-
-    device: str
-    faces: int
-    bandwidth: float
-    kernels: list[KernelRow]
-    flow: FlowTimes
-
-
-class Gpu(TypedDict):
-    """A CUDA device; memory in bytes."""
-
-    name: str
-    memory: int
-    arch: int
-
-
-class Machine(TypedDict):
-    """The machine and the versions of the libraries; memory in bytes."""
-
-    processor: str
-    cores: int
-    memory: int | None
-    system: str
-    gpus: list[Gpu]
-    load_before: float | None
-    blas_threads: str
-    versions: dict[str, str]
-
-
-class Settings(TypedDict):
-    """The settings of a benchmark."""
-
-    repeats: int
-    refine: str | float | None
-    largest_reference: int
-
-
-class Benchmark(TypedDict):
-    """A whole benchmark; exponents of growth by family, device and stage."""
-
-    format: int
-    machine: Machine
-    settings: Settings
-    meshes: list[MeshTimes]
-    growth: NotRequired[dict[str, dict[str, dict[str, float]]]]
-    kernels: NotRequired[list[KernelTable]]
-    first_use: NotRequired[dict[str, dict[str, float]]]
-
+Of a stage ``name``, ``seconds``, ``cpu_seconds``, ``iterations``, ``flips``, ``area`` and ``ratio`` to the reference;
+of a map, or the medians of several, ``seconds``, ``cpu_seconds``, both ratios, ``peak_bytes`` above what the process
+held before, ``device_bytes`` (None where an earlier map needed as much), ``flips``, ``bijective`` and ``stages``; of a
+mesh ``family``, ``name``, ``vertices``, ``faces``, ``splu``, ``factor_bytes`` and ``runs``, one on each device.
+"""
 
 MAPS = (
     "Seconds on the wall, stage by stage, and of all threads; both of a whole map as multiples of one SciPy `splu` "
@@ -127,7 +20,7 @@ MAPS = (
 STAGES = ("conformal", "moser", "omt", "refine", "optimality", "other")
 
 
-def markdown(result: Benchmark) -> str:
+def markdown(result: Facts) -> str:
     """Return the tables of a result of :func:`omtwarp.benchmark.run` as Markdown."""
     parts = [_machine(result["machine"], result["settings"]), MAPS, maps_table(result)]
     if result.get("growth"):
@@ -144,7 +37,7 @@ def table(heads: list[str], rows: list[list[str]]) -> str:
     return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
 
 
-def _machine(machine: Machine, settings: Settings) -> str:
+def _machine(machine: Facts, settings: Facts) -> str:
     memory = f", {machine['memory'] / 2**30:.0f} GiB" if machine["memory"] else ""
     gpus = "; " + ", ".join(gpu["name"] for gpu in machine["gpus"]) if machine["gpus"] else "; no CUDA device"
     versions = ", ".join(f"{name} {version}" for name, version in machine["versions"].items())
@@ -162,12 +55,12 @@ def _number(value: float | None, digits: int = 3) -> str:
     return f"{value:.{digits}g}" if abs(value) < 1000 else f"{value:.0f}"
 
 
-def _stage_names(result: Benchmark) -> list[str]:
+def _stage_names(result: Facts) -> list[str]:
     present = {stage["name"] for mesh in result["meshes"] for run in mesh["runs"] for stage in run["stages"]}
     return [name for name in STAGES if name in present] + sorted(present - set(STAGES))
 
 
-def maps_table(result: Benchmark) -> str:
+def maps_table(result: Facts) -> str:
     """Return the table of all maps, one in a row: seconds on the wall by stage, processor seconds and memory."""
     names = _stage_names(result)
     rows = []
@@ -192,7 +85,7 @@ def _growth(growth: dict[str, dict[str, dict[str, float]]]) -> str:
     return "Exponent p of time ~ faces^p:\n\n" + table(["family", "device", *STAGES, "whole map", "splu"], rows)
 
 
-def _kernels(kernels: KernelTable) -> str:
+def _kernels(kernels: Facts) -> str:
     rows = [
         [
             f"`{row['name']}`",

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Protocol, TypedDict, cast, runtime_checkable
+from typing import TYPE_CHECKING, Annotated, Protocol, cast, runtime_checkable
 
 import typer
 
@@ -27,35 +27,13 @@ if TYPE_CHECKING:
     from omtwarp.mesh.surface import Surface
 
 
-class MapFacts(TypedDict):
-    """A finished map, its files and its figures, ready for JSON.
+def facts_of(result: MapResult | TorusMap, output: Path, report: Path | None = None) -> dict:
+    """Sum up a finished map, its files and its figures, ready for JSON.
 
     ``degree`` is of the whole map: the total signed solid angle over 4π, so that parts with a sphere each are added up.
     ``degree_of_parts`` has one for each of these parts, in their order, and is None for all other maps. Of a disk, a
     degree is the signed area over the unsigned one.
     """
-
-    output: str
-    report: str | None
-    vertices: int
-    faces: int
-    copied_vertices: int
-    new_vertices: int
-    input_faces: int
-    bijective: bool
-    flips: int
-    degree: float
-    degree_of_parts: list[float] | None
-    domain: str
-    area: float
-    angle: float
-    largest_area_error: float | None
-    gap: float | None
-    seconds: float
-
-
-def facts_of(result: MapResult | TorusMap, output: Path, report: Path | None = None) -> MapFacts:
-    """Sum up a finished map and where it was written, ready for JSON."""
     stages, certificate = result.report["stages"], result.certificate
     last = stages[-1]
     # Of parts mapped each by itself, the figure of the part that has the largest is told.
@@ -86,15 +64,7 @@ def facts_of(result: MapResult | TorusMap, output: Path, report: Path | None = N
     }
 
 
-class _Counts(TypedDict):
-    """Vertices of a map that the input does not have, and the number of the input's faces."""
-
-    copied_vertices: int
-    new_vertices: int
-    input_faces: int
-
-
-def _counts(result: MapResult | TorusMap) -> _Counts:
+def _counts(result: MapResult | TorusMap) -> dict[str, int]:
     """Count the copies of vertices along cuts, new vertices, and the faces that triangles are parts of."""
     import numpy as np
 
@@ -121,14 +91,14 @@ def _sizes(vertices: int, faces: int, copied_vertices: int, new_vertices: int, i
     return f"{line}, {input_faces} faces" + (f" in {faces} parts" if faces > input_faces else "")
 
 
-def summary(facts: MapFacts) -> str:
+def summary(facts: dict) -> str:
     """Return a line for readers about a finished map and its files."""
     added = facts["copied_vertices"], facts["new_vertices"], facts["input_faces"]
     line = f"{facts['output']}: {_sizes(facts['vertices'], facts['faces'], *added)}; {quality(facts)}"
     return line if facts["report"] is None else f"{line}; report {facts['report']}"
 
 
-def quality(facts: MapFacts) -> str:
+def quality(facts: dict) -> str:
     """Return the figures of a map's quality: flips, degree, area, angle, and the gap where it was computed.
 
     Of a map to a part of the sphere, the degree is the share that is covered; of parts with a sphere each, it is told
@@ -147,7 +117,7 @@ def quality(facts: MapFacts) -> str:
     return line
 
 
-def _covered(facts: MapFacts) -> str:
+def _covered(facts: dict) -> str:
     """Return the degree of a map or of its parts in words, or the share of the sphere that is covered."""
     degrees = facts["degree_of_parts"] or [facts["degree"]]
     where = f" each of {len(degrees)} {'disks' if facts['domain'] == Domain.DISK else 'spheres'}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Required, TypedDict
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -16,7 +16,6 @@ from omtwarp.files.output import check_output
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from omtwarp.maps.result import Warned
     from omtwarp.mesh.validate import Defect
 
 
@@ -42,7 +41,7 @@ def run(
     for target in targets:
         if target is not None:
             check_output(target, SUFFIXES, *meshes)
-    known: list[MeshFacts] = []
+    known: list[dict] = []
 
     def examine(mesh: Path, target: Path | None) -> None:
         known.append(facts_of(mesh, repair, target, verbose=printing.verbose))
@@ -64,32 +63,10 @@ def run(
             print(report_text(known[0] if len(meshes) == 1 and known else known), end="")
 
 
-class WrittenMesh(TypedDict):
-    """A file and the mesh in it."""
+def facts_of(mesh: Path, repair: bool, target: Path | None, *, verbose: bool) -> dict:
+    """List the defects of a mesh, its repairs, and what may make its map worse, ready for JSON.
 
-    path: str
-    vertices: int
-    faces: int
-
-
-class MeshFacts(TypedDict, total=False):
-    """A mesh, its defects, its repairs, and what may make its map worse, ready for JSON."""
-
-    mesh: Required[str]
-    vertices: Required[int]
-    faces: Required[int]
-    notes: Required[list[str]]
-    repairs: Required[list[str]]
-    defects_before: list[dict[str, str]]
-    defects: list[dict[str, str]]
-    options: list[str]
-    mappable: bool
-    warnings: list[Warned]
-    output: WrittenMesh
-
-
-def facts_of(mesh: Path, repair: bool, target: Path | None, *, verbose: bool) -> MeshFacts:
-    """List what is wrong with a mesh, ready for JSON; write the repaired mesh where a target is given.
+    The repaired mesh is written where a target is given.
 
     Args:
         mesh: the file.
@@ -112,7 +89,7 @@ def facts_of(mesh: Path, repair: bool, target: Path | None, *, verbose: bool) ->
         vertices, faces = given.vertices, given.faces
         defects = before = check(vertices, faces)
         done("check")
-        facts: MeshFacts = {
+        facts: dict = {
             "mesh": str(mesh), "vertices": len(vertices), "faces": len(faces),
             "notes": [*of_a_map(mesh), *given.notes],
             "repairs": [],
@@ -140,7 +117,7 @@ def facts_of(mesh: Path, repair: bool, target: Path | None, *, verbose: bool) ->
     return facts
 
 
-def lines_about(facts: MeshFacts) -> list[str]:
+def lines_about(facts: dict) -> list[str]:
     """Describe a mesh for readers, one fact on each line."""
     from omtwarp.mapping.verdict import MAX_AREA_DISTORTION, NEEDLES
 

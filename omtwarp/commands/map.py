@@ -21,7 +21,6 @@ from omtwarp.commands._options import (
 )
 from omtwarp.commands._painted import standing
 from omtwarp.commands._work import (
-    MapFacts,
     each,
     facts_of,
     make_map,
@@ -234,7 +233,7 @@ def run(
     any_surface = topology.keywords()
     start_device(mapping.device)
     goal = mass.target()
-    known: list[MapFacts] = []
+    known: list[dict] = []
 
     def map_one(mesh: Path, target: Path | None) -> None:
         sound = read_sound_mesh(mesh, repair, any_surface=any_surface is not None, smoothing=smoothing)
