@@ -5,10 +5,6 @@ from omtwarp.geometry.operators import (
     circumcentric_coordinates,
     corner_cotangents,
     cotangent_laplacian,
-    face_normals,
-    rotate,
-    rotation_matrix,
-    voronoi_areas,
 )
 
 __all__ = [
@@ -16,8 +12,4 @@ __all__ = [
     "circumcentric_coordinates",
     "corner_cotangents",
     "cotangent_laplacian",
-    "face_normals",
-    "rotate",
-    "rotation_matrix",
-    "voronoi_areas",
 ]

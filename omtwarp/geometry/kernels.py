@@ -6,7 +6,7 @@ vertex, in one order, so that the same input gives the same bits.
 
 # mypy: ignore-errors
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
-from omtwarp.geometry.spherical import TINY, hat_gradient
+from omtwarp.geometry.spherical import TINY
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -33,21 +33,6 @@ def dual_flux_vector(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
 def corner_cotangent(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.float64:
     """Return the cotangent of the angle at ``a``."""
     return wp.dot(b - a, c - a) / wp.max(wp.length(wp.cross(b - a, c - a)), TINY)
-
-
-@wp.kernel
-def face_gradients(
-    vertices: wp.array[wp.vec3d],
-    faces: wp.array2d[wp.int32],
-    values: wp.array[wp.float64],
-    # Data out:
-    gradient_out: wp.array[wp.vec3d],
-):
-    f = wp.tid()
-    i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
-    a, b, c = vertices[i], vertices[j], vertices[k]
-    # Differences first (equation 20): a constant then has gradient zero exactly.
-    gradient_out[f] = (values[j] - values[i]) * hat_gradient(b, c, a) + (values[k] - values[i]) * hat_gradient(c, a, b)
 
 
 @wp.kernel
@@ -82,52 +67,6 @@ def vertex_divergence(
         c = vertices[faces[f, (s + 2) % 3]]
         flux += wp.dot(dual_flux_vector(vertices[i], b, c), field[f])
     flux_out[i] = flux
-
-
-@wp.kernel
-def vertex_laplacian(
-    vertices: wp.array[wp.vec3d],
-    faces: wp.array2d[wp.int32],
-    corner_offsets: wp.array[wp.int32],
-    corners: wp.array[wp.int32],
-    values: wp.array[wp.float64],
-    # Data out:
-    laplacian_out: wp.array[wp.float64],
-):
-    i = wp.tid()
-    total = wp.float64(0.0)
-    a = vertices[i]
-    for n in range(corner_offsets[i], corner_offsets[i + 1]):
-        f = corners[n] // 3
-        s = corners[n] - 3 * f
-        j, k = faces[f, (s + 1) % 3], faces[f, (s + 2) % 3]
-        b, c = vertices[j], vertices[k]
-        total += HALF * corner_cotangent(c, a, b) * (values[i] - values[j])
-        total += HALF * corner_cotangent(b, c, a) * (values[i] - values[k])
-    laplacian_out[i] = total
-
-
-@wp.kernel
-def vertex_voronoi_areas(
-    vertices: wp.array[wp.vec3d],
-    faces: wp.array2d[wp.int32],
-    corner_offsets: wp.array[wp.int32],
-    corners: wp.array[wp.int32],
-    # Data out:
-    area_out: wp.array[wp.float64],
-):
-    i = wp.tid()
-    total = wp.float64(0.0)
-    a = vertices[i]
-    for n in range(corner_offsets[i], corner_offsets[i + 1]):
-        f = corners[n] // 3
-        s = corners[n] - 3 * f
-        b, c = vertices[faces[f, (s + 1) % 3]], vertices[faces[f, (s + 2) % 3]]
-        # Each edge's half-length times its dual length is twice the area of its share of the cell.
-        total += wp.float64(0.125) * (
-            wp.length_sq(b - a) * corner_cotangent(c, a, b) + wp.length_sq(c - a) * corner_cotangent(b, c, a)
-        )
-    area_out[i] = total
 
 
 @wp.kernel

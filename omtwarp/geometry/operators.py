@@ -38,40 +38,12 @@ def _corner_points(vertices: ArrayLike, faces: ArrayLike) -> tuple[Array, NDArra
     return points, triangles, [points[triangles[:, k]] for k in range(3)]
 
 
-def face_normals(vertices: ArrayLike, faces: ArrayLike) -> Array:
-    """Return the unit normal of every triangle, shape [F, 3], outward where faces run counter-clockwise.
-
-    It is zero for a triangle without area.
-    """
-    _, _, (a, b, c) = _corner_points(vertices, faces)
-    n = np.cross(b - a, c - a)
-    return n / np.maximum(np.linalg.norm(n, axis=1), TINY)[:, None]
-
-
 def corner_cotangents(vertices: ArrayLike, faces: ArrayLike) -> Array:
     """Return the cotangent of the angle at every corner, shape [F, 3]; negative where the angle is obtuse."""
     _, _, p = _corner_points(vertices, faces)
     doubled = np.maximum(np.linalg.norm(np.cross(p[1] - p[0], p[2] - p[0]), axis=1), TINY)
     dots = [np.einsum("ij,ij->i", p[(k + 1) % 3] - p[k], p[(k + 2) % 3] - p[k]) for k in range(3)]
     return np.stack(dots, axis=1) / doubled[:, None]
-
-
-def voronoi_areas(vertices: ArrayLike, faces: ArrayLike) -> Array:
-    """Return the circumcentric (Voronoi) cell area A_i of every vertex, shape [V] (appendix A.2).
-
-    The sum is the surface's area. Each triangle gives (|e_ij|^2 cot(k) + |e_ik|^2 cot(j)) / 8. Departure: areas are
-    signed. In an obtuse triangle the circumcentre is outside and the cells at its acute corners get negative shares, so
-    a vertex of a badly shaped mesh can have an area that is zero or negative; the sum, and the identities, stay exact.
-    Divide by :attr:`Surface.vertex_areas` (thirds) where a positive area is needed.
-    """
-    points, triangles, p = _corner_points(vertices, faces)
-    cotangents = corner_cotangents(vertices, faces)
-    areas = np.zeros(len(points))
-    squared = [np.einsum("ij,ij->i", e, e) for e in (p[2] - p[1], p[0] - p[2], p[1] - p[0])]
-    share = 0.125 * np.stack([squared[k] * cotangents[:, k] for k in range(3)], axis=1)
-    for k in range(3):  # corner k owns shares of its two edges, which lie opposite the other two corners
-        areas += np.bincount(triangles[:, k], weights=share[:, k - 1] + share[:, k - 2], minlength=len(points))
-    return areas
 
 
 def circumcentric_coordinates(vertices: ArrayLike, faces: ArrayLike) -> Array:
@@ -84,25 +56,6 @@ def circumcentric_coordinates(vertices: ArrayLike, faces: ArrayLike) -> Array:
     cotangents = corner_cotangents(vertices, faces)
     # The sum over pairs of cot cot is 1 in every triangle, so these add up to 1 without a division.
     return 0.5 * np.stack([cotangents[:, k] * (cotangents[:, k - 1] + cotangents[:, k - 2]) for k in range(3)], axis=1)
-
-
-def rotation_matrix(vertices: ArrayLike, faces: ArrayLike) -> sparse.csr_matrix:
-    """Return J, the turn by +90 degrees about each outward normal, as a matrix [3F, 3F] (section 2.3, equation 10)."""
-    n = face_normals(vertices, faces)
-    zero = np.zeros(len(n))
-    blocks = np.stack([zero, -n[:, 2], n[:, 1], n[:, 2], zero, -n[:, 0], -n[:, 1], n[:, 0], zero], axis=1)
-    base = 3 * np.arange(len(n))[:, None]
-    rows, columns = base + np.repeat(np.arange(3), 3), base + np.tile(np.arange(3), 3)
-    size = 3 * len(n)
-    return sparse.csr_matrix((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=(size, size))
-
-
-def rotate(field: ArrayLike, normals: ArrayLike) -> Array:
-    """Apply J to vectors: turn each by +90 degrees about its unit normal, n × v, shape [n, 3].
-
-    On the sphere the normal at x is x itself, so J v = x × v (section 2.5).
-    """
-    return np.cross(np.asarray(normals, dtype=np.float64), np.asarray(field, dtype=np.float64))
 
 
 def cotangent_laplacian(vertices: ArrayLike, faces: ArrayLike) -> sparse.csr_matrix:
@@ -150,40 +103,29 @@ class DifferentialOperators:
     def _run(
         self,
         kernel: wp.Kernel,
-        at_faces: bool,
-        value: ArrayLike | wp.array | None,
-        in_dtype: type | None,
+        size: int,
+        field: ArrayLike | wp.array,
         out_dtype: type,
-        out: wp.array | None,
-        gather: bool,
+        out: wp.array | None = None,
+        gather: bool = True,
     ) -> wp.array:
-        from_numpy = value is not None and not isinstance(value, wp.array)
-        source = (
-            wp.array(np.asarray(value, dtype=np.float64), dtype=in_dtype, device=self.device) if from_numpy else value
-        )
-        size = self.face_count if at_faces else self.vertex_count
+        from_numpy = not isinstance(field, wp.array)
+        if from_numpy:
+            source = wp.array(np.asarray(field, dtype=np.float64), dtype=wp.vec3d, device=self.device)
         if out is None:
             out = wp.empty(size, dtype=out_dtype, device=self.device)
         rows = [self.corner_offsets, self.corners] if gather else []
-        inputs = [self.vertices, self.faces, *rows, *([] if source is None else [source])]
+        inputs = [self.vertices, self.faces, *rows, source if from_numpy else field]
         wp.launch(kernel, dim=size, inputs=inputs, outputs=[out], device=self.device)
         return out.numpy() if from_numpy else out
 
-    def gradient(self, values: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
-        """Return the gradient in each triangle, [V] -> [F, 3]: equation 19 (appendix A.1)."""
-        return self._run(kernels.face_gradients, True, values, wp.float64, wp.vec3d, out, False)
-
-    def rotate(self, field: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
-        """Apply J, a turn by +90 degrees, in each triangle, [F, 3] -> [F, 3]: :func:`rotation_matrix` (equation 10)."""
-        return self._run(kernels.rotate_in_faces, True, field, wp.vec3d, wp.vec3d, out, False)
+    def rotate(self, field: ArrayLike | wp.array) -> wp.array:
+        """Apply J, a turn by +90 degrees, in each triangle, [F, 3] -> [F, 3] (section 2.3, equation 10)."""
+        return self._run(kernels.rotate_in_faces, self.face_count, field, wp.vec3d, gather=False)
 
     def divergence(self, field: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
         """Return the outflow of each vertex's cell, [F, 3] -> [V]: equation 23 (appendix A.2)."""
-        return self._run(kernels.vertex_divergence, False, field, wp.vec3d, wp.float64, out, True)
-
-    def laplacian(self, values: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
-        """Apply :func:`cotangent_laplacian`, [V] -> [V] (section 4.1's D; positive semi-definite)."""
-        return self._run(kernels.vertex_laplacian, False, values, wp.float64, wp.float64, out, True)
+        return self._run(kernels.vertex_divergence, self.vertex_count, field, wp.float64, out)
 
     def interpolate_dual(self, field: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
         """Interpolate vectors from dual vertices linearly to the primal ones, [F, 3] -> [V, 3] (Algorithm 1, line 7).
@@ -193,11 +135,7 @@ class DifferentialOperators:
         functions of a flat neighbourhood whether or not triangles are obtuse. The paper says "linear interpolation"
         and no more.
         """
-        return self._run(kernels.interpolate_at_vertices, False, field, wp.vec3d, wp.vec3d, out, True)
-
-    def voronoi_areas(self) -> wp.array:
-        """Compute :func:`voronoi_areas` by a kernel, as a Warp array [V]."""
-        return self._run(kernels.vertex_voronoi_areas, False, None, None, wp.float64, None, True)
+        return self._run(kernels.interpolate_at_vertices, self.vertex_count, field, wp.vec3d, out)
 
 
 def cotangent_edge_weights(surface: Surface, points: NDArray[np.float64]) -> NDArray[np.float64]:

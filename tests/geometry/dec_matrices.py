@@ -5,9 +5,38 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from omtwarp.geometry import circumcentric_coordinates, corner_cotangents, face_normals, voronoi_areas
+from omtwarp.geometry import circumcentric_coordinates, corner_cotangents
 from omtwarp.geometry.operators import Array, _corner_points
 from omtwarp.mesh.arrays import TINY
+
+
+def face_normals(vertices: np.ndarray, faces: np.ndarray) -> Array:
+    """Return the unit normal of every triangle, shape [F, 3], outward where faces run counter-clockwise.
+
+    It is zero for a triangle without area.
+    """
+    _, _, (a, b, c) = _corner_points(vertices, faces)
+    n = np.cross(b - a, c - a)
+    return n / np.maximum(np.linalg.norm(n, axis=1), TINY)[:, None]
+
+
+def rotation_matrix(vertices: np.ndarray, faces: np.ndarray) -> sparse.csr_matrix:
+    """Return J, the turn by +90 degrees about each outward normal, as a matrix [3F, 3F] (section 2.3, equation 10)."""
+    n = face_normals(vertices, faces)
+    zero = np.zeros(len(n))
+    blocks = np.stack([zero, -n[:, 2], n[:, 1], n[:, 2], zero, -n[:, 0], -n[:, 1], n[:, 0], zero], axis=1)
+    base = 3 * np.arange(len(n))[:, None]
+    rows, columns = base + np.repeat(np.arange(3), 3), base + np.tile(np.arange(3), 3)
+    size = 3 * len(n)
+    return sparse.csr_matrix((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=(size, size))
+
+
+def rotate(field: np.ndarray, normals: np.ndarray) -> Array:
+    """Apply J to vectors: turn each by +90 degrees about its unit normal, n × v, shape [n, 3].
+
+    On the sphere the normal at x is x itself, so J v = x × v (section 2.5).
+    """
+    return np.cross(np.asarray(normals, dtype=np.float64), np.asarray(field, dtype=np.float64))
 
 
 def dual_edge_lengths(vertices: np.ndarray, faces: np.ndarray) -> Array:
@@ -70,7 +99,7 @@ def divergence_matrix(
         vertices: positions, shape [V, 3].
         faces: triangles, shape [F, 3].
         integrated: give the outflow of each cell (a 2-form, the default); else divide by ``areas``, as in the paper.
-        areas: cell areas, shape [V]; :func:`voronoi_areas` where not given.
+        areas: cell areas, shape [V], where it is not integrated.
     """
     points, triangles, p = _corner_points(vertices, faces)
     normals = face_normals(vertices, faces)
@@ -81,5 +110,4 @@ def divergence_matrix(
     matrix = sparse.csr_matrix((turned.ravel(), (rows.ravel(), columns.ravel())), shape=(len(points), 3 * count))
     if integrated:
         return matrix
-    cells = voronoi_areas(vertices, faces) if areas is None else np.asarray(areas, dtype=np.float64)
-    return sparse.csr_matrix(sparse.diags(1.0 / cells) @ matrix)
+    return sparse.csr_matrix(sparse.diags(1.0 / np.asarray(areas, dtype=np.float64)) @ matrix)
