@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.geometry.space_order import CORNERS
-from omtwarp.maps.result import LAYOUT, SEVERAL, MapReport, MapResult
+from omtwarp.maps.result import SEVERAL, MapReport, MapResult
 from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.quarter import PARTS
@@ -39,8 +39,8 @@ def joined(
         out[place] = stacked
         return out
 
-    arrays: dict[str, object] = dict.fromkeys(LAYOUT)
-    for name, (_, (letter, *_)) in LAYOUT.items():
+    arrays: dict[str, object] = dict.fromkeys(MapResult.layout)
+    for name, (_, (letter, *_)) in MapResult.layout.items():
         values = [getattr(part, name) for part in maps]
         if letter in ("V", "F") and all(value is not None for value in values):
             arrays[name] = at_vertices(values) if letter == "V" else np.concatenate(values)[order]

@@ -6,7 +6,7 @@ import copy
 import json
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import ClassVar, Self, TypedDict, cast
 
@@ -29,36 +29,6 @@ from omtwarp.topology.kind import connected_components
 
 Array = NDArray[np.float64]
 
-# Type and shape of every array of a map, with V vertices and F faces, W and H of the surface with its holes filled.
-LAYOUT: Layout = {
-    "vertices": (np.float64, ("V", 3)),
-    "faces": (np.int32, ("F", 3)),
-    "sphere": (np.float64, ("V", 3)),
-    "conformal": (np.float64, ("V", 3)),
-    "density": (np.float64, ("V",)),
-    "face_density": (np.float64, ("F",)),
-    "source": (np.float64, ("V", 3)),
-    "moser": (np.float64, ("V", 3)),
-    "transported": (np.float64, ("V", 3)),
-    "measure": (np.float64, ("F",)),
-    "target": (np.float64, ("V",)),
-    "vertex_origin": (np.int64, ("V",)),
-    "face_origin": (np.int64, ("F",)),
-    "vertex_of_file": (np.int64, ("N",)),
-    "disk": (np.float64, ("V", 2)),
-    "split_edges": (np.int64, ("K", 2)),
-    "part": (np.int64, ("F",)),
-    "cap_centres": (np.float64, ("P", 3)),
-    "cap_shares": (np.float64, ("P",)),
-    "loops": (np.int64, ("M",)),
-    "loop_ends": (np.int64, ("L",)),
-    "loop_pairs": (np.int64, ("G", 2)),
-    "filled_vertices": (np.float64, ("W", 3)),
-    "filled_faces": (np.int64, ("H", 3)),
-    "filled_sphere": (np.float64, ("W", 3)),
-    "filled_conformal": (np.float64, ("W", 3)),
-    "filled_loop": (np.int64, ("H",)),
-}
 SEVERAL = "several"  # the domain of parts that went to different ones
 STAGES = ("sphere", "conformal", "moser", "transported")
 ON_SPHERE = (*STAGES, "source", "filled_sphere", "filled_conformal")  # arrays of unit vectors
@@ -182,6 +152,21 @@ class StageRecord:
         plain = {name: value for name, value in vars(self).items() if name != "details"}
         whole = plain | {"area": dict(self.area), "angle": dict(self.angle)} | dict(self.details)
         return cast(StageReport, whole)
+
+
+def stored(kind: type[np.generic], *shape: str | int) -> dict[str, object]:
+    """Return what a field of a map says of its array: its type, and its shape with letters for lengths that agree.
+
+    Args:
+        kind: of the numbers.
+        shape: V vertices and F faces; W and H of the surface with its holes filled.
+    """
+    return {"layout": (kind, shape)}
+
+
+def layout_of(kind: type) -> Layout:
+    """Return type and shape of every array that a class of maps has, by name."""
+    return {each.name: each.metadata["layout"] for each in fields(kind) if "layout" in each.metadata}
 
 
 class StoredMap(Displayable):
@@ -368,39 +353,38 @@ class MapResult(StoredMap):
         True
     """
 
-    vertices: Array
-    faces: NDArray[np.int32]
-    sphere: Array
-    conformal: Array
-    density: Array
-    face_density: Array | None = None
-    source: Array | None = None
-    moser: Array | None = None
-    transported: Array | None = None
-    measure: Array | None = None
-    target: Array | None = None
-    vertex_origin: NDArray[np.int64] | None = None
-    face_origin: NDArray[np.int64] | None = None
-    vertex_of_file: NDArray[np.int64] | None = None
+    vertices: Array = field(metadata=stored(np.float64, "V", 3))
+    faces: NDArray[np.int32] = field(metadata=stored(np.int32, "F", 3))
+    sphere: Array = field(metadata=stored(np.float64, "V", 3))
+    conformal: Array = field(metadata=stored(np.float64, "V", 3))
+    density: Array = field(metadata=stored(np.float64, "V"))
+    face_density: Array | None = field(default=None, metadata=stored(np.float64, "F"))
+    source: Array | None = field(default=None, metadata=stored(np.float64, "V", 3))
+    moser: Array | None = field(default=None, metadata=stored(np.float64, "V", 3))
+    transported: Array | None = field(default=None, metadata=stored(np.float64, "V", 3))
+    measure: Array | None = field(default=None, metadata=stored(np.float64, "F"))
+    target: Array | None = field(default=None, metadata=stored(np.float64, "V"))
+    vertex_origin: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "V"))
+    face_origin: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "F"))
+    vertex_of_file: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "N"))
     history: list[Record] = field(default_factory=list)
     report: MapReport = field(default_factory=lambda: cast(MapReport, {}))
 
     domain: str = "sphere"
-    disk: Array | None = None
-    split_edges: NDArray[np.int64] | None = None
-    part: NDArray[np.int64] | None = None
-    cap_centres: Array | None = None
-    cap_shares: Array | None = None
-    loops: NDArray[np.int64] | None = None
-    loop_ends: NDArray[np.int64] | None = None
-    loop_pairs: NDArray[np.int64] | None = None
-    filled_vertices: Array | None = None
-    filled_faces: NDArray[np.int64] | None = None
-    filled_sphere: Array | None = None
-    filled_conformal: Array | None = None
-    filled_loop: NDArray[np.int64] | None = None
+    disk: Array | None = field(default=None, metadata=stored(np.float64, "V", 2))
+    split_edges: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "K", 2))
+    part: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "F"))
+    cap_centres: Array | None = field(default=None, metadata=stored(np.float64, "P", 3))
+    cap_shares: Array | None = field(default=None, metadata=stored(np.float64, "P"))
+    loops: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "M"))
+    loop_ends: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "L"))
+    loop_pairs: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "G", 2))
+    filled_vertices: Array | None = field(default=None, metadata=stored(np.float64, "W", 3))
+    filled_faces: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "H", 3))
+    filled_sphere: Array | None = field(default=None, metadata=stored(np.float64, "W", 3))
+    filled_conformal: Array | None = field(default=None, metadata=stored(np.float64, "W", 3))
+    filled_loop: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "H"))
 
-    layout = LAYOUT
     required = ("vertices", "faces", "sphere", "conformal", "density")
     kind = "a map"
 
@@ -547,6 +531,9 @@ class MapResult(StoredMap):
         result = super().from_arrays(arrays, path)
         result.report["certificate"] = result.certificate.to_dict()  # anew: a file's statements are not trusted
         return result
+
+
+MapResult.layout = layout_of(MapResult)
 
 
 def renumbered(result: MapResult, numbers: Mapping[str, NDArray[np.int64]], arrays: Mapping[str, object]) -> MapResult:

@@ -5,21 +5,26 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, TypedDict, cast
+from typing import TypedDict, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
-from omtwarp.maps.result import OF_TORUS_MAPS, MapResult, MeshReport, StageReport, StoredMap, read_map_arrays
-from omtwarp.mesh.arrays import Layout
+from omtwarp.maps.result import (
+    OF_TORUS_MAPS,
+    MapResult,
+    MeshReport,
+    StageReport,
+    StoredMap,
+    layout_of,
+    read_map_arrays,
+    stored,
+)
 from omtwarp.mesh.surface import SPHERE_AREA, plane_areas, triangle_areas
 from omtwarp.metrics.distortion import Distortion, summarize
 from omtwarp.options import Record
-
-if TYPE_CHECKING:
-    pass
 
 Floats = NDArray[np.float64]
 
@@ -65,19 +70,6 @@ class TorusCertificate:
         return f"{self.flips} flipped triangles{where}, degree {self.degree}"
 
 
-# Type and shape of every array, with V vertices and F faces.
-LAYOUT: Layout = {
-    "vertices": (np.float64, ("V", 3)),
-    "faces": (np.int32, ("F", 3)),
-    "coordinates": (np.float64, ("V", 2)),
-    "wraps": (np.int64, ("F", 3, 2)),
-    "lattice": (np.float64, (2, 2)),
-    "conformal": (np.float64, ("V", 2)),
-    "vertex_origin": (np.int64, ("V",)),
-    "face_origin": (np.int64, ("F",)),
-}
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class TorusMap(StoredMap):
     """A surface and its map to the flat torus R² / Λ.
@@ -107,20 +99,19 @@ class TorusMap(StoredMap):
         (0, 1)
     """
 
-    vertices: Floats
-    faces: NDArray[np.int32]
-    coordinates: Floats
-    wraps: NDArray[np.int64]
-    lattice: Floats
-    conformal: Floats
-    vertex_origin: NDArray[np.int64] | None = None
-    face_origin: NDArray[np.int64] | None = None
+    vertices: Floats = field(metadata=stored(np.float64, "V", 3))
+    faces: NDArray[np.int32] = field(metadata=stored(np.int32, "F", 3))
+    coordinates: Floats = field(metadata=stored(np.float64, "V", 2))
+    wraps: NDArray[np.int64] = field(metadata=stored(np.int64, "F", 3, 2))
+    lattice: Floats = field(metadata=stored(np.float64, 2, 2))
+    conformal: Floats = field(metadata=stored(np.float64, "V", 2))
+    vertex_origin: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "V"))
+    face_origin: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "F"))
 
     history: list[Record] = field(default_factory=list)
     report: TorusReport = field(default_factory=lambda: cast(TorusReport, {}))
 
     domain = "torus"
-    layout = LAYOUT
     required = ("vertices", "faces", "coordinates", "wraps", "lattice", "conformal")
     kind = "a map to a torus"
 
@@ -184,6 +175,9 @@ class TorusMap(StoredMap):
         The ring's radii are in the proportion of the lattice's vectors, the tube at most 0.8 of the ring.
         """
         return ring_torus(self.coordinates, self.lattice)
+
+
+TorusMap.layout = layout_of(TorusMap)
 
 
 def tube_radius(lattice: Floats) -> float:
