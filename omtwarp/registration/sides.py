@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp.alignment.align import feature_rotations
-from omtwarp.alignment.align import checked_features, sphere_weights
+from omtwarp.alignment.align import checked_features, feature_rotations, sphere_weights
 from omtwarp.alignment.rotation_search import Best
 from omtwarp.errors import OmtwarpError
 from omtwarp.maps.result import MapResult
