@@ -38,6 +38,11 @@ def one_line(text: str) -> str:
     )
 
 
+def brief(error: Exception) -> str:
+    """Return what an error of another library says, short and on one line, or its type where it says nothing."""
+    return " ".join(str(error).split())[:160] or type(error).__name__
+
+
 def with_options(text: str) -> str:
     """Return a message for a terminal: arguments of Python in it become options of the command line.
 

@@ -31,7 +31,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.geometry.sphere_hierarchy import sphere_hierarchy
-from omtwarp.mesh.arrays import TINY, in_range, real_numbers, whole_numbers
+from omtwarp.mesh.arrays import TINY, in_range, normalised, real_numbers, whole_numbers
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int32]
@@ -135,7 +135,7 @@ def vertex_cells(points: Floats, faces: Integers) -> tuple[Floats, Integers]:
     from the centre it is the quadrilateral of the flat triangle, which is convex.
     """
     a, b, c = (points[faces[:, k]] for k in range(3))
-    ab, bc, ca, centre = _unit(a + b), _unit(b + c), _unit(c + a), _unit(a + b + c)
+    ab, bc, ca, centre = normalised(a + b), normalised(b + c), normalised(c + a), normalised(a + b + c)
     quads = [(a, ab, centre, ca), (b, bc, centre, ab), (c, ca, centre, bc)]
     corners = np.concatenate([np.stack(quad, axis=1) for quad in quads])
     return corners, faces.T.ravel().astype(np.int32)
@@ -276,7 +276,7 @@ def freesurfer_icosahedron(level: int) -> tuple[Floats, Integers]:
         rank[np.argsort(first)] = np.arange(len(keys))  # in the order in which they are met
         middles = (len(points) + rank[inverse.reshape(-1)]).reshape(-1, 3)
         halved = ends[np.sort(first)]
-        points = np.concatenate([points, _unit(points[halved[:, 0]] + points[halved[:, 1]])])
+        points = np.concatenate([points, normalised(points[halved[:, 0]] + points[halved[:, 1]])])
         (a, b, c), (ab, bc, ca) = faces.T, middles.T
         others = np.stack([np.stack(f, axis=1) for f in ((ab, b, bc), (ca, ab, bc), (ca, bc, c))], axis=1)
         faces = np.concatenate([np.stack([a, ab, ca], axis=1), others.reshape(-1, 3)])
@@ -378,17 +378,13 @@ def octahedral_directions(x: Floats, y: Floats) -> Floats:
     z = 1.0 - np.abs(x) - np.abs(y)
     sx, sy = np.where(x < 0, -1.0, 1.0), np.where(y < 0, -1.0, 1.0)
     folded = [np.where(z < 0, (1.0 - np.abs(y)) * sx, x), np.where(z < 0, (1.0 - np.abs(x)) * sy, y), z]
-    return _unit(np.stack(folded, axis=-1))
+    return normalised(np.stack(folded, axis=-1))
 
 
 def _directions(latitude: Floats, longitude: Floats) -> Floats:
     latitude, longitude = np.broadcast_arrays(latitude, longitude)
     ring = np.cos(latitude)
     return np.stack([ring * np.cos(longitude), ring * np.sin(longitude), np.sin(latitude)], axis=-1)
-
-
-def _unit(vectors: Floats) -> Floats:
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
 def _within(value: int, low: int, high: int, name: str) -> int:

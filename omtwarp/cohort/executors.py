@@ -15,6 +15,7 @@ from typing import Protocol, TypeAlias
 from omtwarp.cohort.item import CRASHED, MEMORY, TIMEOUT, Job, Row, read_record, settle
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.interruptions import interpreter, safe_paths
+from omtwarp.files.output import make_folder
 
 Record: TypeAlias = Row
 
@@ -213,11 +214,8 @@ def make_folders(folder: Path) -> None:
     Raises:
         OmtwarpError: the folders cannot be made.
     """
-    try:
-        for name in ("records", "maps", "locks"):
-            (folder / name).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OmtwarpError(f"cannot write to '{folder}': {error.strerror or error}") from None
+    for name in ("records", "maps", "locks"):
+        make_folder(folder / name)
 
 
 class DaskCluster:

@@ -15,7 +15,7 @@ import typer
 from omtwarp.commands._options import Printing, RadiusOption, Source, output_option
 from omtwarp.commands._streams import input_file, is_standard_output, progress_bar, say, warnings_as_lines
 from omtwarp.errors import OmtwarpError
-from omtwarp.files.output import check_output
+from omtwarp.files.output import check_output, make_folder
 from omtwarp.options import Domain, MapOptions, SurfaceKeywords, WeightsAt, parse_device
 
 if TYPE_CHECKING:
@@ -228,10 +228,7 @@ def outputs_of(meshes: Sequence[Path], output: Path | None, suffix: str) -> list
     twice = next((target for k, target in enumerate(targets) if target in targets[:k]), None)
     if twice is not None:
         raise OmtwarpError(f"two meshes would both be written as '{twice}': rename one, or map them by themselves")
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OmtwarpError(f"cannot make the directory '{output}': {error.strerror or error}") from None
+    make_folder(output)
     return list(targets)
 
 

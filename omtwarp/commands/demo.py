@@ -11,8 +11,7 @@ import typer
 from omtwarp.commands._options import Printing, output_option
 from omtwarp.commands._work import facts_of, make_map, report_text, say_stages, start_device, summary
 from omtwarp.commands.map import save
-from omtwarp.errors import OmtwarpError
-from omtwarp.files.output import check_output, folder_of_results, staged
+from omtwarp.files.output import check_output, folder_of_results, make_folder, staged
 from omtwarp.options import Device, MapOptions
 
 if TYPE_CHECKING:
@@ -34,10 +33,7 @@ def run(
 ) -> None:
     """Make a shape, map it, texture it and draw it: mesh, map, report, textured model and pictures."""
     start_device(device)
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OmtwarpError(f"cannot make the directory '{output}': {error.strerror or error}") from None
+    make_folder(output)
     with folder_of_results(output, *NAMES):
         _make(output, faces, device, printing)
 

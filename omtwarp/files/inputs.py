@@ -11,6 +11,7 @@ import io
 import math
 import os
 import stat
+import warnings
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -19,11 +20,43 @@ from typing import IO, BinaryIO
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp.errors import OmtwarpError
-from omtwarp.files.limits import LARGEST_ARRAYS, LARGEST_DIRECTORY, LARGEST_MESH_FILE, LARGEST_REPORT, amount
+from omtwarp.errors import OmtwarpError, brief
+from omtwarp.files.limits import (
+    LARGEST_ARRAYS,
+    LARGEST_DIRECTORY,
+    LARGEST_MESH_FILE,
+    LARGEST_REPORT,
+    amount,
+    memory_for_file,
+)
 from omtwarp.files.output import as_path, note_input, staged
 
 _LONGEST_HEADER = 10_000  # characters of an array's header, as numpy.lib.format has it by default
+
+
+@contextlib.contextmanager
+def reading(file: Path, kind: str, size: int) -> Iterator[None]:
+    """Turn whatever a parser raises in a block into a line that names the file, and bound the memory that it takes.
+
+    Warnings are about guesses of parsers, whose results are checked, and are not passed on.
+
+    Args:
+        file: what is read.
+        kind: what it should be; any failure of a parser means that it is not.
+        size: of the file in bytes.
+
+    Raises:
+        OmtwarpError: the file cannot be read as that.
+    """
+    try:
+        with warnings.catch_warnings(action="ignore"), memory_for_file(size):
+            yield
+    except OmtwarpError as error:
+        raise OmtwarpError(f"{file}: {error}") from None
+    except MemoryError:
+        raise
+    except Exception as error:
+        raise OmtwarpError(f"{file}: cannot be read as {kind}: {brief(error)}") from None
 
 
 @contextlib.contextmanager
@@ -156,8 +189,7 @@ def read_arrays(source: BinaryIO, names: Iterable[str]) -> dict[str, NDArray]:
     except (OmtwarpError, MemoryError):
         raise
     except Exception as error:  # zipfile, zlib and NumPy raise many kinds on a damaged file
-        detail = " ".join(str(error).split())[:120] or type(error).__name__
-        raise OmtwarpError(f"damaged, or no .npz: {detail}") from None
+        raise OmtwarpError(f"damaged, or no .npz: {brief(error)}") from None
 
 
 def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, ArrayLike]) -> None:
@@ -246,5 +278,4 @@ def array_of(data: bytes, name: str = "data") -> NDArray:
     except OmtwarpError:
         raise
     except Exception as error:  # NumPy raises many kinds on a damaged header
-        detail = " ".join(str(error).split())[:120] or type(error).__name__
-        raise OmtwarpError(f"not an array in NumPy's format: {detail}") from None
+        raise OmtwarpError(f"not an array in NumPy's format: {brief(error)}") from None

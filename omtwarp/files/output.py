@@ -84,6 +84,18 @@ def check_output(path: str | os.PathLike[str], suffixes: tuple[str, ...] = (), *
     return target
 
 
+def make_folder(folder: Path) -> None:
+    """Make a folder of outputs, with those above it, where it is not there.
+
+    Raises:
+        OmtwarpError: it cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OmtwarpError(f"cannot write to '{folder}': {error.strerror or error}") from None
+
+
 def check_folder(path: str | os.PathLike[str]) -> Path:
     """Make sure that a folder of outputs is there or can be made, before anything long is computed; make nothing.
 

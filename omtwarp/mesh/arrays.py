@@ -310,6 +310,7 @@ def require_unit_length(points: NDArray[np.generic], name: str) -> None:
         )
 
 
-def normalised(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Scale points, none of them 0, to unit length, shape [V, 3]."""
-    return np.asarray(points / np.linalg.norm(points, axis=1, keepdims=True))
+def normalised(points: ArrayLike) -> NDArray[np.float64]:
+    """Scale vectors, none of them 0, to unit length, shape [..., 3]."""
+    points = np.asarray(points, dtype=np.float64)
+    return np.asarray(points / np.linalg.norm(points, axis=-1, keepdims=True))

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import io
 import re
-import warnings
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import BinaryIO
@@ -28,9 +27,9 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.errors import OmtwarpError
-from omtwarp.files.inputs import array_of, read_bytes
-from omtwarp.files.limits import LARGEST_MESH_FILE, memory_for_file
+from omtwarp.errors import OmtwarpError, brief
+from omtwarp.files.inputs import array_of, read_bytes, reading
+from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.files.output import staged
 from omtwarp.mesh.arrays import single_precision
 from omtwarp.mesh.neuro import load_gifti, nibabel_module, structure_of
@@ -92,33 +91,27 @@ def read_data(path: Path, structure: str | None = None) -> VertexData:
     """
     data = read_bytes(path, LARGEST_MESH_FILE, "data file")
     name = path.name.lower()
-    try:
-        with warnings.catch_warnings(action="ignore"), memory_for_file(len(data)):
-            if name.endswith(".npy"):
-                content = from_npy(io.BytesIO(data), path.stem)
-            elif name.endswith(TEXT_SUFFIXES):
-                content = from_text(data.decode("utf-8-sig"), path.stem)
-            elif name.endswith((".gii", ".gii.gz")):
-                content = _read_gifti(path)
-            elif name.endswith(".annot"):
-                content = _read_annot(path)
-            elif name.endswith(".ply"):
-                content = _read_ply(data)
-            elif name.endswith(MGH_SUFFIXES):
-                content = _read_mgh(path)
-            elif name.endswith(".nii"):
-                content = _read_cifti(path, structure or structure_of(path))
-            elif name.endswith(CURV_SUFFIXES) or data[:3] == b"\xff\xff\xff":
-                values = nibabel_module().freesurfer.read_morph_data(path)
-                content = VertexData(np.asarray(values, np.float64)[:, None], (path.suffix.lstrip("."),))
-            else:
-                known = ", ".join((*DATA_SUFFIXES, *MGH_SUFFIXES, *CIFTI_SUFFIXES))
-                raise OmtwarpError(f"unknown format of data: use {known}")
-    except OmtwarpError as error:
-        raise OmtwarpError(f"{path}: {error}") from None
-    except Exception as error:  # any failure of a parser means that the file is not what its name says
-        detail = " ".join(str(error).split())[:160] or type(error).__name__
-        raise OmtwarpError(f"{path}: cannot be read as data: {detail}") from None
+    with reading(path, "data", len(data)):
+        if name.endswith(".npy"):
+            content = from_npy(io.BytesIO(data), path.stem)
+        elif name.endswith(TEXT_SUFFIXES):
+            content = from_text(data.decode("utf-8-sig"), path.stem)
+        elif name.endswith((".gii", ".gii.gz")):
+            content = _read_gifti(path)
+        elif name.endswith(".annot"):
+            content = _read_annot(path)
+        elif name.endswith(".ply"):
+            content = _read_ply(data)
+        elif name.endswith(MGH_SUFFIXES):
+            content = _read_mgh(path)
+        elif name.endswith(".nii"):
+            content = _read_cifti(path, structure or structure_of(path))
+        elif name.endswith(CURV_SUFFIXES) or data[:3] == b"\xff\xff\xff":
+            values = nibabel_module().freesurfer.read_morph_data(path)
+            content = VertexData(np.asarray(values, np.float64)[:, None], (path.suffix.lstrip("."),))
+        else:
+            known = ", ".join((*DATA_SUFFIXES, *MGH_SUFFIXES, *CIFTI_SUFFIXES))
+            raise OmtwarpError(f"unknown format of data: use {known}")
     return content if content.structure else replace(content, structure=structure_of(path))
 
 
@@ -160,7 +153,7 @@ def from_text(text: str, name: str = "data") -> VertexData:
     try:
         columns = np.array([[float(word) for word in row] for row in words])
     except ValueError as error:
-        raise OmtwarpError(f"no list of numbers: {' '.join(str(error).split())[:120]}") from None
+        raise OmtwarpError(f"no list of numbers: {brief(error)}") from None
     if columns.ndim != 2:
         raise OmtwarpError("no list of numbers: it is empty")
     return VertexData(columns, tuple(names) if len(names) == columns.shape[1] else _numbered(name, columns))

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import re
-import warnings
 import zlib
 from pathlib import Path
 from types import ModuleType
@@ -18,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files.inputs import file_beside, open_input, read_arrays, read_bytes
+from omtwarp.files.inputs import file_beside, open_input, read_arrays, read_bytes, reading
 from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.mesh.arrays import single_precision
 
@@ -81,16 +80,8 @@ def gifti_image(path: Path) -> GiftiImage:
     Raises:
         OmtwarpError: the file cannot be read, or is no GIFTI file.
     """
-    try:
-        with warnings.catch_warnings(action="ignore"):
-            return load_gifti(path)
-    except MemoryError:
-        raise
-    except OmtwarpError as error:
-        raise OmtwarpError(f"{path}: {error}") from None
-    except Exception as error:  # nibabel, expat and zlib raise many kinds on a damaged file
-        detail = " ".join(str(error).split())[:160] or type(error).__name__
-        raise OmtwarpError(f"{path}: cannot be read as GIFTI: {detail}") from None
+    with reading(path, "GIFTI", path.stat().st_size if path.exists() else 0):
+        return load_gifti(path)
 
 
 def load_gifti(path: Path) -> GiftiImage:

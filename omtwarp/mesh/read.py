@@ -14,7 +14,6 @@ import gzip
 import io
 import os
 import re
-import warnings
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -26,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files.inputs import read_arrays, read_bytes, read_up_to
-from omtwarp.files.limits import LARGEST_MESH_FILE, MOST_FACES, amount, memory_for_file
+from omtwarp.files.inputs import read_arrays, read_bytes, read_up_to, reading
+from omtwarp.files.limits import LARGEST_MESH_FILE, MOST_FACES, amount
 from omtwarp.files.output import as_path, scratch
 from omtwarp.mesh.arrays import whole_number, whole_numbers
 from omtwarp.mesh.neuro import load_gifti, nibabel_module
@@ -99,32 +98,23 @@ def read_mesh(path: str | os.PathLike[str], *, together: bool = False, smoothing
     """
     file = as_path(path)
     data, suffix = mesh_content(file)
-    try:
-        # Warnings are about guesses of parsers; results are checked below.
-        with warnings.catch_warnings(action="ignore"), memory_for_file(len(data)):
-            if suffix in VOLUMES:
-                rounds = ROUNDS if smoothing is None else whole_number(smoothing, "smoothing", most=MOST_ROUNDS)
-                read: Triangles = label_surfaces(data, suffix, rounds)
-            elif smoothing is not None:
-                raise OmtwarpError("smoothing is for the surfaces of a volume's labels: leave it out for a mesh")
-            elif suffix in _OWN:
-                read = _OWN[suffix](data)
-            elif suffix == "gii":
-                read = _read_gifti(file)
-            else:
-                read = _read_scene(data, file, suffix, together)
+    with reading(file, suffix or "a mesh", len(data)):
+        if suffix in VOLUMES:
+            rounds = ROUNDS if smoothing is None else whole_number(smoothing, "smoothing", most=MOST_ROUNDS)
+            read: Triangles = label_surfaces(data, suffix, rounds)
+        elif smoothing is not None:
+            raise OmtwarpError("smoothing is for the surfaces of a volume's labels: leave it out for a mesh")
+        elif suffix in _OWN:
+            read = _OWN[suffix](data)
+        elif suffix == "gii":
+            read = _read_gifti(file)
+        else:
+            read = _read_scene(data, file, suffix, together)
         vertices, faces, notes = read
         if np.ndim(vertices) != 2 or np.shape(vertices)[1] != 3 or np.ndim(faces) != 2 or np.shape(faces)[1] != 3:
             raise OmtwarpError("not a triangle mesh: no list of triangles in it")
         corners = whole_numbers(faces, "faces", (None, 3))
         mesh = MeshFile(np.ascontiguousarray(vertices, np.float64), corners, tuple(notes))
-    except OmtwarpError as error:
-        raise OmtwarpError(f"{file}: {error}") from None
-    except MemoryError:
-        raise
-    except Exception as error:  # any failure of a parser means that the file is not what its suffix says
-        detail = " ".join(str(error).split())[:160] or type(error).__name__
-        raise OmtwarpError(f"{file}: cannot be read as {suffix or 'a mesh'}: {detail}") from None
     if len(mesh.faces) > MOST_FACES:
         raise OmtwarpError(f"{file}: {len(mesh.faces):,} triangles, and {MOST_FACES:,} is the most")
     return mesh

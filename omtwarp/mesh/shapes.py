@@ -14,7 +14,7 @@ from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import TINY
+from omtwarp.mesh.arrays import TINY, normalised
 from omtwarp.mesh.surface import Surface
 
 Points = NDArray[np.float64]
@@ -65,7 +65,7 @@ def icosphere(frequency: int = 16) -> Surface:
     share = np.take_along_axis(np.broadcast_to(weights[None], held.shape), order, axis=2).reshape(-1, 3)
     keys = np.concatenate([owner, np.where(owner < 12, share, 0)], axis=1)
     _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    return Surface(_unit(points[first]), inverse.reshape(-1)[faces])
+    return Surface(normalised(points[first]), inverse.reshape(-1)[faces])
 
 
 def icosphere_near(face_count: int) -> Surface:
@@ -115,12 +115,12 @@ def random_sphere(face_count: int = 5000, seed: int = 0, clustering: float = 0.0
         clustering: 0 spreads the vertices uniformly; larger values draw them towards the north pole.
     """
     rng = np.random.default_rng(seed)
-    points = _unit(rng.normal(size=(face_count // 2 + 2, 3)))
-    points[:4] = _unit(
+    points = normalised(rng.normal(size=(face_count // 2 + 2, 3)))
+    points[:4] = normalised(
         np.array([[1, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]])
     )  # which certainly surround the centre
     points[4:, 2] += clustering
-    return sphere_from_directions(_unit(points))
+    return sphere_from_directions(normalised(points))
 
 
 def uv_sphere(rings: int = 32, segments: int = 64) -> Surface:
@@ -180,7 +180,7 @@ def blob(seed: int = 0, amplitude: float = 0.35, degree: int = 6, sphere: Surfac
     rng = np.random.default_rng(seed)
     # A Legendre polynomial of the cosine to a random axis is a harmonic of its degree.
     orders = np.repeat(np.arange(1, degree + 1), 3)
-    axes = _unit(rng.normal(size=(len(orders), 3)))
+    axes = normalised(rng.normal(size=(len(orders), 3)))
     strengths = rng.normal(size=len(orders))
 
     def logarithm(x: Points) -> Points:
@@ -205,7 +205,9 @@ def limbs(
         sharpness: larger is thinner; a limb's half-width is about 1 / sqrt(sharpness).
         sphere: a triangulated unit sphere, or the number of faces of a geodesic one.
     """
-    axes = _unit(np.asarray([[1, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]] if directions is None else directions))
+    axes = normalised(
+        np.asarray([[1, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]] if directions is None else directions)
+    )
     return star_shape(lambda x: 1.0 + length * np.exp(sharpness * (x @ axes.T - 1.0)).sum(axis=1), sphere)
 
 
@@ -561,7 +563,7 @@ def _icosahedron() -> tuple[Points, Faces]:
     faces = [[0, 11, 5], [0, 5, 1], [0, 1, 7], [0, 7, 10], [0, 10, 11], [1, 5, 9], [5, 11, 4], [11, 10, 2], [10, 7, 6]]
     faces += [[7, 1, 8], [3, 9, 4], [3, 4, 2], [3, 2, 6], [3, 6, 8], [3, 8, 9], [4, 9, 5], [2, 4, 11], [6, 2, 10]]
     faces += [[8, 6, 7], [9, 8, 1]]
-    return _unit(np.array(corners, dtype=np.float64)), np.array(faces)
+    return normalised(np.array(corners, dtype=np.float64)), np.array(faces)
 
 
 def _capped_grid(grid: Points, north: Points, south: Points, flip: bool = False) -> tuple[Points, Faces]:
@@ -593,8 +595,3 @@ def _sorted_faces(faces: Faces) -> Faces:
 def _normals(points: Points, a: NDArray, b: NDArray, c: NDArray) -> Points:
     """Return the normals of triangles, whose lengths are twice the triangles' areas."""
     return np.cross(points[b] - points[a], points[c] - points[a])
-
-
-def _unit(vectors: ArrayLike) -> Points:
-    points = np.asarray(vectors, dtype=np.float64)
-    return points / np.linalg.norm(points, axis=-1, keepdims=True)

@@ -17,11 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.alignment.features import checked_features
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import read_arrays, write_arrays
-from omtwarp.files.output import RECORD, digest_of, staged
-from omtwarp.maps.result import MapResult
-from omtwarp.mesh.data import read_data
-from omtwarp.mesh.neuro import structure_of
-from omtwarp.registration.folding import FOLDING_WEIGHTS
+from omtwarp.files.output import RECORD, digest_of, make_folder, staged
 from omtwarp.registration.group_template import Template
 from omtwarp.registration.sides import Side, folds
 from omtwarp.resampling import as_points
@@ -130,10 +126,7 @@ class Kept:
     """
 
     def __init__(self, folder: Path):
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise OmtwarpError(f"cannot write to '{folder}': {error.strerror or error}") from None
+        make_folder(folder)
         self._folder = folder
         self._files: list[Path] = []
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files.output import staged
+from omtwarp.files.output import make_folder, staged
 from omtwarp.mesh.data import VertexData, write_data
 from omtwarp.mesh.neuro import structure_of
 from omtwarp.mesh.surface import Surface, vertex_normals
@@ -56,10 +56,7 @@ def write_group_report(
     """
     if len(names) != len(study.from_mean):
         raise OmtwarpError(f"{len(names)} names for {len(study.from_mean)} shapes")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OmtwarpError(f"cannot write to '{folder}': {error.strerror}") from None
+    make_folder(folder)
     given = table_of(labels, covariates)
     columns = ["id", *given, "from_mean", "scale"]
     columns += [f"score_{k + 1}" for k in range(len(study.components.deviations))]
