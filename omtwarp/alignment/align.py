@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.alignment.rotation_search import Best, best_rotations, complex_coefficients, improved
 from omtwarp.errors import OmtwarpError, OmtwarpWarning, choose
+from omtwarp.geometry.axes import fitted_rotation
 from omtwarp.geometry.harmonics import check_degree, real_harmonics
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.arrays import TINY, in_range, real_numbers
@@ -391,7 +392,7 @@ def _why_one_surface(moving: SpherePoints, fixed: SpherePoints) -> str:
         return "equal faces, and a side is a sphere alone"
     ours, theirs = (points - points.mean(axis=0) for points in (moving.vertices, fixed.vertices))
     ours, theirs = ours / max(np.linalg.norm(ours), TINY), theirs / max(np.linalg.norm(theirs), TINY)
-    _, agreement = _fitted_rotation(ours.T @ theirs)
+    _, agreement = fitted_rotation(ours.T @ theirs)
     # The least squares of a rotation and a scale leave 1 - agreement² of the square.
     apart = np.sqrt(max(1.0 - agreement**2, 0.0))
     # Two surfaces with the same faces are taken as one where a similarity brings them this near, as a part of their
@@ -408,17 +409,9 @@ def _own_turned(points: SpherePoints, rotation: Floats) -> Floats:
 
 def _by_vertices(moving: SpherePoints, fixed: SpherePoints) -> Alignment:
     weights = sphere_weights(fixed)
-    rotation, agreement = _fitted_rotation((moving.grid.points * weights[:, None]).T @ fixed.grid.points)
+    rotation, agreement = fitted_rotation((moving.grid.points * weights[:, None]).T @ fixed.grid.points)
     turned, score = _own_turned(moving, rotation), agreement / float(weights.sum())
     return Alignment(rotation, turned, "vertices", score, -1.0, False, basis="equal faces, as asked for")
-
-
-def _fitted_rotation(products: Floats) -> tuple[Floats, float]:
-    """Return the rotation R that brings points p nearest to others q, and the largest Σ q·Rp, from Σ p qᵀ [3, 3]."""
-    left, values, right = np.linalg.svd(products)
-    sign = np.sign(np.linalg.det(left @ right))
-    rotation = (left @ np.diag([1.0, 1.0, sign]) @ right).T
-    return rotation, float(values[0] + values[1] + sign * values[2])
 
 
 def _by_features(
@@ -482,7 +475,7 @@ def _onto_directions(points: SpherePoints) -> tuple[Floats, float]:
     masses = points.surface_areas()
     radial = points.vertices - masses @ points.vertices / masses.sum()
     radial /= np.maximum(np.linalg.norm(radial, axis=1, keepdims=True), TINY)
-    rotation, agreement = _fitted_rotation((points.grid.points * masses[:, None]).T @ radial)
+    rotation, agreement = fitted_rotation((points.grid.points * masses[:, None]).T @ radial)
     return rotation, agreement / float(masses.sum())
 
 

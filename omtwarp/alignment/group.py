@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from omtwarp.alignment.align import DEGREE, feature_coefficients, mirror_image, own_features
 from omtwarp.alignment.rotation_search import Complex, best_rotation, complex_coefficients, rotated
 from omtwarp.errors import OmtwarpError
+from omtwarp.geometry.axes import fitted_rotation
 from omtwarp.options import Progress
 from omtwarp.resampling import SpherePoints, as_points, resample
 from omtwarp.resampling.resample import PointsLike
@@ -146,9 +147,7 @@ def superpose(surfaces: Floats, weights: Floats, scale: bool = False) -> tuple[F
     for rounds in range(1, ROUNDS + 1):  # noqa: B007
         turned = []
         for one in posed:
-            left, _, right = np.linalg.svd((one * shares[:, None]).T @ mean)
-            fix = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-            turned.append(one @ (left @ fix @ right))
+            turned.append(one @ fitted_rotation((one * shares[:, None]).T @ mean)[0].T)
         posed = np.stack(turned)
         before, mean = mean, posed.mean(axis=0)
         if np.sqrt(shares @ ((mean - before) ** 2).sum(axis=1)) < TOLERANCE * size:

@@ -120,6 +120,14 @@ def rotation_onto_axes(
     return left @ right, bool(sizes[1] + sign * sizes[2] > SMALLEST_DIFFERENCE * sizes[0])
 
 
+def fitted_rotation(products: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """Return the rotation R that brings points p nearest to others q, and the largest Σ q·Rp, from Σ p qᵀ [3, 3]."""
+    left, values, right = np.linalg.svd(products)
+    sign = np.sign(np.linalg.det(left @ right))
+    rotation = (left @ np.diag([1.0, 1.0, sign]) @ right).T
+    return rotation, float(values[0] + values[1] + sign * values[2])
+
+
 def order_by_place(surface: Surface) -> NDArray[np.intp]:
     """Sort the vertices by their places in the surface's own axes, so that their order depends on the shape alone.
 

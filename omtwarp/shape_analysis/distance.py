@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from omtwarp.alignment import align
 from omtwarp.errors import OmtwarpError
+from omtwarp.geometry.axes import fitted_rotation
 from omtwarp.geometry.harmonics import check_degree
 from omtwarp.maps.result import MapResult
 from omtwarp.measures import TargetDensity
@@ -126,9 +127,8 @@ def coefficient_distance(first: Floats, second: Floats) -> float:
 
     .. [1] W. Kabsch, "A solution for the best rotation to relate two sets of vectors", Acta Cryst. A32 (1976).
     """
-    left, _, right = np.linalg.svd(second.T @ first)
-    fix = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    return float(np.linalg.norm(second @ (left @ fix @ right) - first) / np.sqrt(SPHERE_AREA))
+    turn, _ = fitted_rotation(second.T @ first)
+    return float(np.linalg.norm(second @ turn.T - first) / np.sqrt(SPHERE_AREA))
 
 
 def transport_distance(first: MapResult, second: MapResult, *, device: str | None = "auto") -> float:
