@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Annotated, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import typer
-from typer.models import OptionInfo
+from typer.models import OptionInfo, ParameterInfo
 
 from omtwarp.commands._command import OUTPUTS
 from omtwarp.commands._streams import input_file, output_file
 from omtwarp.errors import Kind, OmtwarpError, choose
-from omtwarp.options import Backend, FillArea, MapOptions, Option, PatternName
+from omtwarp.options import Backend, MapOptions, Option, PatternName
 
 Value = TypeVar("Value")
 
@@ -34,34 +34,55 @@ def usage(parse: Callable[[str], Value]) -> Callable[[str], Value]:
     return parsed
 
 
-def named(kind: type[Kind], help: str) -> OptionInfo:
+def named(kind: type[Kind]) -> OptionInfo:
     """Make a command-line option whose values are the members of an enumeration of :mod:`omtwarp.options`."""
-    return typer.Option(metavar="|".join(kind), parser=usage(lambda text: choose(kind, text)), help=help)
+    return typer.Option(metavar="|".join(kind), parser=usage(lambda text: choose(kind, text)))
 
 
-def readable(name: str, default: object, annotation: object) -> object:
-    """Return an annotation as Typer reads it: of an option that :mod:`omtwarp.options` declares, or unchanged."""
+def described(documented: object) -> dict[str, Option]:
+    """Return what the docstring of a command, or of a group of options, says of each: ``name (METAVAR): a sentence``.
+
+    Such lines stand below ``Options:`` at the end; longer sentences go on in lines that are indented further.
+    """
+    _, _, text = (inspect.getdoc(documented) or "").partition("\nOptions:\n")
+    found = re.findall(r"^    (\w+)(?: \((.*?)\))?: (.*(?:\n {5,}.*)*)", text, re.M)
+    return {name: Option(" ".join(help.split()), metavar) for name, metavar, help in found}
+
+
+def readable(name: str, default: object, annotation: object, known: Option) -> object:
+    """Return an annotation as Typer reads it, with what is said about the option.
+
+    Args:
+        name: of the option.
+        default: its value where it is not given.
+        annotation: a type, with an option of Typer's where more than a value is read, or with one that
+            :mod:`omtwarp.options` declares.
+        known: what a docstring says.
+    """
     kind, *said = _annotated(annotation)
-    if not said or not isinstance(said[0], Option):
+    if said and isinstance(said[0], ParameterInfo):
+        said[0].help = said[0].help or known.help
         return annotation
-    option, read = said[0], said[0].reader(kind)
-    if read is None:
-        flags = [] if default else [f"--{name}"]  # without the opposite of what is off
-        return Annotated[kind, typer.Option(*flags, help=option.help)]
-    info = typer.Option(metavar=option.metavar or "|".join(kind), parser=usage(read), help=option.help)
-    return Annotated[str, info]
+    option = said[0] if said and isinstance(said[0], Option) else known
+    read = option.reader(kind) if option is not known else None
+    if read is not None:
+        info = typer.Option(metavar=option.metavar or "|".join(kind), parser=usage(read), help=option.help)
+        return Annotated[str, info]
+    flags = (
+        [f"--{name.replace('_', '-')}"] if kind is bool and not default else []
+    )  # without the opposite of what is off
+    return Annotated[kind, typer.Option(*flags, metavar=option.metavar or None, help=option.help)]
 
 
-def output_option(help: str, suffix: str | None = None, *, metavar: str = "FILE") -> OptionInfo:
+def output_option(suffix: str | None = None, *, metavar: str = "FILE") -> OptionInfo:
     """Return the option for what a command writes.
 
     Args:
-        help: what is written.
         suffix: the format in which ``-`` writes it to standard output; None where the command sees to that.
         metavar: what stands for the value in help.
     """
     callback = None if suffix is None else output_file(suffix)
-    return typer.Option("--output", "-o", metavar=metavar, callback=callback, help=help)
+    return typer.Option("--output", "-o", metavar=metavar, callback=callback)
 
 
 def _annotated(annotation: object) -> tuple:
@@ -82,8 +103,8 @@ def as_command(run: Callable[..., None]) -> Callable[..., None]:
     groups: dict[str, tuple[Callable[..., object], list[str]]] = {}
     parameters: list[inspect.Parameter] = []
 
-    def add(name: str, default: object, annotation: object) -> None:
-        read = readable(name, default, annotation)
+    def add(name: str, default: object, annotation: object, known: dict[str, Option]) -> None:
+        read = readable(name, default, annotation, known.get(name, Option("")))
         parameters.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=read))
 
     for name, parameter in inspect.signature(run, eval_str=True).parameters.items():
@@ -92,14 +113,15 @@ def as_command(run: Callable[..., None]) -> Callable[..., None]:
             hints = get_type_hints(group, include_extras=True)
             fields = [each for each in dataclasses.fields(group) if not only or each.name in only[0]]
             groups[name] = cast(Callable[..., object], group), [each.name for each in fields]
+            known = described(group)
             for each in fields:
                 needed = each.default is dataclasses.MISSING
-                add(each.name, inspect.Parameter.empty if needed else each.default, hints[each.name])
+                add(each.name, inspect.Parameter.empty if needed else each.default, hints[each.name], known)
         else:
-            add(name, parameter.default, parameter.annotation)
+            add(name, parameter.default, parameter.annotation, described(run))
     writes = any(parameter.name in OUTPUTS for parameter in parameters)
     if writes:
-        add("force", False, ForceOption)
+        add("force", False, ForceOption, {})
 
     @functools.wraps(run)
     def command(**given: object) -> None:
@@ -109,6 +131,7 @@ def as_command(run: Callable[..., None]) -> Callable[..., None]:
             given[name] = group(**{each: given.pop(each) for each in names})
         run(**given)
 
+    command.__doc__ = (inspect.getdoc(run) or "").partition("\n\nOptions:\n")[0]
     vars(command)["__signature__"] = inspect.Signature(parameters)
     command.__annotations__ = run.__annotations__ | {each.name: each.annotation for each in parameters}
     return command
@@ -168,10 +191,6 @@ RepairOption = Annotated[
         "--repair",
         help="Repair the mesh first: equal vertices, orientation, small holes, largest component; prints what it did.",
     ),
-]
-FillAreaOption = Annotated[
-    FillArea | None,
-    named(FillArea, "Fill holes, on the sphere as large as they are or small; the filling is in the .npz only."),
 ]
 ImageOption = Annotated[
     Path | None, typer.Option(metavar="PICTURE", help="An equirectangular picture to put on the surface.")

@@ -472,31 +472,23 @@ def say_stages(result: MapResult | TorusMap) -> None:
 
 @dataclass(frozen=True)
 class Pair:
-    """A sphere that is moved, another one, their surfaces, data at their vertices, and where the moved one goes."""
+    """A sphere that is moved, another one, their surfaces, data at their vertices, and where the moved one goes.
 
-    source: Annotated[
-        Path,
-        typer.Argument(
-            metavar="MOVING", callback=input_file, help="A map (.npz), or a sphere as a mesh; - is standard input."
-        ),
-    ]
-    output: Annotated[
-        Path, output_option(".npz for the whole map, or a mesh suffix for the sphere; - is standard output.", ".npz")
-    ]
-    surface: Annotated[
-        Path | None, typer.Option(metavar="MESH", help="The surface of MOVING, where MOVING is a sphere without one.")
-    ] = None
-    to_surface: Annotated[
-        Path | None, typer.Option(metavar="MESH", help="The surface of the other sphere, where that is no .npz.")
-    ] = None
-    feature: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="FILE", help="Compare by these data at MOVING's vertices; repeat for more features."),
-    ] = None
-    to_feature: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="FILE", help="The same data at the other sphere's vertices, in this order."),
-    ] = None
+    Options:
+        source: A map (.npz), or a sphere as a mesh; - is standard input.
+        output: .npz for the whole map, or a mesh suffix for the sphere; - is standard output.
+        surface (MESH): The surface of MOVING, where MOVING is a sphere without one.
+        to_surface (MESH): The surface of the other sphere, where that is no .npz.
+        feature (FILE): Compare by these data at MOVING's vertices; repeat for more features.
+        to_feature (FILE): The same data at the other sphere's vertices, in this order.
+    """
+
+    source: Annotated[Path, typer.Argument(metavar="MOVING", callback=input_file)]
+    output: Annotated[Path, output_option(".npz")]
+    surface: Path | None = None
+    to_surface: Path | None = None
+    feature: list[Path] | None = None
+    to_feature: list[Path] | None = None
     radius: RadiusOption = 1.0
 
     @property

@@ -16,22 +16,10 @@ from omtwarp.options import AlignBy
 def run(
     *,
     pair: Pair,
-    to: Annotated[
-        str,
-        typer.Option(
-            metavar="axes|FILE|GRID",
-            callback=input_file,
-            help="The shape's own axes, another map or sphere (- is standard input), or a grid such as fsaverage5.",
-        ),
-    ] = "axes",
-    by: Annotated[
-        AlignBy,
-        typer.Option(help="What to compare; vertices needs equal faces; auto takes it for two maps of one surface."),
-    ] = AlignBy.AUTO,
-    mirror: Annotated[
-        bool, typer.Option("--mirror", help="Also try the mirror image, and take it if it fits better.")
-    ] = False,
-    degree: Annotated[int, typer.Option(min=1, max=64, help="Highest degree of the spherical harmonics.")] = 16,
+    to: Annotated[str, typer.Option(metavar="axes|FILE|GRID", callback=input_file)] = "axes",
+    by: AlignBy = AlignBy.AUTO,
+    mirror: bool = False,
+    degree: Annotated[int, typer.Option(min=1, max=64)] = 16,
     printing: Printing,
 ) -> None:
     """Rotate a map's sphere by its shape's own axes, or to another map.
@@ -39,6 +27,12 @@ def run(
     By axes, the longest axis of the first-order ellipsoid points to longitude 0, the shortest to the north pole. To
     another map, features are correlated over all rotations: distance from the centre of the surface, area over area on
     the sphere, or those given.
+
+    Options:
+        to: The shape's own axes, another map or sphere (- is standard input), or a grid such as fsaverage5.
+        by: What to compare; vertices needs equal faces; auto takes it for two maps of one surface.
+        mirror: Also try the mirror image, and take it if it fits better.
+        degree: Highest degree of the spherical harmonics.
     """
     import numpy as np
     from scipy.spatial.transform import Rotation

@@ -45,63 +45,46 @@ def parse_sizes(text: str) -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class Workload:
-    """What is measured, and how often."""
+    """What is measured, and how often.
 
-    meshes: Annotated[
-        list[Path] | None,
-        typer.Argument(
-            metavar="MESH",
-            callback=input_file,
-            help="Mesh files to measure in addition to generated shapes; - is standard input.",
-        ),
-    ] = None
-    sizes: Annotated[
-        str,
-        typer.Option(
-            metavar="N,N,...",
-            callback=face_counts,
-            help="Numbers of faces of generated shapes, 5k to 2M; none for no shapes.",
-        ),
-    ] = "5k,20k,80k"
-    shapes: Annotated[
-        str, typer.Option("--shape", metavar="NAME,...", help="Generated shapes: blob, creature, sphere.")
-    ] = "blob"
-    subdivisions: Annotated[
-        int,
-        typer.Option("--subdivide", metavar="TIMES", min=0, max=6, help="How often to subdivide the given meshes too."),
-    ] = 0
-    devices: Annotated[
-        str, typer.Option("--device", metavar="cpu,cuda:0", help="Devices to map on; auto is every device there is.")
-    ] = "auto"
-    repeats: Annotated[int, typer.Option(min=1, max=1000, help="Number of maps, of which the median is taken.")] = 3
-    kernels: Annotated[bool, typer.Option("--kernels", help="Also measure every kernel, and the memory it moves.")] = (
-        False
-    )
-    cold: Annotated[bool, typer.Option("--cold", help="Also measure compilation into an empty cache, and starts.")] = (
-        False
-    )
+    Options:
+        meshes: Mesh files to measure in addition to generated shapes; - is standard input.
+        sizes: Numbers of faces of generated shapes, 5k to 2M; none for no shapes.
+        shapes: Generated shapes: blob, creature, sphere.
+        subdivisions: How often to subdivide the given meshes too.
+        devices: Devices to map on; auto is every device there is.
+        repeats: Number of maps, of which the median is taken.
+        kernels: Also measure every kernel, and the memory it moves.
+        cold: Also measure compilation into an empty cache, and starts.
+    """
+
+    meshes: Annotated[list[Path] | None, typer.Argument(metavar="MESH", callback=input_file)] = None
+    sizes: Annotated[str, typer.Option(metavar="N,N,...", callback=face_counts)] = "5k,20k,80k"
+    shapes: Annotated[str, typer.Option("--shape", metavar="NAME,...")] = "blob"
+    subdivisions: Annotated[int, typer.Option("--subdivide", metavar="TIMES", min=0, max=6)] = 0
+    devices: Annotated[str, typer.Option("--device", metavar="cpu,cuda:0")] = "auto"
+    repeats: Annotated[int, typer.Option(min=1, max=1000)] = 3
+    kernels: bool = False
+    cold: bool = False
 
 
 def run(
     *,
     workload: Workload,
     mapping: Annotated[MapOptions, Only(("refine",))],
-    json_output: Annotated[
-        Path | None,
-        typer.Option(
-            "--json",
-            metavar="FILE",
-            callback=output_file(".json"),
-            help="Write all figures as JSON, or to -.",
-        ),
-    ] = None,
-    output: Annotated[Path | None, output_option("Write the tables (.md) instead of printing.")] = None,
+    json_output: Annotated[Path | None, typer.Option("--json", metavar="FILE", callback=output_file(".json"))] = None,
+    output: Annotated[Path | None, output_option()] = None,
     verbose: VerboseOption = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q")] = False,
 ) -> None:
     """Time every stage and its memory on meshes of several sizes, and compare with a sparse factorisation by SciPy.
 
     Takes a minute or two with the sizes it has by default, and no network.
+
+    Options:
+        json_output: Write all figures as JSON, or to -.
+        output: Write the tables (.md) instead of printing.
+        quiet: Print no progress.
     """
 
     given = tuple(workload.meshes or ())

@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from omtwarp.commands._options import MeshArguments, Printing, output_option
 from omtwarp.commands._streams import say, step_times
 from omtwarp.commands._work import each, of_a_map, outputs_of, report_text
@@ -22,16 +20,17 @@ if TYPE_CHECKING:
 def run(
     *,
     meshes: MeshArguments,
-    repair: Annotated[bool, typer.Option("--repair", help="Repair the mesh, and list what was done.")] = False,
-    output: Annotated[
-        Path | None,
-        output_option("Write the repaired mesh.", ".ply"),
-    ] = None,
+    repair: bool = False,
+    output: Annotated[Path | None, output_option(".ply")] = None,
     printing: Printing,
 ) -> None:
     """List what keeps meshes from being mapped to the sphere.
 
     The exit status is 0 if nothing does.
+
+    Options:
+        repair: Repair the mesh, and list what was done.
+        output: Write the repaired mesh.
     """
     from omtwarp.mesh.write import SUFFIXES
 

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from omtwarp.commands._options import ROUTE, FillAreaOption, Only, Printing, RepairOption, output_option
+from omtwarp.commands._options import ROUTE, Only, Printing, RepairOption, named, output_option
 from omtwarp.commands._streams import input_table, say, warnings_as_lines
 from omtwarp.commands._work import show_facts
 from omtwarp.errors import INTERRUPTED, OmtwarpError
 from omtwarp.files.interruptions import LINE, raised
-from omtwarp.options import MapOptions
+from omtwarp.options import FillArea, MapOptions
 
 if TYPE_CHECKING:
     from omtwarp.options import Progress, Record
@@ -38,45 +38,18 @@ def parse_shard(text: str) -> tuple[int, int]:
 
 def run(
     *,
-    manifest: Annotated[
-        str,
-        typer.Argument(
-            metavar="MANIFEST",
-            help="A table with a column 'path' (- is standard input), a folder, or a pattern in quotes.",
-        ),
-    ],
-    output: Annotated[Path, output_option("Folder of the results.", metavar="DIR")],
-    executor: Annotated[
-        str,
-        typer.Option(
-            metavar="local|dask|dask:ADDRESS|slurm|submitit-local",
-            help="Engine that runs the work: processes of this machine, or a cluster.",
-        ),
-    ] = "local",
-    workers: Annotated[
-        int | None,
-        typer.Option(metavar="N", min=1, help="Number of items at the same time; one for each core by default."),
-    ] = None,
-    shard: Annotated[
-        str, typer.Option(metavar="I/N", help="Compute every N-th item only, beginning with the I-th.")
-    ] = "1/1",
-    time_limit: Annotated[
-        float, typer.Option(metavar="SECONDS", help="Seconds after which an item counts as failed.")
-    ] = 3600.0,
-    memory_limit: Annotated[
-        float, typer.Option(metavar="GIB", help="GiB of memory that an item may allocate, on Linux; 0 for no limit.")
-    ] = 0.0,
-    retry: Annotated[bool, typer.Option("--retry", help="Compute failed items again.")] = False,
-    collect: Annotated[bool, typer.Option("--collect", help="Compute nothing; write the table and the page.")] = False,
+    manifest: Annotated[str, typer.Argument(metavar="MANIFEST")],
+    output: Annotated[Path, output_option(metavar="DIR")],
+    executor: str = "local",
+    workers: Annotated[int | None, typer.Option(metavar="N", min=1)] = None,
+    shard: str = "1/1",
+    time_limit: float = 3600.0,
+    memory_limit: float = 0.0,
+    retry: bool = False,
+    collect: bool = False,
     mapping: Annotated[MapOptions, Only((*ROUTE, "optimality"))],
-    fill_area: FillAreaOption = None,
-    register: Annotated[
-        str | None,
-        typer.Option(
-            metavar="TARGET|group",
-            help="Register every map, to a map, template or fsaverage5-left or -right, or all to one of the group.",
-        ),
-    ] = None,
+    fill_area: Annotated[FillArea | None, named(FillArea)] = None,
+    register: str | None = None,
     repair: RepairOption = False,
     printing: Printing,
 ) -> None:
@@ -84,6 +57,21 @@ def run(
 
     DIR gets maps/ID.npz, records/ID.json, table.parquet (table.csv without pyarrow) and report.html, and with
     --register group the template and registered maps in registered/.
+
+    Options:
+        fill_area: Fill holes, on the sphere as large as they are or small; the filling is in the .npz only.
+        manifest: A table with a column 'path' (- is standard input), a folder, or a pattern in quotes.
+        output: Folder of the results.
+        executor (local|dask|dask:ADDRESS|slurm|submitit-local): Engine that runs the work: processes of this machine,
+            or a cluster.
+        workers: Number of items at the same time; one for each core by default.
+        shard (I/N): Compute every N-th item only, beginning with the I-th.
+        time_limit (SECONDS): Seconds after which an item counts as failed.
+        memory_limit (GIB): GiB of memory that an item may allocate, on Linux; 0 for no limit.
+        retry: Compute failed items again.
+        collect: Compute nothing; write the table and the page.
+        register (TARGET|group): Register every map, to a map, template or fsaverage5-left or -right, or all to one of
+            the group.
     """
     from omtwarp.cohort import read_manifest, run_cohort
 

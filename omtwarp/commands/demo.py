@@ -26,12 +26,17 @@ NAMES = ("creature.ply", "map.npz", "report.json", "globe.glb", "globe.png", "ci
 
 def run(
     *,
-    output: Annotated[Path, output_option("Folder of the results.", metavar="DIRECTORY")] = Path("out"),
-    faces: Annotated[int, typer.Option(min=2000, max=2_000_000, help="Roughly how many faces the shape has.")] = 20000,
+    output: Annotated[Path, output_option(metavar="DIRECTORY")] = Path("out"),
+    faces: Annotated[int, typer.Option(min=2000, max=2000000)] = 20000,
     device: Device = MapOptions.device,
     printing: Printing,
 ) -> None:
-    """Make a shape, map it, texture it and draw it: mesh, map, report, textured model and pictures."""
+    """Make a shape, map it, texture it and draw it: mesh, map, report, textured model and pictures.
+
+    Options:
+        output: Folder of the results.
+        faces: Roughly how many faces the shape has.
+    """
     start_device(device)
     make_folder(output)
     with folder_of_results(output, *NAMES):

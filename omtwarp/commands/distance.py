@@ -15,12 +15,10 @@ from omtwarp.options import Device, MapOptions
 
 def run(
     *,
-    first: Annotated[Path, typer.Argument(metavar="A", callback=input_file, help="A map (.npz); - is standard input.")],
-    second: Annotated[Path, typer.Argument(metavar="B", callback=input_file, help="Another map (.npz).")],
-    degree: Annotated[int, typer.Option(metavar="L", min=1, max=64, help="Highest degree of the harmonics.")] = 12,
-    scale: Annotated[
-        bool, typer.Option("--scale", help="Scale both shapes to the same size before coefficients are compared.")
-    ] = False,
+    first: Annotated[Path, typer.Argument(metavar="A", callback=input_file)],
+    second: Annotated[Path, typer.Argument(metavar="B", callback=input_file)],
+    degree: Annotated[int, typer.Option(metavar="L", min=1, max=64)] = 12,
+    scale: bool = False,
     device: Device = MapOptions.device,
     printing: Printing,
 ) -> None:
@@ -28,6 +26,12 @@ def run(
 
     There are two measures: the root mean square distance of corresponding points, from coefficients of spherical
     harmonics; and the root of the least transport cost between the densities of their conformal maps, in radians.
+
+    Options:
+        first: A map (.npz); - is standard input.
+        second: Another map (.npz).
+        degree: Highest degree of the harmonics.
+        scale: Scale both shapes to the same size before coefficients are compared.
     """
     from omtwarp.shape_analysis.distance import shape_distance
 

@@ -39,32 +39,18 @@ def film_size(text: str | None) -> str | None:
 
 def run(
     *,
-    output: Annotated[
-        Path,
-        output_option(".mp4 (needs ffmpeg), .gif or .webp; a directory of .gif for several meshes.", ".gif"),
-    ],
+    output: Annotated[Path, output_option(".gif")],
     source: Source,
     image: ImageOption = None,
     pattern: PatternOption = None,
-    size: Annotated[
-        str | None,
-        typer.Option(
-            metavar="WIDTHxHEIGHT",
-            callback=film_size,
-            help="Size in pixels; 1920x1080 by default, 640x360 for .gif and .webp.",
-        ),
-    ] = None,
-    view: Annotated[
-        str, typer.Option(metavar="NAME|AZIMUTH,ELEVATION", help="Direction of view, as for preview.")
-    ] = "three-quarter",
+    size: Annotated[str | None, typer.Option(metavar="WIDTHxHEIGHT", callback=film_size)] = None,
+    view: str = "three-quarter",
     up: UpOption = None,
     front: FrontOption = None,
     background: BackgroundOption = "white",
-    seconds: Annotated[
-        float | None, typer.Option(help="Length in seconds; by default as long as smooth motion needs.")
-    ] = None,
-    fps: Annotated[float | None, typer.Option(help="Frames per second; 30 by default, 20 for .gif and .webp.")] = None,
-    captions: Annotated[bool, typer.Option(help="Name what is seen below the picture.")] = True,
+    seconds: float | None = None,
+    fps: float | None = None,
+    captions: Annotated[bool, typer.Option()] = True,
     backend: BackendOption = Backend.AUTO,
     mapping: Annotated[MapOptions, Only(name for name in ROUTE if name != "until")],
     printing: Printing,
@@ -72,6 +58,14 @@ def run(
     """Film a map without a display: it flows from conformal to optimal, then the surface turns into its sphere.
 
     A map to a torus ends as a ring torus, one to the disk as the disk, one of several parts as their spheres.
+
+    Options:
+        output: .mp4 (needs ffmpeg), .gif or .webp; a directory of .gif for several meshes.
+        size: Size in pixels; 1920x1080 by default, 640x360 for .gif and .webp.
+        view (NAME|AZIMUTH,ELEVATION): Direction of view, as for preview.
+        seconds: Length in seconds; by default as long as smooth motion needs.
+        fps: Frames per second; 30 by default, 20 for .gif and .webp.
+        captions: Name what is seen below the picture.
     """
     from omtwarp.render.films import film
     from omtwarp.render.output import check_target

@@ -22,33 +22,16 @@ if TYPE_CHECKING:
 
 def run(
     *,
-    sources: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="MANIFEST|MAPS",
-            help="A table with the columns 'path' and 'group' (- is standard input), a cohort's folder, or maps.",
-        ),
-    ],
-    output: Annotated[Path, output_option("Folder of the results.", metavar="DIR")],
-    grid: Annotated[str, typer.Option(metavar="GRID", help="Sphere whose points are compared.")] = "ico4",
-    components: Annotated[int, typer.Option(metavar="N", min=1, help="Largest number of principal components.")] = 5,
-    degree: Annotated[
-        int, typer.Option(metavar="L", min=1, max=64, help="Highest degree of the harmonics in distances.")
-    ] = 12,
-    scale: Annotated[bool, typer.Option("--scale", help="Scale all shapes to the same size.")] = False,
-    permutations: Annotated[
-        int, typer.Option(metavar="N", min=1, help="Number of permutations that test differences.")
-    ] = 999,
-    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the random permutations.")] = 0,
-    covariate: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="COLUMN", help="A column of the table that may explain differences, such as age or site: repeat."
-        ),
-    ] = None,
-    transport: Annotated[
-        bool, typer.Option("--transport", help="Also compute transport distances of all pairs.")
-    ] = False,
+    sources: Annotated[list[str], typer.Argument(metavar="MANIFEST|MAPS")],
+    output: Annotated[Path, output_option(metavar="DIR")],
+    grid: str = "ico4",
+    components: Annotated[int, typer.Option(metavar="N", min=1)] = 5,
+    degree: Annotated[int, typer.Option(metavar="L", min=1, max=64)] = 12,
+    scale: bool = False,
+    permutations: Annotated[int, typer.Option(metavar="N", min=1)] = 999,
+    seed: Annotated[int, typer.Option(metavar="N", min=0)] = 0,
+    covariate: list[str] | None = None,
+    transport: bool = False,
     device: Device = MapOptions.device,
     printing: Printing,
 ) -> None:
@@ -57,6 +40,18 @@ def run(
     The folder gets table.csv, distances.csv, transport.csv where asked for, the mean and the components as .ply, .vtk
     and GIFTI, and report.html. Groups, named in the table's column 'group', and covariates are tested point by point
     with a linear model and permutations; each given all others.
+
+    Options:
+        sources: A table with the columns 'path' and 'group' (- is standard input), a cohort's folder, or maps.
+        output: Folder of the results.
+        grid (GRID): Sphere whose points are compared.
+        components: Largest number of principal components.
+        degree: Highest degree of the harmonics in distances.
+        scale: Scale all shapes to the same size.
+        permutations: Number of permutations that test differences.
+        seed: Seed of the random permutations.
+        covariate (COLUMN): A column of the table that may explain differences, such as age or site: repeat.
+        transport: Also compute transport distances of all pairs.
     """
     from omtwarp.shape_analysis.group import GROUP, mirrored_words, study_group, table_of
     from omtwarp.shape_analysis.group_report import write_group_report

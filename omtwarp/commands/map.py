@@ -10,7 +10,6 @@ import typer
 
 from omtwarp.commands._options import (
     ROUTE,
-    FillAreaOption,
     MeshArguments,
     Only,
     Printing,
@@ -50,45 +49,30 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Topology:
-    """What is done with holes, handles and several parts."""
+    """What is done with holes, handles and several parts.
 
-    hemisphere: Annotated[
-        bool,
-        typer.Option("--hemisphere", help="Map a surface with a hole to the hemisphere, the boundary on the equator."),
-    ] = False
-    disk: Annotated[
-        bool,
-        typer.Option("--disk", help="Map a surface with a hole to the unit disk, by Lambert's equal-area projection."),
-    ] = False
-    cap: Annotated[
-        bool,
-        typer.Option(
-            "--cap", help="Map a surface with a hole to a spherical cap of the area that the filled hole leaves."
-        ),
-    ] = False
-    fill_area: FillAreaOption = None
-    components: Annotated[
-        bool, typer.Option("--components", help="Map every part of the surface by itself, each to a sphere of its own.")
-    ] = False
-    together: Annotated[
-        bool,
-        typer.Option("--together", help="Map all parts to disjoint caps of one sphere, in proportion to their areas."),
-    ] = False
-    cut: Annotated[
-        bool,
-        typer.Option(
-            "--cut", help="Cut handles open along short loops and map to the sphere; textures have seams there."
-        ),
-    ] = False
-    cut_along: Annotated[
-        CutAlong | None,
-        named(
-            CutAlong,
-            "Cut along the shortest loops, around handles, or through the holes that these make, which leaves fewer "
-            "limbs.",
-        ),
-    ] = None
-    torus: Annotated[bool, typer.Option("--torus", help="Map a closed surface of genus 1 to a flat torus.")] = False
+    Options:
+        hemisphere: Map a surface with a hole to the hemisphere, the boundary on the equator.
+        disk: Map a surface with a hole to the unit disk, by Lambert's equal-area projection.
+        cap: Map a surface with a hole to a spherical cap of the area that the filled hole leaves.
+        fill_area: Fill holes, on the sphere as large as they are or small; the filling is in the .npz only.
+        components: Map every part of the surface by itself, each to a sphere of its own.
+        together: Map all parts to disjoint caps of one sphere, in proportion to their areas.
+        cut: Cut handles open along short loops and map to the sphere; textures have seams there.
+        cut_along: Cut along the shortest loops, around handles, or through the holes that these make, which leaves
+            fewer limbs.
+        torus: Map a closed surface of genus 1 to a flat torus.
+    """
+
+    hemisphere: bool = False
+    disk: bool = False
+    cap: bool = False
+    fill_area: Annotated[FillArea | None, named(FillArea)] = None
+    components: bool = False
+    together: bool = False
+    cut: bool = False
+    cut_along: Annotated[CutAlong | None, named(CutAlong)] = None
+    torus: bool = False
 
     def keywords(self) -> SurfaceKeywords | None:
         """Return the options of :func:`omtwarp.map_surface`; None where the surface has to be a sphere.
@@ -117,29 +101,19 @@ class Topology:
 
 @dataclass(frozen=True)
 class Mass:
-    """How much of the sphere the parts of the surface are to cover."""
+    """How much of the sphere the parts of the surface are to cover.
 
-    weights: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Numbers per vertex or triangle (.npy, .csv, .gii, ...): twice the weight, twice the area.",
-        ),
-    ] = None
-    weights_at: Annotated[WeightsAt, named(WeightsAt, "What the weights belong to; auto goes by their number.")] = (
-        WeightsAt.AUTO
-    )
-    density: Annotated[
-        Path | None,
-        typer.Option(
-            "--target",
-            metavar="IMAGE",
-            help="An equirectangular picture as the density to reach: bright regions get more mass.",
-        ),
-    ] = None
-    target_floor: Annotated[
-        float, typer.Option(metavar="SHARE", help="Raise the target's dark parts to this share of its mean.")
-    ] = 0.0
+    Options:
+        weights (FILE): Numbers per vertex or triangle (.npy, .csv, .gii, ...): twice the weight, twice the area.
+        weights_at: What the weights belong to; auto goes by their number.
+        density: An equirectangular picture as the density to reach: bright regions get more mass.
+        target_floor (SHARE): Raise the target's dark parts to this share of its mean.
+    """
+
+    weights: Path | None = None
+    weights_at: Annotated[WeightsAt, named(WeightsAt)] = WeightsAt.AUTO
+    density: Annotated[Path | None, typer.Option("--target", metavar="IMAGE")] = None
+    target_floor: float = 0.0
 
     def target(self) -> TargetDensity | None:
         """Return the density that is to be reached, None for the uniform one.
@@ -156,15 +130,15 @@ class Mass:
 
 @dataclass(frozen=True)
 class Poles:
-    """Which axes of the mesh point to the north pole and to longitude 0."""
+    """Which axes of the mesh point to the north pole and to longitude 0.
 
-    up: Annotated[
-        str | None,
-        typer.Option(metavar="AXIS", help="The axis of the mesh towards the north pole; its shortest by default."),
-    ] = None
-    front: Annotated[
-        str | None, typer.Option(metavar="AXIS", help="The axis towards longitude 0; guessed where --up is given.")
-    ] = None
+    Options:
+        up (AXIS): The axis of the mesh towards the north pole; its shortest by default.
+        front (AXIS): The axis towards longitude 0; guessed where --up is given.
+    """
+
+    up: str | None = None
+    front: str | None = None
 
     def turned(self, result: MapResult | TorusMap) -> MapResult | TorusMap:
         """Return a map with the axes that are given where they belong, as it is where none is.
@@ -178,29 +152,14 @@ class Poles:
 def run(
     *,
     meshes: MeshArguments,
-    output: Annotated[
-        Path,
-        output_option(
-            ".npz for the whole map, or a mesh suffix for the sphere; - for .npz; a directory for several.", ".npz"
-        ),
-    ],
+    output: Annotated[Path, output_option(".npz")],
     mapping: Annotated[MapOptions, Only((*ROUTE, "exact", "strict"))],
     topology: Topology,
     mass: Mass,
-    report: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="JSON", help="Write the report: what was done, and the map's quality; a directory for several."
-        ),
-    ] = None,
+    report: Path | None = None,
     repair: RepairOption = False,
-    smoothing: Annotated[
-        int | None,
-        typer.Option(min=0, max=1000, help="Rounds of smoothing of the surfaces of a volume's labels; 20 by default."),
-    ] = None,
-    beside: Annotated[
-        bool, typer.Option("--beside", help="For .ply: the surface, with its sphere as px, py, pz at the vertices.")
-    ] = False,
+    smoothing: Annotated[int | None, typer.Option(min=0, max=1000)] = None,
+    beside: bool = False,
     radius: RadiusOption = 1.0,
     poles: Poles,
     printing: Printing,
@@ -221,6 +180,12 @@ def run(
     A surface with holes, handles or several parts is mapped with --hemisphere, --disk, --cap, --fill-area, --cut and
     --components; "omtwarp check" says what each would do with it. As a mesh a disk is flat, parts have spheres about
     one centre, and a torus is a ring torus, or in a .glb the surface with a texture.
+
+    Options:
+        output: .npz for the whole map, or a mesh suffix for the sphere; - for .npz; a directory for several.
+        report (JSON): Write the report: what was done, and the map's quality; a directory for several.
+        smoothing: Rounds of smoothing of the surfaces of a volume's labels; 20 by default.
+        beside: For .ply: the surface, with its sphere as px, py, pz at the vertices.
     """
 
     from omtwarp.mesh.neuro import structure_of

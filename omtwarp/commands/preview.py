@@ -47,13 +47,17 @@ class CameraProjection(StrEnum):
 
 @dataclass(frozen=True)
 class Lens:
-    """How a camera forms its picture."""
+    """How a camera forms its picture.
 
-    zoom: Annotated[float, typer.Option(help="Enlargement; at 1 the surface fills the picture.")] = 1.0
-    field_of_view: Annotated[float, typer.Option(help="Vertical opening of the camera in degrees.")] = 24.0
-    projection: Annotated[CameraProjection, typer.Option(help="Projection of the camera.")] = (
-        CameraProjection.PERSPECTIVE
-    )
+    Options:
+        zoom: Enlargement; at 1 the surface fills the picture.
+        field_of_view: Vertical opening of the camera in degrees.
+        projection: Projection of the camera.
+    """
+
+    zoom: float = 1.0
+    field_of_view: float = 24.0
+    projection: CameraProjection = CameraProjection.PERSPECTIVE
 
     def camera(self) -> Camera:
         """Return a camera with this lens."""
@@ -64,54 +68,50 @@ class Lens:
 
 @dataclass(frozen=True)
 class Look:
-    """What a picture shows beside the surface's own colours."""
+    """What a picture shows beside the surface's own colours.
 
-    light: Annotated[LightName, typer.Option(help="Lights; flat shows the colours themselves.")] = LightName.STUDIO
+    Options:
+        light: Lights; flat shows the colours themselves.
+        transparent: Leave the background out.
+        wireframe: Draw the triangles' edges.
+    """
+
+    light: LightName = LightName.STUDIO
     background: BackgroundOption = BACKGROUND
-    transparent: Annotated[bool, typer.Option("--transparent", help="Leave the background out.")] = False
-    wireframe: Annotated[bool, typer.Option("--wireframe", help="Draw the triangles' edges.")] = False
+    transparent: bool = False
+    wireframe: bool = False
 
 
 def run(
     *,
-    output: Annotated[
-        Path,
-        output_option(".png, .jpg, .webp, .tif; .gif or .mp4 for films; a directory for several.", ".png"),
-    ],
-    subjects: Annotated[
-        list[Path] | None,
-        typer.Argument(
-            metavar="MESH", callback=input_file, help="Meshes (textures and colours are shown) or maps (.npz), or -."
-        ),
-    ] = None,
-    finished: Annotated[
-        Path | None,
-        typer.Option(
-            "--map", metavar="NPZ", callback=input_file, help="A finished map (from 'omtwarp map') to be shown."
-        ),
-    ] = None,
+    output: Annotated[Path, output_option(".png")],
+    subjects: Annotated[list[Path] | None, typer.Argument(metavar="MESH", callback=input_file)] = None,
+    finished: Annotated[Path | None, typer.Option("--map", metavar="NPZ", callback=input_file)] = None,
     size: SizeOption = DEFAULT_SIZE,
-    view: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME|AZIMUTH,ELEVATION",
-            help="front, back, left, right, top, bottom, three-quarter, six, or degrees; repeat for more views.",
-        ),
-    ] = None,
+    view: list[str] | None = None,
     lens: Lens,
     up: UpOption = None,
     front: FrontOption = None,
     look: Look,
-    image: Annotated[
-        Path | None, typer.Option(metavar="PICTURE", help="An equirectangular picture, shown through a map.")
-    ] = None,
-    frames: Annotated[int | None, typer.Option(min=1, help="Number of frames of a turntable to draw.")] = None,
-    fps: Annotated[float, typer.Option(help="Frames per second of the turntable.")] = FILM_RATE,
+    image: Path | None = None,
+    frames: Annotated[int | None, typer.Option(min=1)] = None,
+    fps: float = FILM_RATE,
     backend: BackendOption = Backend.AUTO,
     device: Device = MapOptions.device,
     printing: Printing,
 ) -> None:
-    """Draw a surface without a display."""
+    """Draw a surface without a display.
+
+    Options:
+        output: .png, .jpg, .webp, .tif; .gif or .mp4 for films; a directory for several.
+        subjects: Meshes (textures and colours are shown) or maps (.npz), or -.
+        finished: A finished map (from 'omtwarp map') to be shown.
+        view (NAME|AZIMUTH,ELEVATION): front, back, left, right, top, bottom, three-quarter, six, or degrees; repeat
+            for more views.
+        image (PICTURE): An equirectangular picture, shown through a map.
+        frames: Number of frames of a turntable to draw.
+        fps: Frames per second of the turntable.
+    """
     from omtwarp.render import preview
 
     given = subjects or []

@@ -28,24 +28,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Several:
-    """What is done with more maps than one."""
+    """What is done with more maps than one.
 
-    more: Annotated[
-        list[Path] | None,
-        typer.Argument(metavar="MORE", callback=input_file, help="Further maps, for --group and --sequence."),
-    ] = None
-    group: Annotated[
-        bool, typer.Option("--group", help="Make a template from all maps and register them to it; -o is a folder.")
-    ] = False
-    sequence: Annotated[
-        bool,
-        typer.Option(
-            "--sequence", help="Register one subject's maps in the order of time to the first; -o is a folder."
-        ),
-    ] = False
-    rounds: Annotated[
-        int, typer.Option(metavar="N", min=1, help="How many times the template of --group is made anew.")
-    ] = 3
+    Options:
+        more: Further maps, for --group and --sequence.
+        group: Make a template from all maps and register them to it; -o is a folder.
+        sequence: Register one subject's maps in the order of time to the first; -o is a folder.
+        rounds: How many times the template of --group is made anew.
+    """
+
+    more: Annotated[list[Path] | None, typer.Argument(metavar="MORE", callback=input_file)] = None
+    group: bool = False
+    sequence: bool = False
+    rounds: Annotated[int, typer.Option(metavar="N", min=1)] = 3
 
     @property
     def mode(self) -> str:
@@ -61,23 +56,19 @@ class Several:
 
 @dataclass(frozen=True)
 class Extras:
-    """What is written beside the registered map."""
+    """What is written beside the registered map.
 
-    strain: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write log2 of ratios of areas and of stretches at MOVING's vertices too."),
-    ] = None
-    before: Annotated[
-        Path | None,
-        typer.Option(metavar="MESH", help="Write MOVING's sphere as it was too: with the sphere of -o a deformation."),
-    ] = None
-    report: Annotated[
-        Path | None, typer.Option(metavar="HTML", help="Write a page: features before and after, strain, pictures.")
-    ] = None
-    film: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write a film of the warp of a map (.npz): .mp4, .gif or .webp."),
-    ] = None
+    Options:
+        strain (FILE): Write log2 of ratios of areas and of stretches at MOVING's vertices too.
+        before (MESH): Write MOVING's sphere as it was too: with the sphere of -o a deformation.
+        report (HTML): Write a page: features before and after, strain, pictures.
+        film (FILE): Write a film of the warp of a map (.npz): .mp4, .gif or .webp.
+    """
+
+    strain: Path | None = None
+    before: Path | None = None
+    report: Path | None = None
+    film: Path | None = None
 
     def check(self, pair: Pair) -> None:
         """Make sure that all can be written.
@@ -118,19 +109,17 @@ class Extras:
 
 @dataclass(frozen=True)
 class Strength:
-    """How much the warp may distort."""
+    """How much the warp may distort.
 
-    keep_areas: Annotated[
-        str,
-        typer.Option(metavar="NUMBER|exact", help="Weight of squared changes of the areas around vertices."),
-    ] = "0"
-    stiffness: Annotated[
-        float, typer.Option(metavar="NUMBER", help="Weight of distortion against differences of features.")
-    ] = 0.38
-    max_strain: Annotated[
-        float,
-        typer.Option(metavar="NUMBER", help="Bound of |log2| of ratios of areas, and of stretches, of every triangle."),
-    ] = 1.1
+    Options:
+        keep_areas (NUMBER|exact): Weight of squared changes of the areas around vertices.
+        stiffness (NUMBER): Weight of distortion against differences of features.
+        max_strain (NUMBER): Bound of |log2| of ratios of areas, and of stretches, of every triangle.
+    """
+
+    keep_areas: str = "0"
+    stiffness: float = 0.38
+    max_strain: float = 1.1
 
     def keywords(self) -> dict[str, float | str]:
         """Return the options as functions take them, which refuse a text for areas unless it is ``exact``."""
@@ -143,31 +132,10 @@ def run(
     *,
     pair: Pair,
     several: Several,
-    to: Annotated[
-        str | None,
-        typer.Option(
-            metavar="TARGET",
-            callback=input_file,
-            help="A map, a template, fsaverage5, fsaverage, fsLR32k, or a sphere with its surface or features; -.",
-        ),
-    ] = None,
-    hemisphere: Annotated[
-        Side | None, named(Side, "Of fsaverage5, fsaverage or fsLR32k; by default the one that MOVING says.")
-    ] = None,
-    feature_weight: Annotated[
-        list[float] | None,
-        typer.Option(
-            metavar="NUMBER",
-            help="What a feature counts, in their order (sulcal depth, curvature if none are given): repeat for all.",
-        ),
-    ] = None,
-    landmarks: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="A table of points and curves on both sides: columns label, side, vertex or x, y, z, and weight.",
-        ),
-    ] = None,
+    to: Annotated[str | None, typer.Option(metavar="TARGET", callback=input_file)] = None,
+    hemisphere: Annotated[Side | None, named(Side)] = None,
+    feature_weight: list[float] | None = None,
+    landmarks: Path | None = None,
     extras: Extras,
     strength: Strength,
     printing: Printing,
@@ -177,6 +145,14 @@ def run(
     Features are sulcal depth and curvature of both surfaces, or those given. The warp begins at the rotation under
     which they agree best, flips no triangle, and strains none more than --max-strain. Where the next best rotation
     agrees nearly as well the start is doubtful: several are tried, and the output says so.
+
+    Options:
+        to: A map, a template, fsaverage5, fsaverage, fsLR32k, or a sphere with its surface or features; -.
+        hemisphere: Of fsaverage5, fsaverage or fsLR32k; by default the one that MOVING says.
+        feature_weight (NUMBER): What a feature counts, in their order (sulcal depth, curvature if none are given):
+            repeat for all.
+        landmarks (FILE): A table of points and curves on both sides: columns label, side, vertex or x, y, z, and
+            weight.
     """
     from omtwarp.mesh.neuro import structure_of
     from omtwarp.registration import register

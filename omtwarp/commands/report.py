@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from omtwarp.commands._options import (
     ImageOption,
     PatternOption,
@@ -23,19 +21,21 @@ from omtwarp.files.output import check_output
 
 def run(
     *,
-    output: Annotated[
-        Path,
-        output_option("The page (.html), with everything in it; a directory for several meshes.", ".html"),
-    ],
+    output: Annotated[Path, output_option(".html")],
     source: Source,
     image: ImageOption = None,
     pattern: PatternOption = None,
-    title: Annotated[str | None, typer.Option(help="Heading of the page; the mesh's name by default.")] = None,
+    title: str | None = None,
     up: UpOption = None,
     mapping: RouteOptions,
     printing: Printing,
 ) -> None:
-    """Write a page about a map: 3D view, pictures, distortion, cost, stages and certificate in one HTML file."""
+    """Write a page about a map: 3D view, pictures, distortion, cost, stages and certificate in one HTML file.
+
+    Options:
+        output: The page (.html), with everything in it; a directory for several meshes.
+        title: Heading of the page; the mesh's name by default.
+    """
     from omtwarp.render import gl_client
 
     gl_client.prepare()  # its process starts while others are imported and the map is read

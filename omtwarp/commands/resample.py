@@ -25,12 +25,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Extras:
-    """What is written beside the data."""
+    """What is written beside the data.
 
-    sphere: Annotated[Path | None, typer.Option(metavar="MESH", help="Write the target sphere as well.")] = None
-    matrix: Annotated[
-        Path | None, typer.Option(metavar="NPZ", help="Write the sparse matrix, for scipy.sparse.load_npz.")
-    ] = None
+    Options:
+        sphere (MESH): Write the target sphere as well.
+        matrix (NPZ): Write the sparse matrix, for scipy.sparse.load_npz.
+    """
+
+    sphere: Path | None = None
+    matrix: Path | None = None
 
     def check(self, *inputs: Path | None) -> None:
         """Make sure that both can be written and replace no input.
@@ -57,19 +60,15 @@ class Extras:
 
 @dataclass(frozen=True)
 class Given:
-    """The data that are carried, none where the surface itself is."""
+    """The data that are carried, none where the surface itself is.
 
-    data: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            callback=input_file,
-            help="Data at SOURCE's points: .npy, GIFTI, .annot, curv, .ply; - is standard input.",
-        ),
-    ] = None
-    labels: Annotated[
-        bool, typer.Option("--labels", help="Treat the data as labels; GIFTI and .annot files are recognised.")
-    ] = False
+    Options:
+        data: Data at SOURCE's points: .npy, GIFTI, .annot, curv, .ply; - is standard input.
+        labels: Treat the data as labels; GIFTI and .annot files are recognised.
+    """
+
+    data: Annotated[Path | None, typer.Option(metavar="FILE", callback=input_file)] = None
+    labels: bool = False
 
     def read(self, source: Path | None, target: Path | None) -> VertexData | None:
         """Read the data; where their file does not say what part of the brain they are of, the source does.
@@ -90,38 +89,14 @@ class Given:
 
 def run(
     *,
-    source: Annotated[
-        str,
-        typer.Argument(
-            metavar="SOURCE",
-            callback=input_file,
-            help="A map (.npz), a sphere as a mesh, or a grid such as fsaverage5; - is standard input.",
-        ),
-    ],
-    to: Annotated[
-        str,
-        typer.Option(
-            metavar="TARGET",
-            callback=input_file,
-            help="A map, a sphere, ico0..ico8, fsaverage3..7, fsLR32k, healpix:NSIDE, equiangular:HxW, octahedral:N.",
-        ),
-    ],
-    output: Annotated[
-        Path,
-        output_option("The data at the target; without --data the surface; - is standard output, .npy or .ply."),
-    ],
+    source: Annotated[str, typer.Argument(metavar="SOURCE", callback=input_file)],
+    to: Annotated[str, typer.Option(metavar="TARGET", callback=input_file)],
+    output: Annotated[Path, output_option()],
     given: Given,
-    method: Annotated[
-        Interpolation | None,
-        named(Interpolation, "How; barycentric by default, and conservative (largest overlap) for labels."),
-    ] = None,
-    surface: Annotated[
-        Path | None, typer.Option(metavar="MESH", help="The surface of SOURCE, where SOURCE is a sphere without one.")
-    ] = None,
+    method: Annotated[Interpolation | None, named(Interpolation)] = None,
+    surface: Path | None = None,
     extras: Extras,
-    hemisphere: Annotated[
-        Side | None, named(Side, "Of fsLR32k; by default the one that SOURCE or the data say.")
-    ] = None,
+    hemisphere: Annotated[Side | None, named(Side)] = None,
     device: Device = MapOptions.device,
     printing: Printing,
 ) -> None:
@@ -129,6 +104,14 @@ def run(
 
     Both spheres are taken in the position they are in: see 'omtwarp align'. Conservative resampling keeps integrals,
     bounds and signs. Without --data the surface is written with the target's triangles: the same mesh for all subjects.
+
+    Options:
+        source: A map (.npz), a sphere as a mesh, or a grid such as fsaverage5; - is standard input.
+        to: A map, a sphere, ico0..ico8, fsaverage3..7, fsLR32k, healpix:NSIDE, equiangular:HxW, octahedral:N.
+        output: The data at the target; without --data the surface; - is standard output, .npy or .ply.
+        method: How; barycentric by default, and conservative (largest overlap) for labels.
+        surface (MESH): The surface of SOURCE, where SOURCE is a sphere without one.
+        hemisphere: Of fsLR32k; by default the one that SOURCE or the data say.
     """
     from omtwarp.mesh.data import DATA_SUFFIXES
     from omtwarp.mesh.neuro import require_same_structure, structure_of

@@ -29,21 +29,12 @@ class Fit(StrEnum):
 
 def run(
     *,
-    output: Annotated[
-        Path,
-        output_option(
-            ".coef as SPHARM-PDM has it, .csv, or .npz with everything; - is standard output, as .csv.", ".csv"
-        ),
-    ],
+    output: Annotated[Path, output_option(".csv")],
     mesh: OptionalMesh = None,
     finished: MapOption = None,
-    degree: Annotated[int, typer.Option(metavar="L", min=0, max=500, help="Highest degree of the harmonics.")] = 15,
-    fit: Annotated[
-        Fit, typer.Option(help="How to fit: least squares at the vertices, or integrals over the triangles.")
-    ] = (Fit.LEAST_SQUARES),
-    reconstruction: Annotated[
-        Path | None, typer.Option(metavar="MESH", help="Also write the surface that the coefficients describe.")
-    ] = None,
+    degree: Annotated[int, typer.Option(metavar="L", min=0, max=500)] = 15,
+    fit: Fit = Fit.LEAST_SQUARES,
+    reconstruction: Path | None = None,
     repair: RepairOption = False,
     device: Device = MapOptions.device,
     printing: Printing,
@@ -54,6 +45,12 @@ def run(
 
     Harmonics are real and orthonormal, without the Condon-Shortley phase; a .coef file has SPHARM-PDM's own order and
     signs.
+
+    Options:
+        output: .coef as SPHARM-PDM has it, .csv, or .npz with everything; - is standard output, as .csv.
+        degree: Highest degree of the harmonics.
+        fit: How to fit: least squares at the vertices, or integrals over the triangles.
+        reconstruction (MESH): Also write the surface that the coefficients describe.
     """
     import numpy as np
 

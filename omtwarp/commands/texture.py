@@ -52,45 +52,39 @@ def sides_of(text: str | None) -> int | tuple[int, int] | None:
 
 @dataclass(frozen=True)
 class Look:
-    """The options that :func:`omtwarp.texture` and :func:`omtwarp.paint` share, by their names there."""
+    """The options that :func:`omtwarp.texture` and :func:`omtwarp.paint` share, by their names there.
 
-    pattern: Annotated[PatternName | None, typer.Option(help="A pattern instead of a picture.")] = None
-    projection: Annotated[
-        ProjectionName,
-        typer.Option(help="How the picture covers the sphere; sinusoidal for pictures not made for one."),
-    ] = ProjectionName.EQUIRECTANGULAR
-    atlas: Annotated[
-        AtlasName, typer.Option(help="Layout of the texture; equirectangular for tools that expect one.")
-    ] = AtlasName.CUBE
-    rotate: Annotated[
-        str, typer.Option(metavar="YAW[,PITCH,ROLL]|auto", help="Turn the texture on the sphere, in degrees.")
-    ] = ""
+    Options:
+        pattern: A pattern instead of a picture.
+        projection: How the picture covers the sphere; sinusoidal for pictures not made for one.
+        atlas: Layout of the texture; equirectangular for tools that expect one.
+        rotate (YAW[,PITCH,ROLL]|auto): Turn the texture on the sphere, in degrees.
+    """
+
+    pattern: PatternName | None = None
+    projection: ProjectionName = ProjectionName.EQUIRECTANGULAR
+    atlas: AtlasName = AtlasName.CUBE
+    rotate: str = ""
 
 
 @dataclass(frozen=True)
 class Painting:
-    """The options that :func:`omtwarp.paint` has in addition."""
+    """The options that :func:`omtwarp.paint` has in addition.
 
-    uv: Annotated[
-        Coordinates,
-        typer.Option("--uv", help="Texture coordinates; own are the mesh's, with a picture for each material."),
-    ] = Coordinates.ATLAS
-    keep_materials: Annotated[
-        Keep | None, typer.Option(help="Lay the pattern over the mesh's materials, or under them.")
-    ] = None
-    opacity: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Opacity of the upper layer, times its own, with --keep-materials.")
-    ] = 0.5
-    bake: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="normal|ao|curvature|area|FILE",
-            help="What to bake: ao into the occlusion, normals of --detail into the normal map, others as the colour.",
-        ),
-    ] = None
-    detail: Annotated[
-        Path | None, typer.Option(metavar="MESH", help="A finer mesh of the surface, for --bake normal.")
-    ] = None
+    Options:
+        uv: Texture coordinates; own are the mesh's, with a picture for each material.
+        keep_materials: Lay the pattern over the mesh's materials, or under them.
+        opacity: Opacity of the upper layer, times its own, with --keep-materials.
+        bake (normal|ao|curvature|area|FILE): What to bake: ao into the occlusion, normals of --detail into the normal
+            map, others as the colour.
+        detail (MESH): A finer mesh of the surface, for --bake normal.
+    """
+
+    uv: Annotated[Coordinates, typer.Option("--uv")] = Coordinates.ATLAS
+    keep_materials: Keep | None = None
+    opacity: Annotated[float, typer.Option(min=0.0, max=1.0)] = 0.5
+    bake: list[str] | None = None
+    detail: Path | None = None
 
     @property
     def of_the_mesh(self) -> bool:
@@ -100,24 +94,18 @@ class Painting:
 
 @dataclass(frozen=True)
 class Picture:
-    """The options of the pictures that are written, and how the surface stands."""
+    """The options of the pictures that are written, and how the surface stands.
+
+    Options:
+        seam (LONGITUDE|auto): Where an equirectangular texture is cut, in degrees.
+        size: Width; auto: no texel shows at 1024 pixels, up to 8192; the default for patterns, up to 4096.
+        texture_format: Encoding of the pictures of a .glb; webp is smaller, and fewer viewers read it.
+    """
 
     image: ImageOption = None
-    seam: Annotated[
-        str, typer.Option(metavar="LONGITUDE|auto", help="Where an equirectangular texture is cut, in degrees.")
-    ] = "180"
-    size: Annotated[
-        str | None,
-        typer.Option(
-            metavar="TEXELS|WxH|auto",
-            callback=texture_width,
-            help="Width; auto: no texel shows at 1024 pixels, up to 8192; the default for patterns, up to 4096.",
-        ),
-    ] = None
-    texture_format: Annotated[
-        TextureFormat,
-        typer.Option(help="Encoding of the pictures of a .glb; webp is smaller, and fewer viewers read it."),
-    ] = TextureFormat.PNG
+    seam: str = "180"
+    size: Annotated[str | None, typer.Option(metavar="TEXELS|WxH|auto", callback=texture_width)] = None
+    texture_format: TextureFormat = TextureFormat.PNG
     up: UpOption = None
     front: FrontOption = None
 
@@ -149,10 +137,7 @@ class Picture:
 
 def run(
     *,
-    output: Annotated[
-        Path,
-        output_option(".glb, .obj (with .mtl and .png) or .ply; a directory of .glb for several meshes.", ".glb"),
-    ],
+    output: Annotated[Path, output_option(".glb")],
     source: Source,
     look: Look,
     painting: Painting,
@@ -163,6 +148,9 @@ def run(
     """Texture a surface through its map to the sphere, with a picture or a pattern.
 
     Of a map to a torus the texture closes up both ways: a picture that repeats, circles or a checker.
+
+    Options:
+        output: .glb, .obj (with .mtl and .png) or .ply; a directory of .glb for several meshes.
     """
     from omtwarp.texturing import read_image, texture
     from omtwarp.texturing.atlas import check_size

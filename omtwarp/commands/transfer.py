@@ -17,35 +17,34 @@ from omtwarp.options import AtlasName, Coordinates, Device, MapOptions
 
 def run(
     *,
-    source: Annotated[
-        Path, typer.Argument(metavar="FROM", callback=input_file, help="A mesh with a texture or colours, or -.")
-    ],
-    target: Annotated[
-        Path, typer.Argument(metavar="TO", callback=input_file, help="The mesh that gets the texture, or -.")
-    ],
-    output: Annotated[Path, output_option(".glb or .obj.", ".glb")],
+    source: Annotated[Path, typer.Argument(metavar="FROM", callback=input_file)],
+    target: Annotated[Path, typer.Argument(metavar="TO", callback=input_file)],
+    output: Annotated[Path, output_option(".glb")],
     printing: Printing,
-    map_of_source: Annotated[
-        Path | None, typer.Option("--map-from", metavar="NPZ", callback=input_file, help="A finished map of FROM.")
-    ] = None,
-    map_of_target: Annotated[
-        Path | None, typer.Option("--map-to", metavar="NPZ", callback=input_file, help="A finished map of TO.")
-    ] = None,
-    aligned: Annotated[
-        bool, typer.Option("--aligned", help="The maps are aligned already; do not rotate them.")
-    ] = False,
-    mirror: Annotated[
-        bool, typer.Option("--mirror", help="Also try TO's mirror image, and take it if it fits better.")
-    ] = False,
-    uv: Annotated[
-        Coordinates, typer.Option("--uv", help="Texture coordinates; own are those of TO.")
-    ] = Coordinates.ATLAS,
-    atlas: Annotated[AtlasName, typer.Option(help="Layout of the texture, where --uv is not own.")] = AtlasName.CUBE,
-    size: Annotated[int | None, typer.Option(min=16, help="Width of the texture in texels.")] = None,
+    map_of_source: Annotated[Path | None, typer.Option("--map-from", metavar="NPZ", callback=input_file)] = None,
+    map_of_target: Annotated[Path | None, typer.Option("--map-to", metavar="NPZ", callback=input_file)] = None,
+    aligned: bool = False,
+    mirror: bool = False,
+    uv: Annotated[Coordinates, typer.Option("--uv")] = Coordinates.ATLAS,
+    atlas: AtlasName = AtlasName.CUBE,
+    size: Annotated[int | None, typer.Option(min=16)] = None,
     repair: RepairOption = False,
     device: Device = MapOptions.device,
 ) -> None:
-    """Carry the texture of one mesh over to another, each mapped to the sphere and the two aligned."""
+    """Carry the texture of one mesh over to another, each mapped to the sphere and the two aligned.
+
+    Options:
+        source: A mesh with a texture or colours, or -.
+        target: The mesh that gets the texture, or -.
+        output: .glb or .obj.
+        map_of_source: A finished map of FROM.
+        map_of_target: A finished map of TO.
+        aligned: The maps are aligned already; do not rotate them.
+        mirror: Also try TO's mirror image, and take it if it fits better.
+        uv: Texture coordinates; own are those of TO.
+        atlas: Layout of the texture, where --uv is not own.
+        size: Width of the texture in texels.
+    """
     from omtwarp.transfer import transfer_texture
 
     check_output(output, (".glb", ".obj"), source, target, map_of_source, map_of_target)

@@ -17,23 +17,22 @@ from omtwarp.options import MapOptions
 
 def run(
     *,
-    output: Annotated[
-        Path,
-        output_option(".glb or .obj; a directory of .glb for several meshes.", ".glb"),
-    ],
+    output: Annotated[Path, output_option(".glb")],
     source: Source,
-    aspect: Annotated[
-        float, typer.Option(min=0.1, max=10.0, help="Width of the picture over its height; 1.5 wastes no space.")
-    ] = 1.0,
-    margin: Annotated[
-        float, typer.Option(min=0.0, max=0.1, help="Margin around each chart, in heights of the picture.")
-    ] = 1.0 / 128.0,
+    aspect: Annotated[float, typer.Option(min=0.1, max=10.0)] = 1.0,
+    margin: Annotated[float, typer.Option(min=0.0, max=0.1)] = 1.0 / 128.0,
     up: UpOption = None,
     front: FrontOption = None,
     mapping: Annotated[MapOptions, Only(("refine", "device"))],
     printing: Printing,
 ) -> None:
-    """Give a mesh texture coordinates through its map, for programs that paint or bake: no cuts, no texture."""
+    """Give a mesh texture coordinates through its map, for programs that paint or bake: no cuts, no texture.
+
+    Options:
+        output: .glb or .obj; a directory of .glb for several meshes.
+        aspect: Width of the picture over its height; 1.5 wastes no space.
+        margin: Margin around each chart, in heights of the picture.
+    """
     from omtwarp.texturing.unwrap import laid_out
 
     targets = targets_of(source, output, ".glb")
