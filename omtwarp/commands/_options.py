@@ -232,6 +232,27 @@ class Source:
 
 
 @dataclass(frozen=True)
+class Shown:
+    """A picture or a pattern on the sphere."""
+
+    image: ImageOption = None
+    pattern: PatternOption = None
+
+    def read(self) -> dict:
+        """Read the picture; return it and the pattern as functions take them.
+
+        Raises:
+            OmtwarpError: both are given, or the picture cannot be read.
+        """
+        from omtwarp.texturing import read_image
+
+        if self.image is not None and self.pattern is not None:
+            raise OmtwarpError("both --image and --pattern: give one")
+        picture = None if self.image is None else read_image(self.image)
+        return {"image": picture, "pattern": self.pattern or PatternName.CIRCLES}
+
+
+@dataclass(frozen=True)
 class Printing:
     """What a command says about its work."""
 

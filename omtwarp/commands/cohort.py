@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -36,21 +37,41 @@ def parse_shard(text: str) -> tuple[int, int]:
     return int(part), int(parts)
 
 
+@dataclass(frozen=True)
+class Running:
+    """How items are computed: options of :func:`omtwarp.cohort.run_cohort`, by their names there.
+
+    Options:
+        executor (local|dask|dask:ADDRESS|slurm|submitit-local): Engine that runs the work: processes of this machine,
+            or a cluster.
+        workers: Number of items at the same time; one for each core by default.
+        time_limit (SECONDS): Seconds after which an item counts as failed.
+        memory_limit (GIB): GiB of memory that an item may allocate, on Linux; 0 for no limit.
+        retry: Compute failed items again.
+        collect: Compute nothing; write the table and the page.
+        fill_area: Fill holes, on the sphere as large as they are or small; the filling is in the .npz only.
+        register (TARGET|group): Register every map, to a map, template or fsaverage5-left or -right, or all to one of
+            the group.
+    """
+
+    executor: str = "local"
+    workers: Annotated[int | None, typer.Option(metavar="N", min=1)] = None
+    time_limit: float = 3600.0
+    memory_limit: float = 0.0
+    retry: bool = False
+    collect: bool = False
+    fill_area: Annotated[FillArea | None, named(FillArea)] = None
+    register: str | None = None
+    repair: RepairOption = False
+
+
 def run(
     *,
     manifest: Annotated[str, typer.Argument(metavar="MANIFEST")],
     output: Annotated[Path, output_option(metavar="DIR")],
-    executor: str = "local",
-    workers: Annotated[int | None, typer.Option(metavar="N", min=1)] = None,
     shard: str = "1/1",
-    time_limit: float = 3600.0,
-    memory_limit: float = 0.0,
-    retry: bool = False,
-    collect: bool = False,
+    running: Running,
     mapping: Annotated[MapOptions, Only((*ROUTE, "optimality"))],
-    fill_area: Annotated[FillArea | None, named(FillArea)] = None,
-    register: str | None = None,
-    repair: RepairOption = False,
     printing: Printing,
 ) -> None:
     """Map many surfaces: one process each, with limits; failures are rows of the table; a rerun continues.
@@ -59,19 +80,9 @@ def run(
     --register group the template and registered maps in registered/.
 
     Options:
-        fill_area: Fill holes, on the sphere as large as they are or small; the filling is in the .npz only.
         manifest: A table with a column 'path' (- is standard input), a folder, or a pattern in quotes.
         output: Folder of the results.
-        executor (local|dask|dask:ADDRESS|slurm|submitit-local): Engine that runs the work: processes of this machine,
-            or a cluster.
-        workers: Number of items at the same time; one for each core by default.
         shard (I/N): Compute every N-th item only, beginning with the I-th.
-        time_limit (SECONDS): Seconds after which an item counts as failed.
-        memory_limit (GIB): GiB of memory that an item may allocate, on Linux; 0 for no limit.
-        retry: Compute failed items again.
-        collect: Compute nothing; write the table and the page.
-        register (TARGET|group): Register every map, to a map, template or fsaverage5-left or -right, or all to one of
-            the group.
     """
     from omtwarp.cohort import read_manifest, run_cohort
 
@@ -79,22 +90,7 @@ def run(
     with warnings_as_lines():
         items = read_manifest(input_table(manifest))
     with _ended_when_interrupted(), _reporting(printing.quiet, printing.verbose) as progress:
-        result = run_cohort(
-            items,
-            output,
-            executor=executor,
-            workers=workers,
-            shard=part,
-            time_limit=time_limit,
-            memory_limit=memory_limit,
-            retry=retry,
-            collect=collect,
-            progress=progress,
-            repair=repair,
-            fill_area=fill_area,
-            register=register,
-            **vars(mapping),
-        )
+        result = run_cohort(items, output, shard=part, progress=progress, **vars(running), **vars(mapping))
     counts = ", ".join(f"{count} {status}" for status, count in sorted(result.counts.items()))
     line = f"{result.table}: {counts}; {result.computed} computed in this run; {result.page}"
     show_facts(vars(result) | {"table": str(result.table), "page": str(result.page)}, line, printing)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -13,10 +14,9 @@ from omtwarp.commands._options import (
     BackendOption,
     BackgroundOption,
     FrontOption,
-    ImageOption,
     Only,
-    PatternOption,
     Printing,
+    Shown,
     Source,
     UpOption,
     as_size,
@@ -25,7 +25,6 @@ from omtwarp.commands._options import (
 )
 from omtwarp.commands._streams import progress_bar
 from omtwarp.commands._work import map_from, show_each, start_device, targets_of
-from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output
 from omtwarp.options import Backend, MapOptions
 
@@ -37,21 +36,34 @@ def film_size(text: str | None) -> str | None:
     return None if text is None else picture_size(text)
 
 
+@dataclass(frozen=True)
+class Look:
+    """How a film shows a map: options of :func:`omtwarp.film`, by their names there.
+
+    Options:
+        view (NAME|AZIMUTH,ELEVATION): Direction of view, as for preview.
+        seconds: Length in seconds; by default as long as smooth motion needs.
+        fps: Frames per second; 30 by default, 20 for .gif and .webp.
+        captions: Name what is seen below the picture.
+    """
+
+    view: str = "three-quarter"
+    up: UpOption = None
+    front: FrontOption = None
+    background: BackgroundOption = "white"
+    seconds: float | None = None
+    fps: float | None = None
+    captions: Annotated[bool, typer.Option()] = True
+    backend: BackendOption = Backend.AUTO
+
+
 def run(
     *,
     output: Annotated[Path, output_option(".gif")],
     source: Source,
-    image: ImageOption = None,
-    pattern: PatternOption = None,
+    shown: Shown,
     size: Annotated[str | None, typer.Option(metavar="WIDTHxHEIGHT", callback=film_size)] = None,
-    view: str = "three-quarter",
-    up: UpOption = None,
-    front: FrontOption = None,
-    background: BackgroundOption = "white",
-    seconds: float | None = None,
-    fps: float | None = None,
-    captions: Annotated[bool, typer.Option()] = True,
-    backend: BackendOption = Backend.AUTO,
+    look: Look,
     mapping: Annotated[MapOptions, Only(name for name in ROUTE if name != "until")],
     printing: Printing,
 ) -> None:
@@ -62,23 +74,16 @@ def run(
     Options:
         output: .mp4 (needs ffmpeg), .gif or .webp; a directory of .gif for several meshes.
         size: Size in pixels; 1920x1080 by default, 640x360 for .gif and .webp.
-        view (NAME|AZIMUTH,ELEVATION): Direction of view, as for preview.
-        seconds: Length in seconds; by default as long as smooth motion needs.
-        fps: Frames per second; 30 by default, 20 for .gif and .webp.
-        captions: Name what is seen below the picture.
     """
     from omtwarp.render.films import film
     from omtwarp.render.output import check_target
-    from omtwarp.texturing import read_image
 
     targets = targets_of(source, output, ".gif")
     for target in targets:
-        check_output(target, FILMS, *source.files, image)
+        check_output(target, FILMS, *source.files, shown.image)
         check_target(target, film=True, transparent=False)
-    if image is not None and pattern is not None:
-        raise OmtwarpError("both --image and --pattern: give one")
     start_device(mapping.device)
-    picture = read_image(image) if image is not None else None
+    picture = shown.read()
 
     def film_one(mesh: Path | None, target: Path) -> tuple[dict[str, object], str]:
         result = map_from(mesh, source, mapping, printing)
@@ -95,19 +100,11 @@ def run(
             film(
                 result,
                 target,
-                pattern=pattern.value if pattern else "circles",
-                image=picture,
                 size=None if size is None else as_size(size),
-                fps=fps,
-                seconds=seconds,
-                view=view,
-                up=up,
-                front=front,
-                background=background,
-                captions=captions,
-                backend=backend.value,
                 device=mapping.device,
                 progress=notify,
+                **picture,
+                **vars(look),
             )
         length = target.stat().st_size
         drawn = time.perf_counter() - begun

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -20,18 +21,35 @@ if TYPE_CHECKING:
     from omtwarp.shape_analysis.group import GroupStudy
 
 
+@dataclass(frozen=True)
+class Study:
+    """What is computed: options of :func:`omtwarp.shape_analysis.study_group`, by their names there.
+
+    Options:
+        grid (GRID): Sphere whose points are compared.
+        components: Largest number of principal components.
+        degree: Highest degree of the harmonics in distances.
+        scale: Scale all shapes to the same size.
+        permutations: Number of permutations that test differences.
+        seed: Seed of the random permutations.
+        transport: Also compute transport distances of all pairs.
+    """
+
+    grid: str = "ico4"
+    components: Annotated[int, typer.Option(metavar="N", min=1)] = 5
+    degree: Annotated[int, typer.Option(metavar="L", min=1, max=64)] = 12
+    scale: bool = False
+    permutations: Annotated[int, typer.Option(metavar="N", min=1)] = 999
+    seed: Annotated[int, typer.Option(metavar="N", min=0)] = 0
+    transport: bool = False
+
+
 def run(
     *,
     sources: Annotated[list[str], typer.Argument(metavar="MANIFEST|MAPS")],
     output: Annotated[Path, output_option(metavar="DIR")],
-    grid: str = "ico4",
-    components: Annotated[int, typer.Option(metavar="N", min=1)] = 5,
-    degree: Annotated[int, typer.Option(metavar="L", min=1, max=64)] = 12,
-    scale: bool = False,
-    permutations: Annotated[int, typer.Option(metavar="N", min=1)] = 999,
-    seed: Annotated[int, typer.Option(metavar="N", min=0)] = 0,
     covariate: list[str] | None = None,
-    transport: bool = False,
+    study: Study,
     device: Device = MapOptions.device,
     printing: Printing,
 ) -> None:
@@ -44,14 +62,7 @@ def run(
     Options:
         sources: A table with the columns 'path' and 'group' (- is standard input), a cohort's folder, or maps.
         output: Folder of the results.
-        grid (GRID): Sphere whose points are compared.
-        components: Largest number of principal components.
-        degree: Highest degree of the harmonics in distances.
-        scale: Scale all shapes to the same size.
-        permutations: Number of permutations that test differences.
-        seed: Seed of the random permutations.
         covariate (COLUMN): A column of the table that may explain differences, such as age or site: repeat.
-        transport: Also compute transport distances of all pairs.
     """
     from omtwarp.shape_analysis.group import GROUP, mirrored_words, study_group, table_of
     from omtwarp.shape_analysis.group_report import write_group_report
@@ -70,27 +81,15 @@ def run(
         pass
     with progress_bar(printing.quiet, printing.verbose) as progress, warnings.catch_warnings():
         warnings.simplefilter("ignore", OmtwarpWarning)  # said below, with the names
-        study = study_group(
-            list(map(load_whole_map, paths)),
-            labels,
-            covariates=covariates,
-            grid=grid,
-            components=components,
-            scale=scale,
-            degree=degree,
-            permutations=permutations,
-            seed=seed,
-            transport=transport,
-            device=device,
-            progress=progress,
-        )
+        maps, asked = list(map(load_whole_map, paths)), vars(study)
+        found = study_group(maps, labels, covariates=covariates, device=device, progress=progress, **asked)
         with folder_of_results(output):
-            files = write_group_report(study, output, names, labels, covariates, _of_one_structure(paths))
-    mirrored = mirrored_words(study.alignment, names)
+            files = write_group_report(found, output, names, labels, covariates, _of_one_structure(paths))
+    mirrored = mirrored_words(found.alignment, names)
     if mirrored:
         say(f"warning: {mirrored}")
     facts = {"output": str(output), "files": [file.name for file in files], "shapes": len(paths)}
-    show_facts(facts | _findings(study, names), _line(study, output), printing)
+    show_facts(facts | _findings(found, names), _line(found, output), printing)
 
 
 def _findings(study: GroupStudy, names: Sequence[str]) -> dict[str, object]:

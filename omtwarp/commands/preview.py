@@ -82,6 +82,17 @@ class Look:
     wireframe: bool = False
 
 
+@dataclass(frozen=True)
+class Standing:
+    """How the surface stands.
+
+    Options:
+    """
+
+    up: UpOption = None
+    front: FrontOption = None
+
+
 def run(
     *,
     output: Annotated[Path, output_option(".png")],
@@ -90,8 +101,7 @@ def run(
     size: SizeOption = DEFAULT_SIZE,
     view: list[str] | None = None,
     lens: Lens,
-    up: UpOption = None,
-    front: FrontOption = None,
+    standing: Standing,
     look: Look,
     image: Path | None = None,
     frames: Annotated[int | None, typer.Option(min=1)] = None,
@@ -133,17 +143,13 @@ def run(
                 size=as_size(size),
                 views=(view[0] if len(view) == 1 else view) if view else None,
                 camera=lens.camera(),
-                up=up,
-                front=front,
-                light=look.light.value,
-                background=look.background,
-                transparent=look.transparent,
-                wireframe=look.wireframe,
                 image=image,
                 frames=frames,
                 fps=fps,
-                backend=backend.value,
+                backend=backend,
                 device=device,
+                **vars(standing),
+                **vars(look),
             )
             done("draw")
         first, count = (drawn[0], len(drawn)) if isinstance(drawn, list) else (drawn, 1)

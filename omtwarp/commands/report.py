@@ -6,16 +6,14 @@ from pathlib import Path
 from typing import Annotated
 
 from omtwarp.commands._options import (
-    ImageOption,
-    PatternOption,
     Printing,
     RouteOptions,
+    Shown,
     Source,
     UpOption,
     output_option,
 )
 from omtwarp.commands._work import map_from, show_each, start_device, targets_of
-from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output
 
 
@@ -23,8 +21,7 @@ def run(
     *,
     output: Annotated[Path, output_option(".html")],
     source: Source,
-    image: ImageOption = None,
-    pattern: PatternOption = None,
+    picture: Shown,
     title: str | None = None,
     up: UpOption = None,
     mapping: RouteOptions,
@@ -41,17 +38,14 @@ def run(
     gl_client.prepare()  # its process starts while others are imported and the map is read
     from omtwarp.render.camera import axis_vector
     from omtwarp.reporting import write_report
-    from omtwarp.texturing import read_image
 
     targets = targets_of(source, output, ".html")
     for target in targets:
-        check_output(target, (".html", ".htm"), *source.files, image)
-    if image is not None and pattern is not None:
-        raise OmtwarpError("both --image and --pattern: give one")
+        check_output(target, (".html", ".htm"), *source.files, picture.image)
     if up is not None:
         axis_vector(up)
     start_device(mapping.device)
-    picture = read_image(image) if image is not None else None
+    keywords = picture.read()
 
     def report_one(mesh: Path | None, target: Path) -> tuple[dict[str, object], str]:
         result, shown = map_from(mesh, source, mapping, printing), mesh or source.finished
@@ -59,18 +53,13 @@ def run(
             result,
             target,
             title=title or (shown.stem if shown is not None else None),
-            image=picture,
-            pattern=pattern.value if pattern else "circles",
             up=up,
             device=mapping.device,
+            **keywords,
         )
         length = target.stat().st_size
-        facts: dict[str, object] = {
-            "output": str(target),
-            "bytes": length,
-            "vertices": len(result.vertices),
-            "faces": len(result.faces),
-        }
+        facts: dict[str, object] = {"output": str(target), "bytes": length}
+        facts |= {"vertices": len(result.vertices), "faces": len(result.faces)}
         return facts, f"{target}: a report of {length / 1e6:.1f} MB, to be opened in a browser"
 
     show_each(source.meshes, targets, report_one, printing)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -15,6 +16,25 @@ from omtwarp.files.output import check_output
 from omtwarp.options import AtlasName, Coordinates, Device, MapOptions
 
 
+@dataclass(frozen=True)
+class How:
+    """Options of :func:`omtwarp.transfer_texture`, by their names there.
+
+    Options:
+        aligned: The maps are aligned already; do not rotate them.
+        mirror: Also try TO's mirror image, and take it if it fits better.
+        uv: Texture coordinates; own are those of TO.
+        atlas: Layout of the texture, where --uv is not own.
+        size: Width of the texture in texels.
+    """
+
+    aligned: bool = False
+    mirror: bool = False
+    uv: Annotated[Coordinates, typer.Option("--uv")] = Coordinates.ATLAS
+    atlas: AtlasName = AtlasName.CUBE
+    size: Annotated[int | None, typer.Option(min=16)] = None
+
+
 def run(
     *,
     source: Annotated[Path, typer.Argument(metavar="FROM", callback=input_file)],
@@ -23,11 +43,7 @@ def run(
     printing: Printing,
     map_of_source: Annotated[Path | None, typer.Option("--map-from", metavar="NPZ", callback=input_file)] = None,
     map_of_target: Annotated[Path | None, typer.Option("--map-to", metavar="NPZ", callback=input_file)] = None,
-    aligned: bool = False,
-    mirror: bool = False,
-    uv: Annotated[Coordinates, typer.Option("--uv")] = Coordinates.ATLAS,
-    atlas: AtlasName = AtlasName.CUBE,
-    size: Annotated[int | None, typer.Option(min=16)] = None,
+    how: How,
     repair: RepairOption = False,
     device: Device = MapOptions.device,
 ) -> None:
@@ -39,11 +55,6 @@ def run(
         output: .glb or .obj.
         map_of_source: A finished map of FROM.
         map_of_target: A finished map of TO.
-        aligned: The maps are aligned already; do not rotate them.
-        mirror: Also try TO's mirror image, and take it if it fits better.
-        uv: Texture coordinates; own are those of TO.
-        atlas: Layout of the texture, where --uv is not own.
-        size: Width of the texture in texels.
     """
     from omtwarp.transfer import transfer_texture
 
@@ -52,18 +63,7 @@ def run(
         [(source, map_of_source), (target, map_of_target)], repair=repair, device=device, printing=printing
     )
     with warnings_as_lines():
-        made = transfer_texture(
-            painted,
-            result,
-            other,
-            onto=plain,
-            uv=uv.value,
-            aligned=aligned,
-            mirror=mirror,
-            atlas=atlas.value,
-            size=size,
-            device=device,
-        )
+        made = transfer_texture(painted, result, other, onto=plain, device=device, **vars(how))
     files = made.export(output, keep=(source, target, map_of_source, map_of_target))
     facts: dict[str, object] = {"output": str(output), "files": [str(file) for file in files], "from": str(source)}
     facts |= {"vertices": len(other.vertices), "faces": len(other.faces)}
