@@ -15,14 +15,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from omtwarp.benchmark.tables import Facts
 from omtwarp.device.graphs import step_by_step
 from omtwarp.device.start import wp
 from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mesh.surface import Surface
-from omtwarp.transport.flow import CURL_TOLERANCE, _Flow
 
 # Kernels that work through a list whose length only the device knows: next to nothing, and counted as nothing.
 LISTED = ("omtwarp.flips.guard_kernels.find_bad_around", "omtwarp.flips.guard_kernels.shorten_steps")
@@ -154,14 +152,11 @@ def kernel_table(surface: Surface, device: str, refine: str | float | None) -> F
 
     Returns:
         ``bandwidth`` (bytes per second of a copy), ``kernels``, slowest in all first: ``name``, ``launches``,
-        ``seconds``, ``bytes``, ``bytes_per_second`` and ``part_of_copy``; and ``flow``, of :func:`flow_iterations`.
+        ``seconds``, ``bytes``, ``bytes_per_second`` and ``part_of_copy``.
     """
     bandwidth = copy_bandwidth(device)
     with LaunchRecorder(device) as recorder:
-        mapped = map_to_sphere((surface.vertices, surface.faces), device=device, refine=refine)
-    even = map_to_sphere((surface.vertices, surface.faces), device=device, until="moser", optimality=False).sphere
-    flow = flow_iterations(surface, mapped.conformal, even, device)
-    flow["part_of_copy"] = flow["bytes"] / flow["seconds"] / bandwidth
+        map_to_sphere((surface.vertices, surface.faces), device=device, refine=refine)
     rows: list[Facts] = []
     for name, record in sorted(recorder.kernels.items(), key=lambda item: -item[1].seconds):
         rate = record.moved / record.seconds if record.seconds > 0.0 else 0.0
@@ -176,41 +171,4 @@ def kernel_table(surface: Surface, device: str, refine: str | float | None) -> F
                 "part_of_copy": rate / bandwidth,
             }
         )
-    return {"device": device, "faces": surface.face_count, "bandwidth": bandwidth, "kernels": rows, "flow": flow}
-
-
-def flow_iterations(surface: Surface, start: ArrayLike, initial: ArrayLike, device: str, most: int = 20) -> Facts:
-    """Time an iteration of the transport flow as a map runs it: on CUDA replayed as a graph.
-
-    Args:
-        surface: as in :func:`omtwarp.optimal_transport`, and so are ``start`` and ``initial``.
-        device: a device's name.
-        most: the most iterations.
-
-    Returns:
-        ``iterations``; and of one, a mean of all: ``seconds`` on the wall, ``launches``, and ``bytes`` that its kernels
-        have to move (sorting, copying and clearing arrays not counted).
-    """
-    flow = _Flow(surface, start, initial, "squared", "default", wp.get_device(device))
-    iterations, points = flow.iterations(), wp.clone(flow.points)
-
-    def descend() -> float:
-        wp.copy(flow.points, points)
-        flow.history.clear()
-        wp.synchronize_device(device)
-        begin = time.perf_counter()
-        flow.run(iterations, most, CURL_TOLERANCE)
-        return time.perf_counter() - begin
-
-    with LaunchRecorder(device) as recorder:
-        descend()
-    descend()  # records the graph
-    seconds = descend()
-    count = len(flow.history)
-    launched = recorder.kernels.values()
-    return {
-        "iterations": count,
-        "seconds": seconds / count,
-        "launches": sum(record.launches for record in launched) / count,
-        "bytes": sum(record.moved for record in launched) / count,
-    }
+    return {"device": device, "faces": surface.face_count, "bandwidth": bandwidth, "kernels": rows}

@@ -101,14 +101,8 @@ def _kernels(kernels: Facts) -> str:
         f"Kernels on {kernels['device']}, {kernels['faces']} faces; a plain copy moves "
         f"{kernels['bandwidth'] / 1e9:.0f} GB/s there:"
     )
-    flow = kernels["flow"]
-    text = (
-        f"An iteration of the transport flow: {_number(1e3 * flow['seconds'])} ms, {flow['launches']:.0f} launches, "
-        f"{_number(flow['bytes'] / 1e6)} MB, {100 * flow['part_of_copy']:.0f} % of a copy's rate (mean of "
-        f"{flow['iterations']})."
-    )
     names = ["kernel", "launches", "ms", "MB moved", "GB/s", "of a copy"]
-    return head + "\n\n" + table(names, rows) + "\n\n" + text
+    return head + "\n\n" + table(names, rows)
 
 
 def _first_use(first: dict[str, dict[str, float]]) -> str:
