@@ -13,60 +13,10 @@ import typer
 import omtwarp
 from omtwarp.commands import function_of
 from omtwarp.commands._command import Command, Group
-from omtwarp.commands._options import as_command
+from omtwarp.commands._options import as_command, sections
 from omtwarp.commands._streams import say, standard_streams, warnings_as_lines
 from omtwarp.errors import INTERRUPTED, OmtwarpError, unexpected
 from omtwarp.files.interruptions import LINE, ending_the_process
-
-EXAMPLES = {
-    "map": (
-        "omtwarp map bunny.ply -o bunny.npz\n"
-        "omtwarp map left.ply right.ply -o maps --json\n"
-        "omtwarp map head.ply -o head.npz --weights face.npy --target importance.png\n"
-        "cat bunny.ply | omtwarp map - -o - | omtwarp texture --map - -o bunny.glb"
-    ),
-    "texture": (
-        "omtwarp texture bunny.ply -o bunny.glb --pattern circles\n"
-        "omtwarp texture left.ply right.ply -o textured --pattern globe\n"
-        "omtwarp texture --map bunny.npz -o earth.obj --image earth.png\n"
-        "omtwarp texture shoe.obj -o shoe.glb --uv own --keep-materials over --bake ao"
-    ),
-    "transfer": "omtwarp transfer scan.glb template.ply -o painted.glb",
-    "unwrap": "omtwarp unwrap bunny.ply -o bunny.obj\nomtwarp unwrap --map bunny.npz -o bunny.glb",
-    "preview": (
-        "omtwarp preview bunny.glb -o bunny.png --size 800x600\n"
-        "omtwarp preview bunny.npz -o turning.gif --frames 36 --size 320"
-    ),
-    "film": ("omtwarp film bunny.ply -o flow.mp4\nomtwarp film --map bunny.npz -o flow.gif --size 480x270 --seconds 6"),
-    "report": "omtwarp report --map bunny.npz -o bunny.html",
-    "align": (
-        "omtwarp align left.npz --to right.npz -o aligned.npz\n"
-        "omtwarp align lh.npz --to axes -o lh.sphere.surf.gii --radius 100"
-    ),
-    "register": (
-        "omtwarp register left.npz --to right.npz -o registered.npz\n"
-        "omtwarp register lh.npz --to mean.npz -o lh.reg.surf.gii --max-strain 1"
-    ),
-    "resample": (
-        "omtwarp resample left.npz --to right.npz -o resampled.ply\n"
-        "omtwarp resample lh.npz --to fsaverage5 --data lh.thickness -o lh.shape.gii\n"
-        "omtwarp align lh.npz -o - | omtwarp resample - --to ico5 -o lh_ico5.ply"
-    ),
-    "check": ("omtwarp check bunny.ply\nomtwarp check *.ply --json\nomtwarp check broken.ply --repair -o repaired.ply"),
-    "cohort": (
-        "omtwarp cohort 'sub-*/surf/lh.white' -o out --time-limit 600 --memory-limit 4\n"
-        "omtwarp cohort meshes.csv -o out --shard 2/8"
-    ),
-    "spharm": (
-        "omtwarp spharm left.npz -o left.coef --degree 15 --reconstruction smooth.ply\n"
-        "omtwarp spharm left.npz -o left.csv --fit quadrature --json"
-    ),
-    "distance": "omtwarp distance left.npz right.npz --json",
-    "group": "omtwarp group subjects.csv -o study\nomtwarp group left.npz right.npz -o study --grid ico3",
-    "demo": "omtwarp demo -o out",
-    "benchmark": ("omtwarp benchmark --sizes 5k,20k --repeats 1\nomtwarp benchmark scan.ply --sizes none --json -"),
-}
-"""What help shows of every command, a command line a line."""
 
 SUMMARIES = {
     "map": "Map surfaces to the sphere, with their areas preserved.",
@@ -115,8 +65,8 @@ def app_of(names: Iterable[str] = SUMMARIES) -> typer.Typer:
     )
     app.callback()(_common)
     for name in names:
-        register = app.command(name, cls=Command, short_help=SUMMARIES[name], epilog=EXAMPLES[name])
-        register(as_command(function_of(name)))
+        run = function_of(name)
+        app.command(name, cls=Command, short_help=SUMMARIES[name], epilog=sections(run)[1])(as_command(run))
     return app
 
 

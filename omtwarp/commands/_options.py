@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import inspect
 import re
+import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,13 +40,19 @@ def named(kind: type[Kind]) -> OptionInfo:
     return typer.Option(metavar="|".join(kind), parser=usage(lambda text: choose(kind, text)))
 
 
+def sections(documented: object) -> tuple[str, str, str]:
+    """Return a docstring's text, the lines below ``Examples:``, and those below ``Options:`` after them."""
+    text, _, options = (inspect.getdoc(documented) or "").partition("\n\nOptions:\n")
+    text, _, examples = text.partition("\n\nExamples:\n")
+    return text, textwrap.dedent(examples), options
+
+
 def described(documented: object) -> dict[str, Option]:
     """Return what the docstring of a command, or of a group of options, says of each: ``name (METAVAR): a sentence``.
 
     Such lines stand below ``Options:`` at the end; longer sentences go on in lines that are indented further.
     """
-    _, _, text = (inspect.getdoc(documented) or "").partition("\nOptions:\n")
-    found = re.findall(r"^    (\w+)(?: \((.*?)\))?: (.*(?:\n {5,}.*)*)", text, re.M)
+    found = re.findall(r"^    (\w+)(?: \((.*?)\))?: (.*(?:\n {5,}.*)*)", sections(documented)[2], re.M)
     return {name: Option(" ".join(help.split()), metavar) for name, metavar, help in found}
 
 
@@ -131,7 +138,7 @@ def as_command(run: Callable[..., None]) -> Callable[..., None]:
             given[name] = group(**{each: given.pop(each) for each in names})
         run(**given)
 
-    command.__doc__ = (inspect.getdoc(run) or "").partition("\n\nOptions:\n")[0]
+    command.__doc__ = sections(run)[0]
     vars(command)["__signature__"] = inspect.Signature(parameters)
     command.__annotations__ = run.__annotations__ | {each.name: each.annotation for each in parameters}
     return command

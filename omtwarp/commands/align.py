@@ -28,6 +28,10 @@ def run(
     another map, features are correlated over all rotations: distance from the centre of the surface, area over area on
     the sphere, or those given.
 
+    Examples:
+        omtwarp align left.npz --to right.npz -o aligned.npz
+        omtwarp align lh.npz --to axes -o lh.sphere.surf.gii --radius 100
+
     Options:
         to: The shape's own axes, another map or sphere (- is standard input), or a grid such as fsaverage5.
         by: What to compare; vertices needs equal faces; auto takes it for two maps of one surface.

@@ -81,6 +81,10 @@ def run(
 
     Takes a minute or two with the sizes it has by default, and no network.
 
+    Examples:
+        omtwarp benchmark --sizes 5k,20k --repeats 1
+        omtwarp benchmark scan.ply --sizes none --json -
+
     Options:
         json_output: Write all figures as JSON, or to -.
         output: Write the tables (.md) instead of printing.

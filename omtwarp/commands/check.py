@@ -28,6 +28,11 @@ def run(
 
     The exit status is 0 if nothing does.
 
+    Examples:
+        omtwarp check bunny.ply
+        omtwarp check *.ply --json
+        omtwarp check broken.ply --repair -o repaired.ply
+
     Options:
         repair: Repair the mesh, and list what was done.
         output: Write the repaired mesh.

@@ -79,6 +79,10 @@ def run(
     DIR gets maps/ID.npz, records/ID.json, table.parquet (table.csv without pyarrow) and report.html, and with
     --register group the template and registered maps in registered/.
 
+    Examples:
+        omtwarp cohort 'sub-*/surf/lh.white' -o out --time-limit 600 --memory-limit 4
+        omtwarp cohort meshes.csv -o out --shard 2/8
+
     Options:
         manifest: A table with a column 'path' (- is standard input), a folder, or a pattern in quotes.
         output: Folder of the results.

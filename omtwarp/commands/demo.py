@@ -33,6 +33,9 @@ def run(
 ) -> None:
     """Make a shape, map it, texture it and draw it: mesh, map, report, textured model and pictures.
 
+    Examples:
+        omtwarp demo -o out
+
     Options:
         output: Folder of the results.
         faces: Roughly how many faces the shape has.

@@ -27,6 +27,9 @@ def run(
     There are two measures: the root mean square distance of corresponding points, from coefficients of spherical
     harmonics; and the root of the least transport cost between the densities of their conformal maps, in radians.
 
+    Examples:
+        omtwarp distance left.npz right.npz --json
+
     Options:
         first: A map (.npz); - is standard input.
         second: Another map (.npz).

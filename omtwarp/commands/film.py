@@ -71,6 +71,10 @@ def run(
 
     A map to a torus ends as a ring torus, one to the disk as the disk, one of several parts as their spheres.
 
+    Examples:
+        omtwarp film bunny.ply -o flow.mp4
+        omtwarp film --map bunny.npz -o flow.gif --size 480x270 --seconds 6
+
     Options:
         output: .mp4 (needs ffmpeg), .gif or .webp; a directory of .gif for several meshes.
         size: Size in pixels; 1920x1080 by default, 640x360 for .gif and .webp.

@@ -59,6 +59,10 @@ def run(
     and GIFTI, and report.html. Groups, named in the table's column 'group', and covariates are tested point by point
     with a linear model and permutations; each given all others.
 
+    Examples:
+        omtwarp group subjects.csv -o study
+        omtwarp group left.npz right.npz -o study --grid ico3
+
     Options:
         sources: A table with the columns 'path' and 'group' (- is standard input), a cohort's folder, or maps.
         output: Folder of the results.

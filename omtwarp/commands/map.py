@@ -181,6 +181,12 @@ def run(
     --components; "omtwarp check" says what each would do with it. As a mesh a disk is flat, parts have spheres about
     one centre, and a torus is a ring torus, or in a .glb the surface with a texture.
 
+    Examples:
+        omtwarp map bunny.ply -o bunny.npz
+        omtwarp map left.ply right.ply -o maps --json
+        omtwarp map head.ply -o head.npz --weights face.npy --target importance.png
+        cat bunny.ply | omtwarp map - -o - | omtwarp texture --map - -o bunny.glb
+
     Options:
         output: .npz for the whole map, or a mesh suffix for the sphere; - for .npz; a directory for several.
         report (JSON): Write the report: what was done, and the map's quality; a directory for several.

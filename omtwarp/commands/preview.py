@@ -112,6 +112,10 @@ def run(
 ) -> None:
     """Draw a surface without a display.
 
+    Examples:
+        omtwarp preview bunny.glb -o bunny.png --size 800x600
+        omtwarp preview bunny.npz -o turning.gif --frames 36 --size 320
+
     Options:
         output: .png, .jpg, .webp, .tif; .gif or .mp4 for films; a directory for several.
         subjects: Meshes (textures and colours are shown) or maps (.npz), or -.

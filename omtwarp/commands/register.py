@@ -146,6 +146,10 @@ def run(
     which they agree best, flips no triangle, and strains none more than --max-strain. Where the next best rotation
     agrees nearly as well the start is doubtful: several are tried, and the output says so.
 
+    Examples:
+        omtwarp register left.npz --to right.npz -o registered.npz
+        omtwarp register lh.npz --to mean.npz -o lh.reg.surf.gii --max-strain 1
+
     Options:
         to: A map, a template, fsaverage5, fsaverage, fsLR32k, or a sphere with its surface or features; -.
         hemisphere: Of fsaverage5, fsaverage or fsLR32k; by default the one that MOVING says.

@@ -29,6 +29,9 @@ def run(
 ) -> None:
     """Write a page about a map: 3D view, pictures, distortion, cost, stages and certificate in one HTML file.
 
+    Examples:
+        omtwarp report --map bunny.npz -o bunny.html
+
     Options:
         output: The page (.html), with everything in it; a directory for several meshes.
         title: Heading of the page; the mesh's name by default.

@@ -105,6 +105,11 @@ def run(
     Both spheres are taken in the position they are in: see 'omtwarp align'. Conservative resampling keeps integrals,
     bounds and signs. Without --data the surface is written with the target's triangles: the same mesh for all subjects.
 
+    Examples:
+        omtwarp resample left.npz --to right.npz -o resampled.ply
+        omtwarp resample lh.npz --to fsaverage5 --data lh.thickness -o lh.shape.gii
+        omtwarp align lh.npz -o - | omtwarp resample - --to ico5 -o lh_ico5.ply
+
     Options:
         source: A map (.npz), a sphere as a mesh, or a grid such as fsaverage5; - is standard input.
         to: A map, a sphere, ico0..ico8, fsaverage3..7, fsLR32k, healpix:NSIDE, equiangular:HxW, octahedral:N.

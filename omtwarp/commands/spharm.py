@@ -46,6 +46,10 @@ def run(
     Harmonics are real and orthonormal, without the Condon-Shortley phase; a .coef file has SPHARM-PDM's own order and
     signs.
 
+    Examples:
+        omtwarp spharm left.npz -o left.coef --degree 15 --reconstruction smooth.ply
+        omtwarp spharm left.npz -o left.csv --fit quadrature --json
+
     Options:
         output: .coef as SPHARM-PDM has it, .csv, or .npz with everything; - is standard output, as .csv.
         degree: Highest degree of the harmonics.

@@ -149,6 +149,12 @@ def run(
 
     Of a map to a torus the texture closes up both ways: a picture that repeats, circles or a checker.
 
+    Examples:
+        omtwarp texture bunny.ply -o bunny.glb --pattern circles
+        omtwarp texture left.ply right.ply -o textured --pattern globe
+        omtwarp texture --map bunny.npz -o earth.obj --image earth.png
+        omtwarp texture shoe.obj -o shoe.glb --uv own --keep-materials over --bake ao
+
     Options:
         output: .glb, .obj (with .mtl and .png) or .ply; a directory of .glb for several meshes.
     """

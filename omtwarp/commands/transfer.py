@@ -49,6 +49,9 @@ def run(
 ) -> None:
     """Carry the texture of one mesh over to another, each mapped to the sphere and the two aligned.
 
+    Examples:
+        omtwarp transfer scan.glb template.ply -o painted.glb
+
     Options:
         source: A mesh with a texture or colours, or -.
         target: The mesh that gets the texture, or -.

@@ -28,6 +28,10 @@ def run(
 ) -> None:
     """Give a mesh texture coordinates through its map, for programs that paint or bake: no cuts, no texture.
 
+    Examples:
+        omtwarp unwrap bunny.ply -o bunny.obj
+        omtwarp unwrap --map bunny.npz -o bunny.glb
+
     Options:
         output: .glb or .obj; a directory of .glb for several meshes.
         aspect: Width of the picture over its height; 1.5 wastes no space.
