@@ -18,7 +18,7 @@ from typer.models import OptionInfo, ParameterInfo
 from omtwarp.commands._command import OUTPUTS
 from omtwarp.commands._streams import input_file, output_file
 from omtwarp.errors import Kind, OmtwarpError, choose
-from omtwarp.options import Backend, MapOptions, Option, PatternName
+from omtwarp.options import MapOptions, Option, PatternName
 
 Value = TypeVar("Value")
 
@@ -164,59 +164,6 @@ ForceOption = Annotated[
     bool,
     typer.Option("--force", help="Also replace companions and results that omtwarp did not write; never an input."),
 ]
-MeshArguments = Annotated[
-    list[Path],
-    typer.Argument(
-        metavar="MESH", callback=input_file, help="Closed triangle meshes of any format; - is standard input."
-    ),
-]
-OptionalMeshes = Annotated[
-    list[Path] | None,
-    typer.Argument(
-        metavar="MESH", callback=input_file, help="Closed triangle meshes of any format, or -; none with --map."
-    ),
-]
-OptionalMesh = Annotated[
-    Path | None,
-    typer.Argument(metavar="MESH", callback=input_file, help="A closed triangle mesh, or -; not needed with --map."),
-]
-MapOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--map",
-        metavar="NPZ",
-        callback=input_file,
-        help="A finished map (from 'omtwarp map') instead of a new one; - is standard input.",
-    ),
-]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print the facts as JSON on standard output.")]
-VerboseOption = Annotated[bool, typer.Option("--verbose", "-v", help="Print what every stage did.")]
-QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress and no summary.")]
-RepairOption = Annotated[
-    bool,
-    typer.Option(
-        "--repair",
-        help="Repair the mesh first: equal vertices, orientation, small holes, largest component; prints what it did.",
-    ),
-]
-ImageOption = Annotated[
-    Path | None, typer.Option(metavar="PICTURE", help="An equirectangular picture to put on the surface.")
-]
-PatternOption = Annotated[PatternName | None, typer.Option(help="A pattern in place of a picture; circles by default.")]
-UpOption = Annotated[
-    str | None, typer.Option(metavar="AXIS", help="The axis that points upwards: y, z, -x, ...; guessed by default.")
-]
-FrontOption = Annotated[
-    str | None, typer.Option(metavar="AXIS", help="The axis that points at the viewer in the front view.")
-]
-BackgroundOption = Annotated[str, typer.Option(metavar="COLOUR|studio", help="Colour behind the surface.")]
-BackendOption = Annotated[Backend, typer.Option(help="What draws: OpenGL or the ray caster.")]
-RadiusOption = Annotated[
-    float, typer.Option(min=1e-6, max=1e9, help="Radius of a sphere that is written as a mesh; FreeSurfer's is 100.")
-]
-SizeOption = Annotated[
-    str, typer.Option(metavar="WIDTHxHEIGHT", callback=picture_size, help="Size of the picture in pixels.")
-]
 
 ROUTE = Only(("method", "until", "cost", "scheme", "refine", "device", "solver"))
 """The options of a map for commands that make something from it."""
@@ -226,11 +173,17 @@ RouteOptions = Annotated[MapOptions, ROUTE]
 
 @dataclass(frozen=True)
 class Source:
-    """What a command works on: meshes, of which it makes maps, or a finished map."""
+    """What a command works on: meshes, of which it makes maps, or a finished map.
 
-    meshes: OptionalMeshes = None
-    finished: MapOption = None
-    repair: RepairOption = False
+    Options:
+        meshes: Closed triangle meshes of any format, or -; none with --map.
+        finished: A finished map (from 'omtwarp map') instead of a new one; - is standard input.
+        repair: Repair the mesh first: equal vertices, orientation, small holes, largest component; prints what it did.
+    """
+
+    meshes: Annotated[list[Path] | None, typer.Argument(metavar="MESH", callback=input_file)] = None
+    finished: Annotated[Path | None, typer.Option("--map", metavar="NPZ", callback=input_file)] = None
+    repair: bool = False
 
     @property
     def files(self) -> list[Path]:
@@ -240,10 +193,15 @@ class Source:
 
 @dataclass(frozen=True)
 class Shown:
-    """A picture or a pattern on the sphere."""
+    """A picture or a pattern on the sphere.
 
-    image: ImageOption = None
-    pattern: PatternOption = None
+    Options:
+        image (PICTURE): An equirectangular picture to put on the surface.
+        pattern: A pattern in place of a picture; circles by default.
+    """
+
+    image: Path | None = None
+    pattern: PatternName | None = None
 
     def read(self) -> dict:
         """Read the picture; return it and the pattern as functions take them.
@@ -261,8 +219,14 @@ class Shown:
 
 @dataclass(frozen=True)
 class Printing:
-    """What a command says about its work."""
+    """What a command says about its work.
 
-    as_json: JsonOption = False
-    verbose: VerboseOption = False
-    quiet: QuietOption = False
+    Options:
+        as_json: Print the facts as JSON on standard output.
+        verbose: Print what every stage did.
+        quiet: Print no progress and no summary.
+    """
+
+    as_json: Annotated[bool, typer.Option("--json")] = False
+    verbose: Annotated[bool, typer.Option("--verbose", "-v")] = False
+    quiet: Annotated[bool, typer.Option("--quiet", "-q")] = False

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Protocol, cast, runtime_checkable
 
 import typer
 
-from omtwarp.commands._options import Printing, RadiusOption, Source, output_option
+from omtwarp.commands._options import Printing, Source, output_option
 from omtwarp.commands._streams import input_file, is_standard_output, progress_bar, say, warnings_as_lines
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output, make_folder
@@ -481,6 +481,7 @@ class Pair:
         to_surface (MESH): The surface of the other sphere, where that is no .npz.
         feature (FILE): Compare by these data at MOVING's vertices; repeat for more features.
         to_feature (FILE): The same data at the other sphere's vertices, in this order.
+        radius: Radius of a sphere that is written as a mesh; FreeSurfer's is 100.
     """
 
     source: Annotated[Path, typer.Argument(metavar="MOVING", callback=input_file)]
@@ -489,7 +490,7 @@ class Pair:
     to_surface: Path | None = None
     feature: list[Path] | None = None
     to_feature: list[Path] | None = None
-    radius: RadiusOption = 1.0
+    radius: Annotated[float, typer.Option(min=1e-06, max=1000000000.0)] = 1.0
 
     @property
     def as_map(self) -> bool:

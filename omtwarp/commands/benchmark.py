@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from omtwarp.commands._options import Only, VerboseOption, output_option
+from omtwarp.commands._options import Only, output_option
 from omtwarp.commands._streams import input_file, output_file, say
 from omtwarp.commands._work import report_text, start_device
 from omtwarp.errors import OmtwarpError
@@ -74,7 +74,7 @@ def run(
     mapping: Annotated[MapOptions, Only(("refine",))],
     json_output: Annotated[Path | None, typer.Option("--json", metavar="FILE", callback=output_file(".json"))] = None,
     output: Annotated[Path | None, output_option()] = None,
-    verbose: VerboseOption = False,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q")] = False,
 ) -> None:
     """Time every stage and its memory on meshes of several sizes, and compare with a sparse factorisation by SciPy.
@@ -89,6 +89,7 @@ def run(
         json_output: Write all figures as JSON, or to -.
         output: Write the tables (.md) instead of printing.
         quiet: Print no progress.
+        verbose: Print what every stage did.
     """
 
     given = tuple(workload.meshes or ())

@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from omtwarp.commands._options import MeshArguments, Printing, output_option
-from omtwarp.commands._streams import say, step_times
+import typer
+
+from omtwarp.commands._options import Printing, output_option
+from omtwarp.commands._streams import input_file, say, step_times
 from omtwarp.commands._work import each, of_a_map, outputs_of, report_text
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
 
 def run(
     *,
-    meshes: MeshArguments,
+    meshes: Annotated[list[Path], typer.Argument(metavar="MESH", callback=input_file)],
     repair: bool = False,
     output: Annotated[Path | None, output_option(".ply")] = None,
     printing: Printing,
@@ -36,6 +38,7 @@ def run(
     Options:
         repair: Repair the mesh, and list what was done.
         output: Write the repaired mesh.
+        meshes: Closed triangle meshes of any format; - is standard input.
     """
     from omtwarp.mesh.write import SUFFIXES
 

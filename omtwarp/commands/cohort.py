@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from omtwarp.commands._options import ROUTE, Only, Printing, RepairOption, named, output_option
+from omtwarp.commands._options import ROUTE, Only, Printing, named, output_option
 from omtwarp.commands._streams import input_table, say, warnings_as_lines
 from omtwarp.commands._work import show_facts
 from omtwarp.errors import INTERRUPTED, OmtwarpError
@@ -52,6 +52,7 @@ class Running:
         fill_area: Fill holes, on the sphere as large as they are or small; the filling is in the .npz only.
         register (TARGET|group): Register every map, to a map, template or fsaverage5-left or -right, or all to one of
             the group.
+        repair: Repair the mesh first: equal vertices, orientation, small holes, largest component; prints what it did.
     """
 
     executor: str = "local"
@@ -62,7 +63,7 @@ class Running:
     collect: bool = False
     fill_area: Annotated[FillArea | None, named(FillArea)] = None
     register: str | None = None
-    repair: RepairOption = False
+    repair: bool = False
 
 
 def run(

@@ -11,14 +11,10 @@ import typer
 
 from omtwarp.commands._options import (
     ROUTE,
-    BackendOption,
-    BackgroundOption,
-    FrontOption,
     Only,
     Printing,
     Shown,
     Source,
-    UpOption,
     as_size,
     output_option,
     picture_size,
@@ -45,16 +41,20 @@ class Look:
         seconds: Length in seconds; by default as long as smooth motion needs.
         fps: Frames per second; 30 by default, 20 for .gif and .webp.
         captions: Name what is seen below the picture.
+        up (AXIS): The axis that points upwards: y, z, -x, ...; guessed by default.
+        front (AXIS): The axis that points at the viewer in the front view.
+        background (COLOUR|studio): Colour behind the surface.
+        backend: What draws: OpenGL or the ray caster.
     """
 
     view: str = "three-quarter"
-    up: UpOption = None
-    front: FrontOption = None
-    background: BackgroundOption = "white"
+    up: str | None = None
+    front: str | None = None
+    background: str = "white"
     seconds: float | None = None
     fps: float | None = None
     captions: Annotated[bool, typer.Option()] = True
-    backend: BackendOption = Backend.AUTO
+    backend: Backend = Backend.AUTO
 
 
 def run(

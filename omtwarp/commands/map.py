@@ -10,15 +10,13 @@ import typer
 
 from omtwarp.commands._options import (
     ROUTE,
-    MeshArguments,
     Only,
     Printing,
-    RadiusOption,
-    RepairOption,
     named,
     output_option,
 )
 from omtwarp.commands._painted import standing
+from omtwarp.commands._streams import input_file
 from omtwarp.commands._work import (
     each,
     facts_of,
@@ -151,16 +149,16 @@ class Poles:
 
 def run(
     *,
-    meshes: MeshArguments,
+    meshes: Annotated[list[Path], typer.Argument(metavar="MESH", callback=input_file)],
     output: Annotated[Path, output_option(".npz")],
     mapping: Annotated[MapOptions, Only((*ROUTE, "exact", "strict"))],
     topology: Topology,
     mass: Mass,
     report: Path | None = None,
-    repair: RepairOption = False,
+    repair: bool = False,
     smoothing: Annotated[int | None, typer.Option(min=0, max=1000)] = None,
     beside: bool = False,
-    radius: RadiusOption = 1.0,
+    radius: Annotated[float, typer.Option(min=1e-06, max=1000000000.0)] = 1.0,
     poles: Poles,
     printing: Printing,
 ) -> None:
@@ -192,6 +190,9 @@ def run(
         report (JSON): Write the report: what was done, and the map's quality; a directory for several.
         smoothing: Rounds of smoothing of the surfaces of a volume's labels; 20 by default.
         beside: For .ply: the surface, with its sphere as px, py, pz at the vertices.
+        meshes: Closed triangle meshes of any format; - is standard input.
+        repair: Repair the mesh first: equal vertices, orientation, small holes, largest component; prints what it did.
+        radius: Radius of a sphere that is written as a mesh; FreeSurfer's is 100.
     """
 
     from omtwarp.mesh.neuro import structure_of

@@ -10,15 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from omtwarp.commands._options import (
-    BackendOption,
-    BackgroundOption,
-    FrontOption,
     Printing,
-    SizeOption,
     Source,
-    UpOption,
     as_size,
     output_option,
+    picture_size,
     size_text,
 )
 from omtwarp.commands._streams import input_file, step_times
@@ -74,10 +70,11 @@ class Look:
         light: Lights; flat shows the colours themselves.
         transparent: Leave the background out.
         wireframe: Draw the triangles' edges.
+        background (COLOUR|studio): Colour behind the surface.
     """
 
     light: LightName = LightName.STUDIO
-    background: BackgroundOption = BACKGROUND
+    background: str = BACKGROUND
     transparent: bool = False
     wireframe: bool = False
 
@@ -87,10 +84,12 @@ class Standing:
     """How the surface stands.
 
     Options:
+        up (AXIS): The axis that points upwards: y, z, -x, ...; guessed by default.
+        front (AXIS): The axis that points at the viewer in the front view.
     """
 
-    up: UpOption = None
-    front: FrontOption = None
+    up: str | None = None
+    front: str | None = None
 
 
 def run(
@@ -98,7 +97,7 @@ def run(
     output: Annotated[Path, output_option(".png")],
     subjects: Annotated[list[Path] | None, typer.Argument(metavar="MESH", callback=input_file)] = None,
     finished: Annotated[Path | None, typer.Option("--map", metavar="NPZ", callback=input_file)] = None,
-    size: SizeOption = DEFAULT_SIZE,
+    size: Annotated[str, typer.Option(metavar="WIDTHxHEIGHT", callback=picture_size)] = DEFAULT_SIZE,
     view: list[str] | None = None,
     lens: Lens,
     standing: Standing,
@@ -106,7 +105,7 @@ def run(
     image: Path | None = None,
     frames: Annotated[int | None, typer.Option(min=1)] = None,
     fps: float = FILM_RATE,
-    backend: BackendOption = Backend.AUTO,
+    backend: Backend = Backend.AUTO,
     device: Device = MapOptions.device,
     printing: Printing,
 ) -> None:
@@ -125,6 +124,8 @@ def run(
         image (PICTURE): An equirectangular picture, shown through a map.
         frames: Number of frames of a turntable to draw.
         fps: Frames per second of the turntable.
+        size: Size of the picture in pixels.
+        backend: What draws: OpenGL or the ray caster.
     """
     from omtwarp.render import preview
 

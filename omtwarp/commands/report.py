@@ -10,7 +10,6 @@ from omtwarp.commands._options import (
     RouteOptions,
     Shown,
     Source,
-    UpOption,
     output_option,
 )
 from omtwarp.commands._work import map_from, show_each, start_device, targets_of
@@ -23,7 +22,7 @@ def run(
     source: Source,
     picture: Shown,
     title: str | None = None,
-    up: UpOption = None,
+    up: str | None = None,
     mapping: RouteOptions,
     printing: Printing,
 ) -> None:
@@ -35,6 +34,7 @@ def run(
     Options:
         output: The page (.html), with everything in it; a directory for several meshes.
         title: Heading of the page; the mesh's name by default.
+        up (AXIS): The axis that points upwards: y, z, -x, ...; guessed by default.
     """
     from omtwarp.render import gl_client
 

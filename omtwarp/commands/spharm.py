@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from omtwarp.commands._options import MapOption, OptionalMesh, Printing, RepairOption, Source, output_option
-from omtwarp.commands._streams import progress_bar, steps
+from omtwarp.commands._options import Printing, Source, output_option
+from omtwarp.commands._streams import input_file, progress_bar, steps
 from omtwarp.commands._work import map_from, require_whole, show_facts, start_device
 from omtwarp.files.output import check_output, staged
 from omtwarp.options import Device, MapOptions
@@ -30,12 +30,12 @@ class Fit(StrEnum):
 def run(
     *,
     output: Annotated[Path, output_option(".csv")],
-    mesh: OptionalMesh = None,
-    finished: MapOption = None,
+    mesh: Annotated[Path | None, typer.Argument(metavar="MESH", callback=input_file)] = None,
+    finished: Annotated[Path | None, typer.Option("--map", metavar="NPZ", callback=input_file)] = None,
     degree: Annotated[int, typer.Option(metavar="L", min=0, max=500)] = 15,
     fit: Fit = Fit.LEAST_SQUARES,
     reconstruction: Path | None = None,
-    repair: RepairOption = False,
+    repair: bool = False,
     device: Device = MapOptions.device,
     printing: Printing,
 ) -> None:
@@ -55,6 +55,9 @@ def run(
         degree: Highest degree of the harmonics.
         fit: How to fit: least squares at the vertices, or integrals over the triangles.
         reconstruction (MESH): Also write the surface that the coefficients describe.
+        mesh: A closed triangle mesh, or -; not needed with --map.
+        finished: A finished map (from 'omtwarp map') instead of a new one; - is standard input.
+        repair: Repair the mesh first: equal vertices, orientation, small holes, largest component; prints what it did.
     """
     import numpy as np
 

@@ -9,12 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from omtwarp.commands._options import (
-    FrontOption,
-    ImageOption,
     Printing,
     RouteOptions,
     Source,
-    UpOption,
     output_option,
 )
 from omtwarp.commands._painted import painted_map, standing, with_objects
@@ -100,14 +97,17 @@ class Picture:
         seam (LONGITUDE|auto): Where an equirectangular texture is cut, in degrees.
         size: Width; auto: no texel shows at 1024 pixels, up to 8192; the default for patterns, up to 4096.
         texture_format: Encoding of the pictures of a .glb; webp is smaller, and fewer viewers read it.
+        image (PICTURE): An equirectangular picture to put on the surface.
+        up (AXIS): The axis that points upwards: y, z, -x, ...; guessed by default.
+        front (AXIS): The axis that points at the viewer in the front view.
     """
 
-    image: ImageOption = None
+    image: Path | None = None
     seam: str = "180"
     size: Annotated[str | None, typer.Option(metavar="TEXELS|WxH|auto", callback=texture_width)] = None
     texture_format: TextureFormat = TextureFormat.PNG
-    up: UpOption = None
-    front: FrontOption = None
+    up: str | None = None
+    front: str | None = None
 
     def cut(self) -> float | str:
         """Return the longitude of the seam in degrees, or ``auto``.

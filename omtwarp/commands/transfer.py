@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from omtwarp.commands._options import Printing, RepairOption, output_option
+from omtwarp.commands._options import Printing, output_option
 from omtwarp.commands._painted import painted_maps
 from omtwarp.commands._streams import input_file, warnings_as_lines
 from omtwarp.commands._work import show_facts, sizes, with_files
@@ -44,7 +44,7 @@ def run(
     map_of_source: Annotated[Path | None, typer.Option("--map-from", metavar="NPZ", callback=input_file)] = None,
     map_of_target: Annotated[Path | None, typer.Option("--map-to", metavar="NPZ", callback=input_file)] = None,
     how: How,
-    repair: RepairOption = False,
+    repair: bool = False,
     device: Device = MapOptions.device,
 ) -> None:
     """Carry the texture of one mesh over to another, each mapped to the sphere and the two aligned.
@@ -58,6 +58,7 @@ def run(
         output: .glb or .obj.
         map_of_source: A finished map of FROM.
         map_of_target: A finished map of TO.
+        repair: Repair the mesh first: equal vertices, orientation, small holes, largest component; prints what it did.
     """
     from omtwarp.transfer import transfer_texture
 

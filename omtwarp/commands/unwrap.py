@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from omtwarp.commands._options import FrontOption, Only, Printing, Source, UpOption, output_option
+from omtwarp.commands._options import Only, Printing, Source, output_option
 from omtwarp.commands._painted import standing, with_objects
 from omtwarp.commands._work import map_from, require_bijective, show_each, start_device, targets_of, with_files
 from omtwarp.files.output import check_output
@@ -21,8 +21,8 @@ def run(
     source: Source,
     aspect: Annotated[float, typer.Option(min=0.1, max=10.0)] = 1.0,
     margin: Annotated[float, typer.Option(min=0.0, max=0.1)] = 1.0 / 128.0,
-    up: UpOption = None,
-    front: FrontOption = None,
+    up: str | None = None,
+    front: str | None = None,
     mapping: Annotated[MapOptions, Only(("refine", "device"))],
     printing: Printing,
 ) -> None:
@@ -36,6 +36,8 @@ def run(
         output: .glb or .obj; a directory of .glb for several meshes.
         aspect: Width of the picture over its height; 1.5 wastes no space.
         margin: Margin around each chart, in heights of the picture.
+        up (AXIS): The axis that points upwards: y, z, -x, ...; guessed by default.
+        front (AXIS): The axis that points at the viewer in the front view.
     """
     from omtwarp.texturing.unwrap import laid_out
 
