@@ -13,7 +13,7 @@ from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
 from omtwarp.mesh.data import VertexData, read_data, write_data
 from omtwarp.mesh.write import write_mesh
-from omtwarp.registration.register import target_points
+from omtwarp.registration.sides import target_points
 from omtwarp.resampling.averages import average_sphere, with_side
 from omtwarp.spheres import named_grid
 
