@@ -252,20 +252,29 @@ def each(meshes: Sequence[Path], targets: Sequence[Path | None], action: Callabl
         raise OmtwarpError(f"{len(failed)} of {len(meshes)} meshes failed: {', '.join(failed)}")
 
 
-def targets_of(source: Source, output: Path, suffix: str) -> list[Path]:
+def targets_of(source: Source, output: Path, suffix: str, allowed: tuple[str, ...], *inputs: Path | None) -> list[Path]:
     """Return the output path of every mesh, as :func:`outputs_of`, or that of a finished map in their place.
 
+    Args:
+        source: the meshes or the map, none of which may be written to.
+        output: what the user named.
+        suffix: of the files in a directory.
+        allowed: the suffixes that can be written.
+        inputs: further files that are read.
+
     Raises:
-        OmtwarpError: as of :func:`outputs_of`, or one map is given for several meshes.
+        OmtwarpError: as of :func:`outputs_of`, one map is given for several meshes, or a file cannot be written.
     """
     meshes = source.meshes or []
-    if len(meshes) < 2:
-        return [output]
-    if source.finished is not None:
+    if len(meshes) > 1 and source.finished is not None:
         raise OmtwarpError(
             f"one map '{source.finished}' cannot be that of {len(meshes)} meshes: give one mesh, or no map"
         )
-    return [target for target in outputs_of(meshes, output, suffix) if target is not None]
+    named = outputs_of(meshes, output, suffix) if len(meshes) > 1 else [output]
+    targets = [target for target in named if target is not None]
+    for target in targets:
+        check_output(target, allowed, *source.files, *inputs)
+    return targets
 
 
 def show_each(

@@ -21,7 +21,6 @@ from omtwarp.commands._options import (
 )
 from omtwarp.commands._streams import progress_bar
 from omtwarp.commands._work import map_from, show_each, start_device, targets_of
-from omtwarp.files.output import check_output
 from omtwarp.options import Backend, MapOptions
 
 FILMS = (".mp4", ".gif", ".webp")
@@ -82,9 +81,8 @@ def run(
     from omtwarp.render.films import film
     from omtwarp.render.output import check_target
 
-    targets = targets_of(source, output, ".gif")
+    targets = targets_of(source, output, ".gif", FILMS, shown.image)
     for target in targets:
-        check_output(target, FILMS, *source.files, shown.image)
         check_target(target, film=True, transparent=False)
     start_device(mapping.device)
     picture = shown.read()

@@ -20,7 +20,6 @@ from omtwarp.commands._options import (
 from omtwarp.commands._streams import input_file, step_times
 from omtwarp.commands._work import show_each, targets_of
 from omtwarp.errors import OmtwarpError
-from omtwarp.files.output import check_output
 from omtwarp.options import BACKGROUND, FILM_RATE, PICTURE_SIZE, Backend, Device, MapOptions
 
 if TYPE_CHECKING:
@@ -132,9 +131,7 @@ def run(
     given = subjects or []
     if (not given and finished is None) or (len(given) == 1 and finished is not None):
         raise OmtwarpError("give either a mesh or map to draw, or a map with --map")
-    targets = targets_of(Source(subjects, finished), output, ".png")
-    for target in targets:
-        check_output(target, PICTURES, *given, finished, image)
+    targets = targets_of(Source(subjects, finished), output, ".png", PICTURES, image)
 
     def draw_one(subject: Path | None, target: Path) -> tuple[dict[str, object], str]:
         shown = subject or finished

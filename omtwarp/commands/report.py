@@ -13,7 +13,6 @@ from omtwarp.commands._options import (
     output_option,
 )
 from omtwarp.commands._work import map_from, show_each, start_device, targets_of
-from omtwarp.files.output import check_output
 
 
 def run(
@@ -42,9 +41,7 @@ def run(
     from omtwarp.render.camera import axis_vector
     from omtwarp.reporting import write_report
 
-    targets = targets_of(source, output, ".html")
-    for target in targets:
-        check_output(target, (".html", ".htm"), *source.files, picture.image)
+    targets = targets_of(source, output, ".html", (".html", ".htm"), picture.image)
     if up is not None:
         axis_vector(up)
     start_device(mapping.device)

@@ -162,11 +162,10 @@ def run(
     from omtwarp.texturing.atlas import check_size
     from omtwarp.texturing.export import SUFFIXES, format_for
 
-    targets = targets_of(source, output, ".glb")
-    by_materials = painting.of_the_mesh or bool(painting.bake)
     inputs = (*source.files, picture.image, painting.detail)
+    targets = targets_of(source, output, ".glb", SUFFIXES, *inputs)
+    by_materials = painting.of_the_mesh or bool(painting.bake)
     for target in targets:
-        check_output(target, SUFFIXES, *inputs)
         format_for(target.suffix.lower(), picture.texture_format)
     if picture.image is not None and look.pattern is not None:
         raise OmtwarpError("both --image and --pattern: give one")
@@ -177,7 +176,7 @@ def run(
     if by_materials:
         width = picture.width()
         for target in targets:
-            check_output(target, (".glb", ".obj"), *inputs)
+            check_output(target, (".glb", ".obj"))
     elif painting.detail is not None:
         raise OmtwarpError("--detail is for --bake normal: add that")
     # What cannot be read is refused before the work

@@ -11,7 +11,6 @@ import typer
 from omtwarp.commands._options import Only, Printing, Source, output_option
 from omtwarp.commands._painted import standing, with_objects
 from omtwarp.commands._work import map_from, require_bijective, show_each, start_device, targets_of, with_files
-from omtwarp.files.output import check_output
 from omtwarp.options import MapOptions
 
 
@@ -41,9 +40,7 @@ def run(
     """
     from omtwarp.texturing.unwrap import laid_out
 
-    targets = targets_of(source, output, ".glb")
-    for target in targets:
-        check_output(target, (".glb", ".obj"), *source.files)
+    targets = targets_of(source, output, ".glb", (".glb", ".obj"))
     start_device(mapping.device)
 
     def unwrap_one(mesh: Path | None, target: Path) -> tuple[dict[str, object], str]:
