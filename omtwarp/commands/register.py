@@ -32,7 +32,7 @@ class Several:
 
     Options:
         more: Further maps, for --group and --sequence.
-        group: Make a template from all maps and register them to it; -o is a folder.
+        group: Make a template from all maps and register them to it; -o is a folder. --feature: once for each map.
         sequence: Register one subject's maps in the order of time to the first; -o is a folder.
         rounds: How many times the template of --group is made anew.
     """
@@ -206,16 +206,28 @@ def _require_many(mode: str, pair: Pair, others: Mapping[str, object]) -> None:
     check_folder(pair.output)
 
 
+def _by_feature(files: Sequence[Path], count: int) -> dict[str, Sequence[Path]]:
+    """Return files of data by feature: those of the first for all maps, then those of the next.
+
+    Raises:
+        OmtwarpError: some map has none.
+    """
+    if len(files) % count:
+        raise OmtwarpError(f"{len(files)} times --feature for {count} maps: give it once for each, in their order")
+    return {f"feature {k // count + 1}": files[k : k + count] for k in range(0, len(files), count)}
+
+
 def _register_many(pair: Pair, several: Several, strength: Strength, printing: Printing) -> None:
     """Register maps to a template made from them, or to the first of them, and say how well."""
     from omtwarp.registration import register_group, register_sequence
 
+    maps = [pair.source, *(several.more or [])]
+    features = _by_feature(pair.feature or [], len(maps))
     with progress_bar(printing.quiet, printing.verbose) as progress, warnings_as_lines():
         warp: Callable[..., GroupRegistration | SequenceRegistration] = register_sequence
         if several.group:
             warp = partial(register_group, rounds=several.rounds)
-        maps = [pair.source, *(several.more or [])]
-        table = warp(maps, pair.output, progress=progress, **strength.keywords()).table
+        table = warp(maps, pair.output, features=features, progress=progress, **strength.keywords()).table
     made = pair.output / ("template.npz" if several.group else "strain.npz")
     drift = max(one.get("drift", 0.0) for one in table.values())
     told = "" if several.group else f"; drift at most {drift:.2f} degrees"

@@ -18,6 +18,10 @@ from omtwarp.alignment.features import checked_features
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import read_arrays, write_arrays
 from omtwarp.files.output import RECORD, digest_of, make_folder, staged
+from omtwarp.maps.result import MapResult
+from omtwarp.mesh.data import read_data
+from omtwarp.mesh.neuro import structure_of
+from omtwarp.registration.folding import FOLDING_WEIGHTS
 from omtwarp.registration.group_template import Template
 from omtwarp.registration.sides import Side, folds
 from omtwarp.resampling import as_points
