@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp.alignment.features import checked_features
+from omtwarp.alignment.align import checked_features
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import read_arrays, write_arrays
 from omtwarp.files.output import RECORD, digest_of, make_folder, staged
