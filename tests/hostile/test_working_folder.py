@@ -82,7 +82,7 @@ def test_every_interpreter_is_started_in_one_place():
     }
     # The pass over a graphics card starts modules and pytest, with the same option.
     assert named == {
-        str(Path("files") / "children.py"),
+        str(Path("files") / "interruptions.py"),
         str(Path("render") / "gl_client.py"),
         str(Path("benchmark") / "gpu.py"),
     }
