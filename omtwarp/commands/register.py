@@ -118,7 +118,7 @@ class Strength:
     """
 
     keep_areas: str = "0"
-    stiffness: float = 0.38
+    stiffness: float = 0.44
     max_strain: float = 1.1
 
     def keywords(self) -> dict[str, float | str]:
