@@ -100,7 +100,7 @@ def test_a_new_pattern_is_a_class():
 
 
 def test_a_new_format_is_a_function_and_a_suffix(monkeypatch, tmp_path):
-    def read_soup(data, file):
+    def read_soup(data):
         corners = np.array(data.split(), dtype=np.float64).reshape(-1, 3)
         vertices, faces = np.unique(corners, axis=0, return_inverse=True)
         return vertices, faces.reshape(-1, 3), ["corners at one place were joined"]
