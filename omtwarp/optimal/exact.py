@@ -18,20 +18,24 @@ from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.optimal.cells import TriangleCells
 from omtwarp.optimal.energy import MapTerms, TransportEnergy
 from omtwarp.optimal.restoration import restore_areas
-from omtwarp.optimal.solver import PENALTY, SHAPE_WEIGHT, OptimalMap, minimise, softness
+from omtwarp.optimal.solver import (
+    GROWING_PENALTIES,
+    PENALTY,
+    SHAPE_WEIGHT,
+    STEPS_OF_ROUND,
+    OptimalMap,
+    minimise,
+    softness,
+)
 from omtwarp.optimal.sphere import energy_on_sphere
 from omtwarp.options import Cost, Progress, Record
 
 Numbers = NDArray[np.float64]
 
 ITERATIONS = 60  # largest number of steps; a map that needs more reports that it has not converged
-# Where the root mean square error of the areas is larger to begin with, the first steps would ask slivers for several
-# times their area, and those after them are shortened to a sixteenth. Rounds with light penalties then come first:
-# weight of area errors beside cost, and most steps. Two bodies with thin limbs (0.1 and more) and a toy of large ears
-# (0.074) come to exact areas and a gap of 0.04 to 0.2 % with them, where without the last of them two end short of the
-# optimum; a gargoyle (0.055) needs none.
+# Where the root mean square error of the areas is larger to begin with, penalties on them grow: the first steps would
+# ask slivers for several times their area, and those after them are shortened to a sixteenth.
 MAX_START_RMS = 0.06
-LIGHT_PENALTIES = ((3.0, 12), (30.0, 12), (300.0, 12))
 CELL_GAIN = (
     1e-4  # share of the cost that the last step would gain: the valleys of cost and shape are longer than at rings
 )
@@ -91,8 +95,9 @@ def minimise_cells(
     """Minimise an energy of cells, then correct their areas to 1e-6; arguments and result as of :func:`exact_map`."""
     history: list[Record] = []
     rms, _ = energy.area_errors(energy.terms(energy.domain.sent(points)))
-    light = LIGHT_PENALTIES if multipliers is None and rms > MAX_START_RMS else ()
-    for penalty, steps in (*light, (PENALTY, iterations)):
+    far = multipliers is None and rms > MAX_START_RMS
+    for penalty in GROWING_PENALTIES if far else GROWING_PENALTIES[-1:]:
+        steps = iterations if penalty == PENALTY else STEPS_OF_ROUND
         found = minimise(
             energy,
             points,

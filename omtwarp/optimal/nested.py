@@ -25,7 +25,7 @@ from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.moser import moser_map
 from omtwarp.optimal.refinement import least_distortion
-from omtwarp.optimal.solver import PENALTY, OptimalMap, optimal_map
+from omtwarp.optimal.solver import GROWING_PENALTIES, PENALTY, STEPS_OF_ROUND, OptimalMap, optimal_map
 from omtwarp.transport.cost import transport_cost
 from omtwarp.untangling.untangle import untangle
 
@@ -43,10 +43,7 @@ LEAST_COST, LEAST_BEND = 1e-4, 1e-3
 # Vertices of the mesh for one of the coarse triangulation: fewer make the coarse map better and slower.
 VERTICES_PER_COARSE = 8
 LEAST_COARSE, MOST_COARSE = 200, 20_000  # vertices of the coarse triangulation
-# Penalties on areas from an embedding, the last the usual one: the first allows longer steps, and more of them take
-# longer for the same maps.
-GROWING_PENALTIES = (3.0, PENALTY)
-STEPS, STEPS_OF_ROUND = 40, 12  # most with the last penalty, and with each before
+STEPS = 40  # most with the usual penalty
 MOSER_PASSES = 2  # from an embedding: a second halves the area error that the first leaves, and takes as long
 # Weight of area against angle, and tolerance and most steps, of smoothing a map with repaired triangles: slivers that
 # repair leaves stop the minimisation; more smoothing costs time and gains nothing.

@@ -40,6 +40,9 @@ Numbers = NDArray[np.float64]
 
 SHAPE_WEIGHT = 0.01  # β: on scans the optimal cost rises by some 0.04 %, and the map is smooth
 PENALTY = 1000.0  # μ: weight of the remaining area errors beside the cost
+# Penalties where a minimisation begins far from the optimum: the first allows longer steps, and more of them take
+# longer for the same maps.
+GROWING_PENALTIES, STEPS_OF_ROUND = (3.0, PENALTY), 12  # most steps with each before the last
 STATE = 6  # numbers of a vertex that local steps read
 LEAST_PENALTY = 1e-12  # in place of 0, by which saddle-point systems divide
 MIN_COST = 1e-6  # radians²: gains are compared with the cost, or with this where the cost is smaller
