@@ -5,8 +5,9 @@ from, and the polygon of the boundary's vertices lacks the segments up to its ci
 moved, with its boundary fixed, until each original triangle has its share of that polygon. The polygon's area does not
 change on the way.
 
-The remaining errors of areas are corrected as on the sphere (:mod:`omtwarp.optimal.restoration`). Where they are too
-large for that, distortion is minimised under growing penalties on them first.
+The remaining errors of areas are corrected as on the sphere (:mod:`omtwarp.optimal.restoration`). Where that takes more
+than a few steps it leaves slivers: then distortion is minimised among the maps with exact areas. Where it fails,
+distortion is minimised with a penalty on the errors first.
 """
 
 from __future__ import annotations
@@ -26,14 +27,14 @@ from omtwarp.mesh.surface import SPHERE_AREA, Surface, plane_areas
 from omtwarp.optimal.held import HeldEnergy, HeldSphere
 from omtwarp.optimal.plane import Plane, PlaneCost, PlaneShape
 from omtwarp.optimal.restoration import restore_areas
-from omtwarp.optimal.solver import minimise
+from omtwarp.optimal.solver import PENALTY, minimise
 from omtwarp.optimal.sphere import NoCost, SphereShape
 from omtwarp.refine.energy import DistortionEnergy
 from omtwarp.spheres import triangle_solid_angles
 
 Floats = NDArray[np.float64]
-PENALTIES = (3e2, 3e3, 3e4)  # of the errors of areas, beside a distortion of some units
-GAIN, STEPS = 1e-3, 30  # of a minimisation with one of them
+FEW = 3  # steps of a correction that leaves the map as it is but at the boundary
+GAIN, STEPS = 1e-3, 60  # of the minimisation where more are needed, whose maps have slivers
 
 
 @dataclass(frozen=True)
@@ -123,15 +124,29 @@ def _polygon(rim: Floats, share: float) -> float:
     return float(triangle_solid_angles(pole, points, np.roll(points, -1, axis=0)).sum())
 
 
+def _less_distorted(energy: HeldEnergy, points: Floats, penalty: float | None = None) -> Floats:
+    """Return a map with less distortion, among those with the wanted areas or with a penalty on their errors."""
+    return minimise(energy, points, gain=GAIN, iterations=STEPS, progress=None, penalty=penalty).points
+
+
+def _largest_error(energy: HeldEnergy, points: Floats) -> float:
+    """Return the largest relative error of an area."""
+    return energy.terms(energy.domain.sent(points)).largest
+
+
 def _exact(energy: HeldEnergy, points: Floats) -> tuple[Floats, float]:
-    """Return the map with exact areas near a map, and its largest error; by way of less distorted ones where needed."""
+    """Return a map with exact areas, and its largest error: the nearest, or where that is far the least distorted."""
     if not energy.domain.flipped(points).any():
-        for penalty in (None, *PENALTIES):
-            if penalty is not None:
-                points = minimise(energy, points, gain=GAIN, iterations=STEPS, progress=None, penalty=penalty).points
-            found, right = restore_areas(energy, points)
-            if right:
-                return found, energy.terms(energy.domain.sent(found)).largest
+        found, right = restore_areas(energy, points, rounds=FEW)
+        if right:
+            return found, _largest_error(energy, found)
+        found, right = restore_areas(energy, points)
+        if not right:
+            found, right = restore_areas(energy, _less_distorted(energy, points, PENALTY))
+        if right:
+            least, still = restore_areas(energy, _less_distorted(energy, found))
+            found = least if still else found
+            return found, _largest_error(energy, found)
     raise OmtwarpError(
         "no map with straight sides was found that keeps the areas of triangles: use a finer mesh, map to the "
         "hemisphere, or leave exact out"

@@ -7,9 +7,10 @@ from numpy.typing import NDArray
 
 from omtwarp.device.start import wp
 from omtwarp.mesh.quarter import QuarteredSurface
+from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.optimal.cells import TriangleCells
 from omtwarp.optimal.domain import Domain, Shape, VertexCost
-from omtwarp.optimal.energy import TransportEnergy
+from omtwarp.optimal.energy import MapTerms, TransportEnergy
 from omtwarp.optimal.sphere import Sphere
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
 from omtwarp.solvers.saddle_matrix import COORDINATES, SaddleMatrix
@@ -61,6 +62,10 @@ class HeldEnergy(TransportEnergy):
         cells.wanted = cells.wanted * (total / cells.wanted.sum())
         super().__init__(domain, cells, cost, shape, shape_weight=1.0, cost_weight=0.0, area_weight=1.0)
         self._held, self._of_cells = held, cells.vertices
+
+    def cost(self, terms: MapTerms) -> float:
+        """Return 4π, a mean of 1: gains are compared with the distortion, not with a cost."""
+        return SPHERE_AREA
 
     def saddle_factor(self) -> SaddlePointFactor:
         """Return what factorises matrices in which the boundary does not move."""
