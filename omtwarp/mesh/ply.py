@@ -267,11 +267,17 @@ def _first_lengths(body: bytes, place: int, element: _Element, order: str) -> di
 
 
 def _length(body: bytes, place: int, kind: np.dtype) -> int:
-    """Return the length of a list; -1 where the body ends before it, or it is no whole number from 0."""
+    """Return the length of a list; -1 where the body ends before it, or before its values.
+
+    Raises:
+        OmtwarpError: it is no whole number.
+    """
     if place + kind.itemsize > len(body):
         return -1
     value = float(np.frombuffer(body, kind, 1, place)[0])
-    return int(value) if 0.0 <= value <= len(body) and value == round(value) else -1
+    if not value.is_integer():
+        raise OmtwarpError(f"lengths of lists must be whole numbers, not {value:g}")
+    return int(value) if 0.0 <= value <= len(body) else -1
 
 
 def _uneven_rows(
