@@ -32,7 +32,7 @@ from omtwarp.options import Cost, Progress, Record
 
 Numbers = NDArray[np.float64]
 
-ITERATIONS = 60  # largest number of steps; a map that needs more reports that it has not converged
+ITERATIONS = 200  # largest number of steps; a map that needs more reports that it has not converged
 # Where the root mean square error of the areas is larger to begin with, penalties on them grow: the first steps would
 # ask slivers for several times their area, and those after them are shortened to a sixteenth.
 MAX_START_RMS = 0.06
