@@ -514,7 +514,7 @@ def test_maps_are_registered_after_they_are_made(tmp_path, monkeypatch, capsys, 
     assert times[0] == times[1]
     assert all(row["registered_to"].endswith(to) for row in rows)
     assert all(row["registration_flips"] == 0.0 and row["registration_strain"] < 1.2 for row in rows)
-    assert rows[0]["registration_sulc"] > 0.97
+    assert rows[0]["registration_sulc"] > 0.96
     ends = [MapResult.load(tmp_path / "out" / folder / f"s{k}.npz") for k in (0, 2)]
     assert ends[0].report["registration"]["certificate"]["flips"] == 0
     np.testing.assert_allclose(ends[0].sphere, ends[1].sphere, atol=1e-6)  # of one surface

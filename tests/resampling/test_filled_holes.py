@@ -71,8 +71,9 @@ def test_rotation_of_the_map_comes_back(filled, by):
     assert np.allclose(turned.filled_sphere, filled.filled_sphere @ TURN.T)
     found = align(turned, filled, by=by)
     assert found.sphere.shape == filled.sphere.shape and found.score == pytest.approx(1.0)
-    assert np.abs(found.rotation @ TURN - np.eye(3)).max() < 1e-8
-    assert np.abs(found.sphere - filled.sphere).max() < 1e-8
+    # At its maximum the score is flat: it does not change within an angle of some 1e-8.
+    assert np.abs(found.rotation @ TURN - np.eye(3)).max() < 1e-7
+    assert np.abs(found.sphere - filled.sphere).max() < 1e-7
 
 
 def test_rotation_of_the_surface_changes_nothing(holed, filled):
