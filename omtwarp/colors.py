@@ -12,22 +12,17 @@ from omtwarp.errors import OmtwarpError
 
 Number = TypeVar("Number", np.float32, np.float64)
 
-# The standard's formulas: a power law, and a straight line below a threshold that each direction has its own of.
-THRESHOLD, LIGHT_THRESHOLD = 0.04045, 0.0031308
-SLOPE, OFFSET, EXPONENT = 12.92, 0.055, 2.4
-
 
 def to_linear(color: NDArray[Number]) -> NDArray[Number]:
-    """Convert sRGB colours of any shape to linear light, in their own precision."""
-    light = np.where(color <= THRESHOLD, color / SLOPE, ((color + OFFSET) / (1.0 + OFFSET)) ** EXPONENT)
+    """Convert sRGB colours of any shape to linear light, in their own precision (IEC 61966-2-1)."""
+    light = np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)
     return light.astype(color.dtype)
 
 
 def to_srgb(light: NDArray[Number]) -> NDArray[Number]:
     """Convert linear light of any shape to sRGB colours, in its own precision; values are clipped to 0 to 1."""
     clipped = np.clip(light, 0.0, 1.0)
-    power = (1.0 + OFFSET) * clipped ** (1.0 / EXPONENT) - OFFSET
-    return np.where(clipped <= LIGHT_THRESHOLD, SLOPE * clipped, power).astype(light.dtype)
+    return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1.0 / 2.4) - 0.055).astype(light.dtype)
 
 
 # Control colours at equal steps from 0 to 1; linear between them, within 6/255 of the originals.

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
-from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, THREE, ZERO, wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, THREE, TWO, ZERO, wp
 from omtwarp.device.sums import sums_for
 from omtwarp.device.threads import Arguments, blas_threads, launch_parts
 from omtwarp.geometry.spherical import TINY
@@ -25,12 +25,6 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 SHORTEST_STEP = wp.constant(wp.float64(1e-3))  # where slivers would need shorter ones: a path has 14 units of time
 MAX_STEPS = wp.constant(20000)  # of a path: more than FINAL_TIME / SHORTEST_STEP, so that every path ends
-# Coefficients of Ralston's method of third order (1962).
-QUARTER = wp.constant(wp.float64(0.25))
-THREE_QUARTERS = wp.constant(wp.float64(0.75))
-TWO_NINTHS = wp.constant(wp.float64(2.0 / 9.0))
-THIRD = wp.constant(wp.float64(1.0 / 3.0))
-FOUR_NINTHS = wp.constant(wp.float64(4.0 / 9.0))
 
 
 @wp.func(inline=True)
@@ -199,18 +193,19 @@ def integrate_particles(
         longest = wp.min(largest_step * wp.sqrt(wp.sqrt(grown)), wp.float64(2.0))
         step = wp.min(longest, courant * size / wp.max(wp.length(k1), TINY))
         step = wp.min(wp.max(step, SHORTEST_STEP), final - s)
-        quarter = wp.exp(QUARTER * step)
+        quarter = wp.exp(wp.float64(0.25) * step)
         later = grown * quarter * quarter
         # One call for both other stages, not two: it is inlined, and half of the kernel.
         k = k1
-        total = TWO_NINTHS * k1
+        # Stages at 0, 1/2 and 3/4 with weights 2/9, 1/3 and 4/9: Ralston's method of third order (1962).
+        total = TWO / wp.float64(9.0) * k1
         near = int(f)
         for stage in range(1, 3):
             ahead = HALF * step
-            weight = THIRD
+            weight = ONE / THREE
             if stage == 2:
-                ahead = THREE_QUARTERS * step
-                weight = FOUR_NINTHS
+                ahead = wp.float64(0.75) * step
+                weight = wp.float64(4.0) / wp.float64(9.0)
                 later = later * quarter
             ahead_point = wp.normalize(p + ahead * k)
             k, _, near = velocity_at(

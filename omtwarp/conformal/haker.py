@@ -26,7 +26,6 @@ from omtwarp.options import Progress, Record
 from omtwarp.solvers.poisson import EdgeLaplacianSolver, PoissonSolver, cotangent_solver, solve_arrays
 
 EQUAL_REGULARITY = 1e-9  # relative: faces that differ by less are equally regular but for rounding
-PARTS = 4  # of the work in progress reports: half is the factorisation
 
 
 @dataclass(frozen=True)
@@ -87,7 +86,7 @@ def conformal_map(
     """
     surface = as_surface(surface)
     if progress is not None:
-        progress("conformal", 0, PARTS, {})
+        progress("conformal", 0, 4, {})
     points = surface.scaled_vertices
     face = most_regular_face(points @ principal_axes(surface).frame.T, surface.faces)
     pinned = int(surface.faces[face, 0])
@@ -97,16 +96,16 @@ def conformal_map(
     else:
         solver = cotangent_solver(surface, points, pinned)
     if progress is not None:
-        progress("conformal", 2, PARTS, {})
+        progress("conformal", 2, 4, {})
     where = resolve_device(device)
     dipole = _dipole(points, surface.faces[face])
     rights = [wp.array(np.ascontiguousarray(part), dtype=wp.float64, device=where) for part in dipole.T]
     plane = solve_arrays(solver, rights)
     if progress is not None:
-        progress("conformal", 3, PARTS, {})
+        progress("conformal", 3, 4, {})
     sphere, steps = centre_points(_to_sphere(plane, surface.vertex_areas), surface.vertex_areas, device=device)
     if progress is not None:
-        progress("conformal", PARTS, PARTS, {})
+        progress("conformal", 4, 4, {})
     return ConformalMap(sphere, face, steps, solver)
 
 

@@ -31,8 +31,6 @@ from omtwarp.files.limits import (
 )
 from omtwarp.files.output import as_path, note_input, staged
 
-_LONGEST_HEADER = 10_000  # characters of an array's header, as numpy.lib.format has it by default
-
 
 @contextlib.contextmanager
 def reading(file: Path, kind: str, size: int) -> Iterator[None]:
@@ -245,7 +243,7 @@ def _read_array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, name: str) -> 
     with archive.open(entry) as stream:
         _check_header(stream, entry.file_size, name)
     with archive.open(entry) as stream:
-        return np.lib.format.read_array(stream, allow_pickle=False, max_header_size=_LONGEST_HEADER)
+        return np.lib.format.read_array(stream, allow_pickle=False)
 
 
 def _check_header(stream: IO[bytes], length: int, name: str) -> None:
@@ -256,7 +254,7 @@ def _check_header(stream: IO[bytes], length: int, name: str) -> None:
     """
     version = np.lib.format.read_magic(stream)
     header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, _, dtype = header(stream, max_header_size=_LONGEST_HEADER)
+    shape, _, dtype = header(stream)
     size = math.prod(shape) * dtype.itemsize
     if dtype.hasobject:
         raise OmtwarpError(f"'{name}' is not an array of numbers")
@@ -274,7 +272,7 @@ def array_of(data: bytes, name: str = "data") -> NDArray:
     """
     try:
         _check_header(io.BytesIO(data), len(data), name)
-        return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False, max_header_size=_LONGEST_HEADER)
+        return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
     except OmtwarpError:
         raise
     except Exception as error:  # NumPy raises many kinds on a damaged header

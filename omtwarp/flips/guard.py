@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import list_threads, resolve_device
 from omtwarp.device.start import wp
-from omtwarp.flips.guard_kernels import HELD, count_nonpositive, end_round, find_bad, find_bad_around, shorten_steps
+from omtwarp.flips.guard_kernels import Count, count_nonpositive, end_round, find_bad, find_bad_around, shorten_steps
 from omtwarp.flips.rings import is_bijective
 from omtwarp.mesh.surface import Surface
 
@@ -46,7 +46,7 @@ class StepGuard:
         # det[s0, s1, s2] of a small triangle is twice its area.
         self._floors = wp.array(2.0 * smallest * surface.face_areas, dtype=wp.float64, device=device)
         self._counters = wp.zeros(5, dtype=wp.int32, device=device)
-        self.held = self._counters[HELD : HELD + 1]
+        self.held = self._counters[Count.HELD : Count.HELD + 1]
         self._again = wp.empty(1, dtype=wp.int32, device=device)
         self._bad = wp.empty((2, self.face_count), dtype=wp.int32, device=device)
         self._face_rounds = wp.empty(self.face_count, dtype=wp.int32, device=device)

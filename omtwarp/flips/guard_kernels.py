@@ -4,18 +4,26 @@ The first round examines all triangles, later rounds only those around vertices 
 these are filled by counting upwards, in an order that differs from run to run; no result depends on it.
 """
 
+from enum import IntEnum
+
 from omtwarp.device.start import KERNEL_OPTIONS, ZERO, wp
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-# Places of the counters: triangles to be corrected in this round and the next, vertices changed, rounds begun, and
-# vertices held back in all.
-BAD = wp.constant(0)
-NEXT = wp.constant(1)
-CHANGED = wp.constant(2)
-ROUND = wp.constant(3)
-HELD = wp.constant(4)
 UNCERTAIN = wp.constant(2)  # instead of a sign
+
+
+class Count(IntEnum):
+    """Places of the counters.
+
+    Triangles to be corrected in this round and the next, vertices changed, rounds begun, vertices held back in all.
+    """
+
+    BAD = 0
+    NEXT = 1
+    CHANGED = 2
+    ROUND = 3
+    HELD = 4
 
 
 @wp.kernel
@@ -78,7 +86,7 @@ def find_bad(
 ):
     f = wp.tid()
     if is_bad(before, after, faces[f], floors[f]):
-        bad[0, wp.atomic_add(counters, NEXT, 1)] = f
+        bad[0, wp.atomic_add(counters, Count.NEXT, 1)] = f
 
 
 @wp.kernel
@@ -91,12 +99,12 @@ def end_round(
 ):
     """Go on while there are bad triangles; in the round after the last one all vertices go back."""
     again[0] = 0
-    if counters[NEXT] > 0 and counters[ROUND] <= most:
+    if counters[Count.NEXT] > 0 and counters[Count.ROUND] <= most:
         again[0] = 1
-        counters[ROUND] = counters[ROUND] + 1
-    counters[BAD] = counters[NEXT]
-    counters[NEXT] = 0
-    counters[CHANGED] = 0
+        counters[Count.ROUND] = counters[Count.ROUND] + 1
+    counters[Count.BAD] = counters[Count.NEXT]
+    counters[Count.NEXT] = 0
+    counters[Count.CHANGED] = 0
 
 
 @wp.kernel
@@ -118,14 +126,14 @@ def shorten_steps(
 ):
     """Halve the steps of bad triangles' corners, once each; ``wanted`` keeps where those were going at first."""
     thread, _compiled_once = wp.tid()
-    this = counters[ROUND]
+    this = counters[Count.ROUND]
     if this > most:
         for v in range(thread, before.shape[0], threads):
             if halvings[v] == 0:
-                wp.atomic_add(counters, HELD, 1)
+                wp.atomic_add(counters, Count.HELD, 1)
             after[v] = before[v]
     else:
-        for k in range(thread, counters[BAD], threads):
+        for k in range(thread, counters[Count.BAD], threads):
             face = faces[bad[(this - 1) % 2, k]]
             for corner in range(3):
                 v = face[corner]
@@ -134,13 +142,13 @@ def shorten_steps(
                     halvings[v] = times
                     if times == 1:
                         wanted[v] = after[v]
-                        wp.atomic_add(counters, HELD, 1)
+                        wp.atomic_add(counters, Count.HELD, 1)
                     if times >= limit:
                         after[v] = before[v]
                     else:
                         part = wp.pow(wp.float64(0.5), wp.float64(times))
                         after[v] = wp.normalize(before[v] + part * (wanted[v] - before[v]))
-                    changed[wp.atomic_add(counters, CHANGED, 1)] = v
+                    changed[wp.atomic_add(counters, Count.CHANGED, 1)] = v
 
 
 @wp.kernel
@@ -159,11 +167,11 @@ def find_bad_around(
     # Data out:
     bad: wp.array2d[wp.int32],
 ):
-    this = counters[ROUND]
-    for k in range(wp.tid(), counters[CHANGED], threads):
+    this = counters[Count.ROUND]
+    for k in range(wp.tid(), counters[Count.CHANGED], threads):
         v = changed[k]
         for n in range(offsets[v], offsets[v + 1]):
             f = corners[n] // 3
             if wp.atomic_max(face_rounds, f, this) < this:
                 if is_bad(before, after, faces[f], floors[f]):
-                    bad[this % 2, wp.atomic_add(counters, NEXT, 1)] = f
+                    bad[this % 2, wp.atomic_add(counters, Count.NEXT, 1)] = f

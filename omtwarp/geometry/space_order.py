@@ -93,7 +93,6 @@ def number_along_curve(
 
 Places = NDArray[np.int64]
 # A triangle's first corner is the one with the smallest number, so that its number of turns is 0, 1 or 2.
-CORNERS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +121,7 @@ class OrderedSurface(Origins):
         order = np.argsort(known)
         middles = order[np.searchsorted(known, edge_keys(self.vertex_origin[self.surface.edges], count), sorter=order)]
         parts = np.full((len(self.face_origin), PARTS), PARTS - 1)
-        parts[:, :CORNERS] = (np.arange(CORNERS) + self.turns[:, None]) % CORNERS
+        parts[:, :3] = (np.arange(3) + self.turns[:, None]) % 3
         return np.r_[self.vertex_origin, count + middles], (PARTS * self.face_origin[:, None] + parts).ravel()
 
 
@@ -175,7 +174,7 @@ def _ordered(surface: Surface) -> OrderedSurface:
     place[vertices] = np.arange(len(vertices))
     renumbered = place[surface.faces]
     turns = renumbered.argmin(axis=1)
-    turned = np.take_along_axis(renumbered, (turns[:, None] + np.arange(CORNERS)) % CORNERS, axis=1)
+    turned = np.take_along_axis(renumbered, (turns[:, None] + np.arange(3)) % 3, axis=1)
     # No two faces of an oriented surface have the same two corners first; those of others keep their order.
     faces = np.argsort(turned[:, 0] * len(vertices) + turned[:, 1], kind="stable")
     return OrderedSurface(vertices, faces, Surface(surface.vertices[vertices], turned[faces]), turns[faces])

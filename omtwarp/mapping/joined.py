@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.geometry.space_order import CORNERS
 from omtwarp.maps.result import SEVERAL, MapReport, MapResult
 from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh.origins import Origins
@@ -247,13 +246,13 @@ def _order(faces: NDArray, of_vertices: Places, of_faces: Places, given: Part, e
     along = np.argsort(groups, kind="stable")
     # The corner of the input's face at which a triangle begins; 0 for pieces of split ones that begin at a new vertex.
     corners = given.vertex_origin[given.faces[np.searchsorted(given.face_origin, groups[along])]]
-    begins = of_vertices[faces.reshape(-1, parts, CORNERS)[along, 0, 0]]
-    back = (np.arange(CORNERS) - (corners == begins[:, None]).argmax(axis=1)[:, None]) % CORNERS
+    begins = of_vertices[faces.reshape(-1, parts, 3)[along, 0, 0]]
+    back = (np.arange(3) - (corners == begins[:, None]).argmax(axis=1)[:, None]) % 3
     if not exact:
         return _Order(np.concatenate([first, np.flatnonzero(added)]), along, back)
     # A part at a corner goes to another corner's place as it is; the middle one is turned.
     middle = np.full((len(along), 1), PARTS - 1)
     rows = (PARTS * along)[:, None] + np.concatenate([back, middle], axis=1)
-    turned = np.broadcast_to(np.arange(CORNERS), (len(along), PARTS, CORNERS)).copy()
+    turned = np.broadcast_to(np.arange(3), (len(along), PARTS, 3)).copy()
     turned[:, PARTS - 1] = back
-    return _Order(np.concatenate([first, np.flatnonzero(added)]), rows.ravel(), turned.reshape(-1, CORNERS))
+    return _Order(np.concatenate([first, np.flatnonzero(added)]), rows.ravel(), turned.reshape(-1, 3))

@@ -22,10 +22,6 @@ Faces = NDArray[np.int64]
 
 GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 
-# In cells: a node nearer to the surface is moved inside, as triangles around it would have no area; and the step of
-# one-sided differences, whose error is that part of a slope's change over a cell.
-NODE_CLEARANCE, DIFFERENCE = 1e-6, 1e-4
-
 
 # Spheres, and what is made by moving their vertices -----------------------------------------------------------------
 
@@ -349,8 +345,8 @@ def implicit_surface(value: Callable[[Points], Points], low: ArrayLike, high: Ar
     grid = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=3).reshape(-1, 3)
     nodes = low + cell * grid
     values = value(nodes)
-    # A node exactly on the surface would make triangles of no area.
-    values = np.where(np.abs(values) < NODE_CLEARANCE * cell, -NODE_CLEARANCE * cell, values)
+    # A node on the surface would make triangles of no area: one that is nearer than this is moved inside.
+    values = np.where(np.abs(values) < 1e-6 * cell, -1e-6 * cell, values)
 
     stride = np.array([shape[1] * shape[2], shape[2], 1])
     cubes = np.arange(len(grid))[(grid < shape - 1).all(axis=1)]
@@ -430,7 +426,7 @@ def _average_of_neighbours(surface: Surface, points: Points) -> Points:
 
 def _onto_surface(value: Callable[[Points], Points], points: Points, cell: float, steps: int) -> Points:
     """Run Newton's method along the gradient, with steps of at most half a cell."""
-    step = DIFFERENCE * cell
+    step = 1e-4 * cell  # the error of one-sided differences is that part of the change of a slope over a cell
     for _ in range(steps):
         here = value(points)
         slope = np.stack([value(points + step * axis) - here for axis in np.eye(3)], axis=1) / step

@@ -17,9 +17,6 @@ Floats = NDArray[np.float64]
 
 GAP = 0.02  # radians between caps: a seam to be seen, and far above the errors that SETTLED leaves
 TRIES, FEW = 4, 50  # random arrangements at every share; for more than FEW caps one suffices
-BISECTIONS = 7  # of the share that is covered, which is then known to 1 %
-SEED = 1943  # chosen: fixed, so that results are the same bits
-MOST_COVERED, LEAST_COVERED = 0.98, 0.02  # shares of the sphere between which bisection searches
 SETTLED = 1e-9  # sum of squared overlaps, radians², that counts as none; GAP absorbs them
 
 PACKING_STEPS = 500  # of L-BFGS at most: 100 unequal caps took 172, 30 took 231
@@ -43,15 +40,15 @@ def pack_caps(shares: Floats) -> tuple[Floats, float]:
     count = len(shares)
     if count == 1:
         return np.array([[0.0, 0.0, 1.0]]), 1.0
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(1943)
     starts = rng.normal(size=(TRIES if count <= FEW else 1, count, 3))
     starts /= np.linalg.norm(starts, axis=2)[:, :, None]
-    low, high = LEAST_COVERED, MOST_COVERED
+    low, high = 0.02, 0.98
     best = _apart(starts[0], shares, low)
     while best is None:  # very many caps: gaps take most of the sphere
         low *= 0.5
         best = _apart(starts[0], shares, low)
-    for _ in range(BISECTIONS):
+    for _ in range(7):  # the covered share is then known to 1 %
         covered = 0.5 * (low + high)
         found = next(
             (placed for start in (best, *starts) if (placed := _apart(start, shares, covered)) is not None), None

@@ -13,15 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from omtwarp.device.start import wp
+from omtwarp.device.start import LARGE, wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.surface import Surface
 from omtwarp.start.decimation_kernels import (
-    FORBIDDEN_COST,
-    INSIDE,
     MAX_VALENCE,
     NO_KEY,
+    Vertex,
     gather_rings,
     propose_collapses,
     select_minima,
@@ -115,7 +114,7 @@ def simplify(
     # a drawn box's coarse levels differ by at most 1 % of the whole from the surface's with this, by up to 31 % with
     # 0.2.
     even_share = 1e-6 if by_distance else 0.2
-    device_kinds = integers(np.full(count, INSIDE) if kinds is None else kinds, device)
+    device_kinds = integers(np.full(count, Vertex.INSIDE) if kinds is None else kinds, device)
     fewest = 4 if kinds is None else 5
     levels: list[Level] = []
     removals: list[Removal] = []
@@ -195,7 +194,7 @@ def _select(
     device: wp.Device,
 ) -> NDArray[np.int64]:
     """Choose an independent set of vertices that are cheap to remove; return their positions in ``alive``."""
-    legal = np.flatnonzero(cost < float(FORBIDDEN_COST))
+    legal = np.flatnonzero(cost < float(LARGE))
     if len(legal) == 0:
         raise OmtwarpError(
             f"simplification stopped at {len(alive)} vertices: the mesh is not one closed manifold of genus 0"

@@ -5,7 +5,9 @@ A mesh is given by its half-edges sorted by (tail, head): row ``v`` of ``offsets
 the neighbour of ``v`` that follows ``head`` counter-clockwise.
 """
 
-from omtwarp.device.start import KERNEL_OPTIONS, ONE, TWO, ZERO, wp
+from enum import IntEnum
+
+from omtwarp.device.start import KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import TINY
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -16,11 +18,15 @@ MAX_VALENCE = 12
 _MAX_VALENCE = wp.constant(MAX_VALENCE)
 Ring = wp.types.vector(length=MAX_VALENCE, dtype=wp.int32)
 
-FORBIDDEN_COST = wp.constant(wp.float64(1.0e300))  # of a removal that would break the mesh: more than any other
 NO_KEY = wp.constant(wp.int64(0x7FFFFFFFFFFFFFFF))  # the largest int64, after every key
-# Kinds of vertices of a surface with a boundary whose hole a fan around one vertex closes.
-INSIDE, RIM, POLE = 0, 1, 2
-_INSIDE, _RIM = wp.constant(INSIDE), wp.constant(RIM)
+
+
+class Vertex(IntEnum):
+    """Kinds of vertices of a surface with a boundary whose hole a fan around one vertex closes."""
+
+    INSIDE = 0
+    RIM = 1
+    POLE = 2
 
 
 @wp.func
@@ -106,7 +112,7 @@ def may_become(removed: wp.int32, kept: wp.int32) -> bool:
 
     A boundary keeps its loop where its vertices go along it, and gets no chord where others stay away from it.
     """
-    return removed == kept and (removed == _INSIDE or removed == _RIM)
+    return removed == kept and (removed == Vertex.INSIDE or removed == Vertex.RIM)
 
 
 @wp.kernel
@@ -134,7 +140,7 @@ def propose_collapses(
     begin = offsets[v]
     end = offsets[v + 1]
     valence = end - begin
-    best = FORBIDDEN_COST
+    best = LARGE  # of a removal that would break the mesh
     best_target = int(-1)
     if valence >= 3 and valence <= _MAX_VALENCE:
         ring = ring_from(begin, begin, end, heads, thirds)

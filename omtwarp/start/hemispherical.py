@@ -19,7 +19,7 @@ from omtwarp.geometry.axes import order_by_place
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.options import Progress
 from omtwarp.start.decimation import Level, Removal, integers, simplify
-from omtwarp.start.decimation_kernels import INSIDE, POLE, RIM
+from omtwarp.start.decimation_kernels import Vertex
 from omtwarp.start.hierarchical import Embedding, renumbered, sweeps
 from omtwarp.start.hierarchical_kernels import insert_on_equator, relax_vertices, slide_on_equator
 from omtwarp.topology.boundary import boundary_half_edges
@@ -65,7 +65,7 @@ def hemispherical_embedding(
         own[len(faces) :] *= areas.sum() / own[: len(faces)].sum()
         own[: len(faces)] = areas
     given = Surface(points, closed, own)
-    kinds = np.append(np.where(on_rim, RIM, INSIDE), POLE).astype(np.int32)
+    kinds = np.append(np.where(on_rim, Vertex.RIM, Vertex.INSIDE), Vertex.POLE).astype(np.int32)
     order = order_by_place(given)
     surface = renumbered(given, order)
     hierarchy = simplify(surface, where, kinds=kinds[order])
@@ -101,12 +101,12 @@ class _HemisphereEmbedding(Embedding):
         kinds: NDArray[np.int32],
     ):
         self.kinds = kinds
-        self.pole = int(np.flatnonzero(kinds == POLE)[0])
+        self.pole = int(np.flatnonzero(kinds == Vertex.POLE)[0])
         super().__init__(surface, level, coarsest, area_weight, device)
 
     def place(self, vertices: NDArray[np.int32], coarsest: NDArray[np.int32], sphere: Floats) -> None:
         """Put three vertices on the equator and one at each pole."""
-        top = vertices[self.kinds[vertices] == INSIDE][0]
+        top = vertices[self.kinds[vertices] == Vertex.INSIDE][0]
         sphere[top], sphere[self.pole] = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
         face = next(face for face in coarsest if top in face)
         first, second = np.roll(face, -int(np.flatnonzero(face == top)[0]))[1:]
@@ -116,7 +116,7 @@ class _HemisphereEmbedding(Embedding):
 
     def put_back(self, removal: Removal) -> float:
         """Place removed vertices, those of the boundary on the equator, and colour them."""
-        on_rim = self.kinds[removal.vertices] == RIM
+        on_rim = self.kinds[removal.vertices] == Vertex.RIM
         inside = Removal(removal.vertices[~on_rim], removal.rings[~on_rim], removal.valences[~on_rim])
         worst = super().put_back(inside) if len(inside.vertices) else np.inf
         if on_rim.any():
@@ -138,7 +138,7 @@ class _HemisphereEmbedding(Embedding):
         places = slots.numpy()
         kinds = self.kinds[self.level.vertices[places]]
         moves = []
-        for kind, kernel, more in ((INSIDE, relax_vertices, ()), (RIM, slide_on_equator, (self.pole,))):
+        for kind, kernel, more in ((Vertex.INSIDE, relax_vertices, ()), (Vertex.RIM, slide_on_equator, (self.pole,))):
             if (kinds == kind).any():
                 own = integers(places[kinds == kind], self.device)
                 self.kept.append(own)

@@ -7,7 +7,6 @@ from omtwarp.start.decimation_kernels import MAX_VALENCE
 wp.set_module_options(KERNEL_OPTIONS)
 
 _MAX_VALENCE = wp.constant(MAX_VALENCE)
-_NO_POLE = wp.constant(-1)  # of a closed surface
 # det[a, b, c] evaluated in float64 from unit vectors is right to about 3e-16: no move may bring a triangle nearer to 0
 # than this, unless it is already nearer.
 _SAFE_DETERMINANT = wp.constant(wp.float64(1.0e-12))
@@ -247,7 +246,8 @@ def relax_vertices(
     step = ONE / wp.max(ONE, wp.length(direction))
     for _ in range(_HALVINGS):
         trial = wp.normalize(x + step * direction)
-        value = star_energy(trial, begin, end, heads, thirds, coefficients, sphere, area_weight, bound, _NO_POLE)
+        # A closed surface has no pole: -1.
+        value = star_energy(trial, begin, end, heads, thirds, coefficients, sphere, area_weight, bound, -1)
         if value < energy + _SUFFICIENT_DECREASE * step * descent:
             sphere[v] = trial
             return

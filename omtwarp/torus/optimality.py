@@ -28,11 +28,8 @@ from omtwarp.torus.optimality_kernels import best_images, build_plane_nodes, vec
 Floats = NDArray[np.float64]
 
 NARROWEST = 1e-3  # of an edge's lengths and of the median interval: turned triangles make empty ones
-
-SHORTER_WAY = 1e-9  # relative, of squared lengths: as many lattices are symmetric, two ways may be equally long
 # Relative: makes the Laplacian definite, whose kernel is the constants; a vertex that is held takes those out.
 REGULARISATION = 1e-12
-STILL = 1e-24  # squared displacement over the area: a map that moves points by less than 1e-12 has no curl to speak of
 
 
 @dataclass(frozen=True)
@@ -80,7 +77,8 @@ def torus_optimality(surface: Surface, x: Floats, y: Floats, shift: Floats, latt
     gap = cost / lower - 1.0 if lower > 0.0 else (0.0 if cost == 0.0 else float("inf"))
     steps = np.array([(i, j) for i in range(-2, 3) for j in range(-2, 3) if (i, j) != (0, 0)]) @ lattice
     other = ((moved[:, None] + steps) ** 2).sum(axis=2).min(axis=1)
-    wrapped = int((other < (moved**2).sum(axis=1) * (1.0 - SHORTER_WAY)).sum())
+    # As many lattices are symmetric, two ways may be equally long but for rounding.
+    wrapped = int((other < (moved**2).sum(axis=1) * (1.0 - 1e-9)).sum())
     return TorusOptimality(curl, cost, lower, gap, wrapped, taken)
 
 
@@ -227,7 +225,7 @@ def _relative_curl(surface: Surface, corner: Floats, moved: Floats) -> float:
     areas = plane_areas(corner)
     field = moved[surface.faces].mean(axis=1)
     norm = float(areas @ (field**2).sum(axis=1))
-    if norm <= STILL * SPHERE_AREA:
+    if norm <= 1e-24 * SPHERE_AREA:  # a map that moves points by less than 1e-12 has no curl to speak of
         return 0.0
     # J times the gradient of a hat function is half the opposite side over the area, turned: the side itself.
     sides = np.roll(corner, -2, axis=1) - np.roll(corner, -1, axis=1)

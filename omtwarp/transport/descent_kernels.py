@@ -1,5 +1,7 @@
 """Kernels of a descent that decides on the device: inner products, directions, and acceptance of steps."""
 
+from enum import IntEnum
+
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.device.sums import GROUP, LANES, column_sum, first_row
 from omtwarp.geometry.spherical import TINY
@@ -8,16 +10,16 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 SUFFICIENT_DECREASE = wp.constant(wp.float64(0.1))  # share of the gain by the slope that a step has to reach (Armijo)
 AREA_HALVINGS = wp.constant(3)  # of a step that loses too much area, at most
-TENTH = wp.constant(wp.float64(0.1))
-ROUND_OFF = wp.constant(wp.float64(1e-14))  # relative: some fifty times that of float64
 
 
-# Why a descent ended, in the order of ENDINGS in the file of the flow; 0 while it goes on.
-SMALL_CURL = wp.constant(1)
-SETTLED = wp.constant(2)
-NO_STEP = wp.constant(3)
-AREAS = wp.constant(4)
-ITERATIONS = wp.constant(5)
+class Ending(IntEnum):
+    """Why a descent ended; 0 while it goes on."""
+
+    SMALL_CURL = 1
+    SETTLED = 2
+    NO_STEP = 3
+    AREAS = 4
+    ITERATIONS = 5
 
 
 @wp.struct
@@ -50,7 +52,7 @@ class FlowState:
     shortened: wp.int32  # trials refused for their areas
     accepted: wp.int32
     finished: wp.int32
-    ended: wp.int32  # one of the numbers below, which say why
+    ended: wp.int32  # an Ending
 
 
 @wp.kernel
@@ -116,22 +118,23 @@ def begin_iteration(
     s.accepted = 0
     s.trials = 0
     s.shortened = 0
-    if curl <= s.tolerance or s.cost <= ROUND_OFF or size <= ZERO:
+    # A cost below fifty times the round-off of float64 is none.
+    if curl <= s.tolerance or s.cost <= wp.float64(1e-14) or size <= ZERO:
         s.finished = 1
-        s.ended = SMALL_CURL
+        s.ended = Ending.SMALL_CURL
     elif s.gains <= s.cost_tolerance * s.cost:
         s.finished = 1
-        s.ended = SETTLED
+        s.ended = Ending.SETTLED
     elif s.iteration == s.most:
         s.finished = 1
-        s.ended = ITERATIONS
+        s.ended = Ending.ITERATIONS
     searching[0] = 1 - s.finished
 
     s.factor = ZERO
     if s.iteration > 0 and s.conjugate == 1:
         s.factor = wp.max(ZERO, (square - column_sum(products, 3)) / s.square)
     s.slope = s.factor * column_sum(products, 2) - square
-    if s.slope > -TENTH * square:
+    if s.slope > -wp.float64(0.1) * square:
         s.factor = ZERO
         s.slope = -square
     s.square = square
@@ -191,7 +194,7 @@ def judge_step(
             s.shortened = s.shortened + 1
             s.step = HALF * s.step
     else:
-        s.step = wp.max(wp.min(best, HALF * s.step), TENTH * s.step)
+        s.step = wp.max(wp.min(best, HALF * s.step), wp.float64(0.1) * s.step)
         if -s.slope * s.step < s.negligible * s.cost:
             over = 1
     # Step trials, lengths of a step, at most: halved so often, it is below 1e-9 of the first
@@ -210,9 +213,9 @@ def judge_step(
             # Either the area error is too large, or no step along the best direction lowers the cost.
             s.finished = 1
             running[0] = 0
-            s.ended = AREAS
+            s.ended = Ending.AREAS
             if s.shortened == 0:
-                s.ended = NO_STEP
+                s.ended = Ending.NO_STEP
     state[0] = s
 
 

@@ -30,6 +30,7 @@ from omtwarp.metrics.optimality import relative_curl
 from omtwarp.options import Cost, Progress, Record, Scheme
 from omtwarp.transport.cost import LARGEST_ERROR
 from omtwarp.transport.descent_kernels import (
+    Ending,
     FlowState,
     begin_iteration,
     inner_products,
@@ -62,16 +63,15 @@ NEGLIGIBLE = {"default": 1e-7, "plain": 1e-10}
 AREA_PRICE = 0.02
 # Where iterations are a graph on the device, the host reads the records of this many at a time.
 ITERATIONS_AT_ONCE = 10
-# Why the flow ended, in the order of the kernels; after the first three the map may be optimal.
-ENDINGS = (
-    "",
-    "the curl that the grid resolves is below the tolerance",
-    "three steps together gained next to nothing",
-    "no step lowers the cost",
-    "areas would suffer",
-    "most iterations made",
-)
-SETTLED_ENDINGS = ENDINGS[1:4]
+ENDINGS = {
+    Ending.SMALL_CURL: "the curl that the grid resolves is below the tolerance",
+    Ending.SETTLED: "three steps together gained next to nothing",
+    Ending.NO_STEP: "no step lowers the cost",
+    Ending.AREAS: "areas would suffer",
+    Ending.ITERATIONS: "most iterations made",
+}
+# After these the map may be optimal.
+SETTLED_ENDINGS = [ENDINGS[ending] for ending in (Ending.SMALL_CURL, Ending.SETTLED, Ending.NO_STEP)]
 # Relative curl of the whole displacement up to which a map counts as optimal: the excess of its cost grows with the
 # square. The curl that the flow itself uses omits what is too fine for a badly stretched mesh, and is zero where no
 # wavelet is resolved.
@@ -411,7 +411,7 @@ class _Flow:
                 if progress is not None:
                     progress("omt", iteration, most, record)
             if state["finished"]:
-                return ENDINGS[int(state["ended"])]
+                return ENDINGS[Ending(int(state["ended"]))]
 
 
 def resolution_damping(

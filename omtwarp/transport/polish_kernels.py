@@ -1,13 +1,11 @@
 """Kernels of the last step of transport, on the image mesh itself."""
 
-from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, THREE, ZERO, wp
 from omtwarp.geometry.spherical import TINY, logarithm
 from omtwarp.metrics.kernels import solid_angle
 from omtwarp.transport.kernels import area_error, centre
 
 wp.set_module_options(KERNEL_OPTIONS)
-
-THIRD = wp.constant(wp.float64(1.0 / 3.0))
 
 
 @wp.kernel
@@ -71,11 +69,11 @@ def weak_curl_and_area(
         corner = corners[k]
         face = faces[corner // 3]
         i, j = face[(corner + 1) % 3], face[(corner + 2) % 3]
-        mean = THIRD * (pull[v] + pull[i] + pull[j])
+        mean = ONE / THREE * (pull[v] + pull[i] + pull[j])
         double_area = wp.length(wp.cross(points[i] - points[v], points[j] - points[v]))
         total_curl -= HALF * wp.dot(mean, points[j] - points[i])
-        total_energy += THIRD * HALF * double_area * wp.dot(mean, mean)
-        total_area += THIRD * solid_angle(points[v], points[i], points[j])
+        total_energy += ONE / THREE * HALF * double_area * wp.dot(mean, mean)
+        total_area += ONE / THREE * solid_angle(points[v], points[i], points[j])
     curl[v] = total_curl
     energy[v] = total_energy
     area[v] = total_area

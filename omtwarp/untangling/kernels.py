@@ -29,8 +29,6 @@ from omtwarp.solvers.triangle_newton.triangle import (
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-FOUR = wp.constant(wp.float64(4.0))
-
 
 @wp.func
 def signed_ratio(frame: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.float64:
@@ -120,7 +118,7 @@ def untangle_derivatives(
     by_fro = ONE / chi
     by_det = TWO * weight * d / chi - top * slope / (chi * chi)
     mixed = -TWO * slope / (chi * chi)
-    bowl = TWO / chi - FOUR * d * slope / (chi * chi)
+    bowl = TWO / chi - wp.float64(4.0) * d * slope / (chi * chi)
     bowl += (d * d + ONE) * (TWO * slope * slope / (chi * chi * chi) - curve / (chi * chi))
     by_det_twice = TWO * fro * slope * slope / (chi * chi * chi) + weight * wp.max(bowl, ZERO)
 

@@ -10,7 +10,7 @@ from omtwarp.flips.rings import is_bijective
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.open_surfaces.symmetric import ACROSS
 from omtwarp.start.decimation import simplify
-from omtwarp.start.decimation_kernels import INSIDE, POLE, RIM
+from omtwarp.start.decimation_kernels import Vertex
 from omtwarp.start.hemispherical import hemispherical_embedding
 from omtwarp.topology.boundary import boundary_half_edges, boundary_loops
 from omtwarp.topology.doubling import double, split_chords
@@ -75,16 +75,16 @@ def test_the_boundary_stays_a_loop_without_chords(name):
     part = SHAPES[name]()
     count = len(part.vertices)
     rim = boundary_half_edges(part.faces, count)
-    kinds = np.full(count + 1, INSIDE, dtype=np.int32)
-    kinds[rim], kinds[count] = RIM, POLE
+    kinds = np.full(count + 1, Vertex.INSIDE, dtype=np.int32)
+    kinds[rim], kinds[count] = Vertex.RIM, Vertex.POLE
     fan = np.stack([rim[:, 1], rim[:, 0], np.full(len(rim), count)], axis=1)
     centre = part.vertices[rim[:, 0]].mean(axis=0)
     closed = Surface(np.vstack([part.vertices, centre]), np.vstack([part.faces, fan]).astype(np.int32))
     levels = simplify(closed, resolve_device("cpu"), kinds=kinds).levels
     for level in levels:
         tails = np.repeat(level.vertices, np.diff(level.offsets))
-        along = (kinds[tails] == RIM) & (kinds[level.heads] == RIM)
-        assert along.sum() == 2 * (kinds[level.vertices] == RIM).sum()
+        along = (kinds[tails] == Vertex.RIM) & (kinds[level.heads] == Vertex.RIM)
+        assert along.sum() == 2 * (kinds[level.vertices] == Vertex.RIM).sum()
         assert count in level.vertices
     assert np.bincount(kinds[levels[-1].vertices], minlength=3).tolist() == [1, 3, 1]
 

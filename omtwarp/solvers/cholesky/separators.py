@@ -15,8 +15,6 @@ from scipy import sparse
 
 Mask = NDArray[np.bool_]
 
-UNLIMITED = 1 << 20  # capacity of what cannot be cut: more than the vertices of any band
-
 
 def least_separators(edges: NDArray[np.int64], band: Mask, second: Mask) -> tuple[Mask, Mask]:
     """Return the fewest vertices of a band that separate the two sides of it.
@@ -50,7 +48,7 @@ def least_separators(edges: NDArray[np.int64], band: Mask, second: Mask) -> tupl
     tails = [every, count + a, count + b, np.full(len(first_ends), source), count + second_ends]
     heads = [count + every, b, a, first_ends, np.full(len(second_ends), sink)]
     arcs = np.concatenate(tails), np.concatenate(heads)
-    capacity = np.full(len(arcs[0]), UNLIMITED, dtype=np.int32)
+    capacity = np.full(len(arcs[0]), count + 1, dtype=np.int32)  # more than all vertices of the band
     capacity[:count] = 1
     graph = sparse.csr_matrix((capacity, arcs), shape=(2 * count + 2, 2 * count + 2))
     left = graph - maximum_flow(graph, source, sink).flow

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from omtwarp.mesh.surface import Surface
 
-FLATTEST = 1e-14  # least height over length of a triangle, so that its inverse is finite
 EQUILATERAL_HEIGHT = np.sqrt(3.0) / 2.0  # over an edge
 
 
@@ -35,7 +34,7 @@ def triangle_frames(
     foot = np.einsum("ij,ij->i", second, unit)
     height = np.linalg.norm(second - foot[:, None] * unit, axis=1)
     longest = np.maximum(base, np.linalg.norm(second, axis=1))
-    height = np.maximum(height, FLATTEST * longest)
+    height = np.maximum(height, 1e-14 * longest)  # so that its inverse is finite
     if thinnest > 0.0:
         base, foot, height = _thickened(base, foot, height, thinnest)
     frames = np.stack([1.0 / base, -foot / (base * height), 1.0 / height], axis=1)
