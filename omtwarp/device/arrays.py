@@ -19,6 +19,11 @@ NUMBERS = {wp.float64: np.float64, wp.int32: np.int32}
 COMPONENTS = {wp.vec2d: 2, wp.vec3d: 3}
 
 
+def sent(values: NDArray[np.generic], dtype: type, device: wp.Device | str = "cpu") -> wp.array:
+    """Return an array on a device with the values of NumPy's; on the CPU it shares their memory."""
+    return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device, copy=False)
+
+
 def vectors(points: ArrayLike | wp.array, device: wp.Device) -> wp.array:
     """Convert points to a read-only array of vec3d, shape [N], on a device.
 

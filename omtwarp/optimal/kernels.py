@@ -248,10 +248,7 @@ def raise_diagonal(
 
 
 @wp.kernel
-def local_state(
-    points: wp.array[wp.vec3d],
-    areas: wp.array[wp.float64],
-    multipliers: wp.array[wp.float64],
+def single_gains(
     relative: wp.array[wp.float64],
     missing: wp.array[wp.float64],
     stiffness: wp.float64,
@@ -259,21 +256,14 @@ def local_state(
     diagonal: wp.array2d[wp.float64],
     inner: wp.array[wp.float64],
     # Data out:
-    state: wp.array2d[wp.float64],
+    gains: wp.array[wp.float64],
 ):
-    """Gather what local steps read of a vertex: position, area around it, multiplier, gain, in this order, [V, 6].
-
-    The gain is what a Newton step of the vertex alone would bring, and the penalty on its own area.
-    """
+    """Compute what a Newton step of each vertex alone would gain, and the penalty on the area around it."""
     v = wp.tid()
-    for k in range(3):
-        state[v, k] = points[v][k]
-    state[v, 3] = areas[v]
-    state[v, 4] = multipliers[v]
     g0, g1, off = gradient[v, 0], gradient[v, 1], inner[v]
     h00, h11 = diagonal[v, 0], diagonal[v, 1]
     alone = (g0 * g0 * h11 - TWO * g0 * g1 * off + g1 * g1 * h00) / (h00 * h11 - off * off)
-    state[v, 5] = alone + stiffness * missing[v] * relative[v]
+    gains[v] = alone + stiffness * missing[v] * relative[v]
 
 
 @wp.func

@@ -12,18 +12,24 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from omtwarp.device.arrays import sent
 from omtwarp.device.start import wp
 from omtwarp.mesh.patches import Patches, grow, sides_of
 from omtwarp.mesh.surface import SPHERE_AREA
-from omtwarp.optimal.domain import ShapeTerms
-from omtwarp.optimal.energy import LEAST_EIGENVALUE, TransportEnergy
-from omtwarp.optimal.kernels import Fit
-from omtwarp.optimal.patch_kernels import LocalEnergy, LocalScratch, SaddlePatches, settle_small_patches
+from omtwarp.optimal.energy import LEAST_EIGENVALUE, MapTerms, TransportEnergy
+from omtwarp.optimal.patch_kernels import (
+    LocalEnergy,
+    LocalScratch,
+    SaddlePatches,
+    gather_patches,
+    scatter_patches,
+    settle_small_patches,
+)
 from omtwarp.optimal.sphere import GeodesicCost, SphereShape
 from omtwarp.refine.energy import Terms
-from omtwarp.solvers.cholesky.envelope import Envelopes
+from omtwarp.solvers.cholesky.envelope import COLUMNS, Envelopes
 from omtwarp.solvers.cholesky.saddle import UNKNOWNS
-from omtwarp.solvers.triangle_newton.small_patches import launch_patches, shared
+from omtwarp.solvers.triangle_newton.small_patches import lanes_on, launch_patches
 
 Numbers = NDArray[np.float64]
 
@@ -64,33 +70,18 @@ def freed_vertices(faces: NDArray[np.int32], gains: Numbers, expected: float) ->
 class LocalSteps:
     """Moves patches of a surface's map, each by steps of its own length, without flipping a triangle.
 
-    One thread takes all steps of a patch, on the host, wherever the map is.
+    The threads of a patch take all its steps in one launch: a block of a GPU, or one thread of the host.
 
     Args:
         energy: the energy that is minimised.
         patches: what may move.
-        points: the map, shape [V, 3].
-        shape: terms of its distortion.
-        areas: around the vertices, shape [V].
-        multipliers: p_v, shape [V].
         stiffness: weights of the squared area errors, shape [V].
         constrained: whether steps change the multipliers; with a penalty in place of constraints they do not.
     """
 
-    def __init__(
-        self,
-        energy: TransportEnergy,
-        patches: Patches,
-        points: Numbers,
-        shape: ShapeTerms,
-        areas: Numbers,
-        multipliers: Numbers,
-        stiffness: Numbers,
-        constrained: bool,
-    ):
+    def __init__(self, energy: TransportEnergy, patches: Patches, stiffness: Numbers, constrained: bool):
         assert isinstance(energy.vertex_cost, GeodesicCost) and isinstance(energy.shape, SphereShape)
-        assert isinstance(shape, Terms)
-        self._energy, self._whole, self._constrained, self._shape = energy, points, constrained, shape
+        self._energy, self._device, self._constrained = energy, energy.device, constrained
         self._cost, self._distortion = energy.vertex_cost, energy.shape.distortion
         sides = sides_of(patches.faces)
         sides = sides[(sides[:, 0] < patches.free) | (sides[:, 1] < patches.free)]
@@ -107,67 +98,86 @@ class LocalSteps:
         self._sizes = np.bincount(patch_of_face, minlength=self._count).astype(np.int32)
         self._faces, self._triangles = place[patches.faces[by_patch]], patches.triangles[by_patch]
         self._vertices, self._free = patches.vertices[order], order < patches.free
-        self.multipliers, self._stiffness = multipliers[self._vertices], stiffness[self._vertices]
-        self._ring = areas[self._vertices]
+        self._stiffness = stiffness[self._vertices]
 
     @property
     def worthwhile(self) -> bool:
-        """Whether no patch is too large for one thread."""
+        """Whether no patch is too large for the threads that share it."""
         # Operations are counted for blocks of two unknowns.
         return float(self._envelopes.operations.max()) * (UNKNOWNS / 2.0) ** 3 <= MAX_OPERATIONS
 
-    def run(self, enough: float, most: int = MAX_STEPS) -> tuple[Numbers, NDArray[np.intp], Numbers]:
+    def run(
+        self, points: wp.array, terms: MapTerms, multipliers: wp.array, enough: float, most: int = MAX_STEPS
+    ) -> tuple[wp.array, wp.array]:
         """Take Newton steps of every patch until its expected gain is small.
 
         Args:
+            points: the map, vec3d, shape [V].
+            terms: its terms.
+            multipliers: p_v, float64, shape [V].
             enough: end where the steps are expected to gain less than this, all together.
             most: largest number of steps.
 
         Returns:
-            The whole map, shape [V, 3]; the vertices of the patches, shape [P]; and their multipliers, shape [P].
+            The map and the multipliers afterwards.
         """
-        energy = self._energy
+        assert isinstance(terms.shape, Terms)
+        energy, device, lanes = self._energy, self._device, lanes_on(self._device)
         given = LocalEnergy()
         # Patches are a small part of the map's area, so that its scale is taken as constant.
-        given.linear, given.inverse, given.barrier = self._distortion.pressures(self._shape, energy.area_weight)
+        given.linear, given.inverse, given.barrier = self._distortion.pressures(terms.shape, energy.area_weight)
         given.shape_weight, given.softness = energy.shape_weight, self._cost.softness
         given.cost_factor = energy.cost_weight / (3.0 * SPHERE_AREA)
         given.least, given.regularisation, given.enough = LEAST_EIGENVALUE, REGULARISATION, enough / self._count
         given.steps, given.halvings, given.constrained = most, MAX_HALVINGS, self._constrained
-        whole = self._whole.copy()
-        moved, tried = whole[self._vertices], whole[self._vertices]
-        state = [shared(moved, wp.vec3d), shared(tried, wp.vec3d), shared(self.multipliers, wp.float64)]
-        launch_patches(settle_small_patches, self._sizes, [self._patches(), given], [*state, self._scratch()])
-        whole[self._vertices[self._free]] = moved[self._free]
-        return whole, self._vertices, self.multipliers
+        count, vertices = len(self._vertices), sent(self._vertices.astype(np.int32), wp.int32, device)
+        moved, tried = (wp.empty(count, dtype=wp.vec3d, device=device) for _ in range(2))
+        areas, of_patches = (wp.empty(count, dtype=wp.float64, device=device) for _ in range(2))
+        inputs, state = [vertices, points, terms.areas, multipliers], [moved, tried, areas, of_patches]
+        wp.launch(gather_patches, dim=count, inputs=inputs, outputs=state, device=device)
+        arguments = [0, lanes, self._patches(areas), given]
+        outputs = [moved, tried, of_patches, self._scratch(lanes)]
+        launch_patches(settle_small_patches, self._sizes, arguments, outputs, device)
+        after = [wp.clone(points), wp.clone(multipliers)]
+        wp.launch(scatter_patches, dim=count, inputs=[vertices, moved, of_patches], outputs=after, device=device)
+        return after[0], after[1]
 
-    def _patches(self) -> SaddlePatches:
-        """Return what the kernel reads of the patches."""
-        energy, vertices, triangles = self._energy, self._vertices, self._triangles
-        face_starts = np.zeros(self._count + 1, dtype=np.int32)
+    def _patches(self, areas: wp.array) -> SaddlePatches:
+        """Return what the kernel reads of the patches, with the areas around their vertices in the map."""
+        energy, vertices, triangles, device = self._energy, self._vertices, self._triangles, self._device
+        face_starts, offsets = np.zeros(self._count + 1, dtype=np.int32), np.zeros(len(vertices) + 1, dtype=np.int32)
         np.cumsum(self._sizes, out=face_starts[1:])
+        np.cumsum(np.bincount(self._faces.ravel(), minlength=len(vertices)), out=offsets[1:])
+        corners = np.argsort(self._faces.ravel(), kind="stable").astype(np.int32)
         patches = SaddlePatches()
-        patches.starts, patches.first, patches.rows = self._envelopes.upload()
-        patches.face_starts, patches.faces = shared(face_starts, wp.int32), shared(self._faces, wp.vec3i)
-        patches.frames = shared(self._distortion.frames[triangles], wp.vec3d)
-        patches.areas = shared(self._distortion.areas[triangles], wp.float64)
-        patches.free = shared(self._free, wp.bool)
-        patches.start = shared(self._cost.start[vertices], wp.vec3d)
-        patches.wanted = shared(energy.wanted[vertices], wp.float64)
-        patches.whole = shared(self._ring, wp.float64)
-        patches.stiffness = shared(self._stiffness, wp.float64)
+        patches.starts, patches.first, patches.last, patches.rows = self._envelopes.upload(device)
+        patches.face_starts, patches.faces = sent(face_starts, wp.int32, device), sent(self._faces, wp.vec3i, device)
+        patches.offsets, patches.corners = sent(offsets, wp.int32, device), sent(corners, wp.int32, device)
+        patches.frames = sent(self._distortion.frames[triangles], wp.vec3d, device)
+        patches.areas = sent(self._distortion.areas[triangles], wp.float64, device)
+        patches.free = sent(self._free, wp.bool, device)
+        patches.start = sent(self._cost.start[vertices], wp.vec3d, device)
+        patches.wanted = sent(energy.wanted[vertices], wp.float64, device)
+        patches.whole = areas
+        patches.stiffness = sent(self._stiffness, wp.float64, device)
         return patches
 
-    def _scratch(self) -> LocalScratch:
+    def _scratch(self, lanes: int) -> LocalScratch:
         """Return memory for one launch."""
-        triangles, count = len(self._triangles), len(self._vertices)
+        triangles, count, device = len(self._triangles), len(self._vertices), self._device
+
+        def numbers(*shape: int) -> wp.array:
+            return wp.empty(shape, dtype=wp.float64, device=device)
+
         scratch = LocalScratch()
-        scratch.blocks, scratch.bends = (shared(np.empty((triangles, n)), wp.float64) for n in (21, 6))
-        scratch.outside, scratch.ring, scratch.cost = (shared(np.empty(count), wp.float64) for _ in range(3))
-        scratch.fits = shared(np.empty((count, 8)), Fit)
-        scratch.pull, scratch.right, scratch.step = (shared(np.empty((count, 3)), wp.vec3d) for _ in range(3))
-        diagonal, left = self._envelopes.storage(UNKNOWNS)
-        scratch.diagonal, scratch.left = shared(diagonal, wp.mat33d), shared(left, wp.float64)
+        scratch.gates = wp.zeros(self._count * lanes, dtype=wp.int32, device=device)
+        scratch.numbers, scratch.shape, scratch.solid = numbers(self._count, 4), numbers(triangles), numbers(triangles)
+        scratch.blocks, scratch.bends = numbers(triangles, 21), numbers(triangles, 6)
+        scratch.pulls = wp.empty((triangles, 3), dtype=wp.vec3d, device=device)
+        scratch.outside, scratch.ring, scratch.cost, scratch.worth = (numbers(count) for _ in range(4))
+        scratch.right, scratch.step = (wp.empty(count, dtype=wp.vec3d, device=device) for _ in range(2))
+        scratch.diagonal = wp.empty(count, dtype=wp.mat33d, device=device)
+        scratch.left = numbers(self._envelopes.size * COLUMNS * UNKNOWNS**2)
         return scratch
 
 

@@ -1,7 +1,11 @@
-"""A kernel that takes all local steps of a small patch in one thread; see :mod:`omtwarp.optimal.local`.
+"""A kernel that takes all local steps of a small patch; see :mod:`omtwarp.optimal.local`.
 
 The unknowns of every vertex are its two tangent coordinates and its multiplier. A fixed vertex next to a patch has a
 multiplier alone, since the area around it changes too.
+
+The lanes of a patch are the threads that share it: one on the host, a block on a GPU. What is summed over triangles is
+gathered by vertex, and what is summed over a patch the first lane adds in one order, so that the bits of a result do
+not depend on the number of lanes.
 """
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
@@ -11,8 +15,9 @@ from omtwarp.optimal.kernels import Fit, area_gradient, cost_slope, moving_cost,
 from omtwarp.refine.kernels import distortion_gradient, distortion_hessian, distortion_terms
 from omtwarp.solvers.cholesky.envelope_kernels import (
     add_saddle_block,
-    clear_envelope,
+    clear_row,
     factorise_saddle_envelope,
+    meet,
     solve_saddle_envelope,
 )
 from omtwarp.solvers.triangle_newton.motion_kernels import keeps_volume
@@ -24,6 +29,8 @@ from omtwarp.untangling.kernels import solid_angle
 wp.set_module_options(KERNEL_OPTIONS)
 
 SPHERE_AREA = wp.constant(wp.float64(surface.SPHERE_AREA))
+# Places in the numbers of a patch: whether its matrix has a factor, the merit, the expected gain, and a step's length.
+DEFINITE, MERIT, EXPECTED, LENGTH = wp.constant(0), wp.constant(1), wp.constant(2), wp.constant(3)
 
 
 @wp.struct
@@ -33,9 +40,12 @@ class SaddlePatches:
     starts: wp.array[wp.int32]  # where the vertices of every patch begin, [count + 1]
     face_starts: wp.array[wp.int32]  # and its triangles, [count + 1]
     faces: wp.array[wp.vec3i]  # places of their corners, [T]
+    offsets: wp.array[wp.int32]  # where the corners at every vertex begin in ``corners``, [P + 1]
+    corners: wp.array[wp.int32]  # 3 t + k of corner k of triangle t, vertex by vertex, [3 T]
     frames: wp.array[wp.vec3d]
     areas: wp.array[wp.float64]
     first: wp.array[wp.int32]  # as of omtwarp.solvers.cholesky.envelope_kernels, [P]
+    last: wp.array[wp.int32]
     rows: wp.array[wp.int64]
     free: wp.array[wp.bool]  # which vertices move, [P]
     start: wp.array[wp.vec3d]  # x of the vertices
@@ -66,13 +76,17 @@ class LocalEnergy:
 class LocalScratch:
     """Memory that the threads of a launch share; each works on the part of its patch."""
 
-    blocks: wp.array2d[wp.float64]  # Hessian of every triangle, [T, 21]
+    gates: wp.array[wp.int32]  # as of omtwarp.solvers.cholesky.envelope_kernels.meet
+    numbers: wp.array2d[wp.float64]  # of every patch, [count, 4]
+    shape: wp.array[wp.float64]  # distortion of every triangle, [T]
+    solid: wp.array[wp.float64]  # its solid angle
+    blocks: wp.array2d[wp.float64]  # its Hessian, [T, 21]
     bends: wp.array2d[wp.float64]  # gradient of its solid angle by the tangent coordinates of its corners, [T, 6]
-    outside: wp.array[wp.float64]  # areas around vertices in triangles outside the patch
+    pulls: wp.array2d[wp.vec3d]  # gradient of the energy by its corners, [T, 3]
+    outside: wp.array[wp.float64]  # areas around vertices in triangles outside the patch, [P]
     ring: wp.array[wp.float64]  # areas around vertices
     cost: wp.array[wp.float64]
-    fits: wp.array[Fit]
-    pull: wp.array[wp.vec3d]  # gradient of the energy by every vertex, and its multiplier's right-hand side
+    worth: wp.array[wp.float64]  # what a vertex adds to the merit
     right: wp.array[wp.vec3d]
     step: wp.array[wp.vec3d]
     diagonal: wp.array[wp.mat33d]  # of the matrix, as of omtwarp.solvers.cholesky.envelope_kernels, [P]
@@ -80,21 +94,34 @@ class LocalScratch:
 
 
 @wp.func
-def find_outside(p: int, patches: SaddlePatches, points: wp.array[wp.vec3d], scratch: LocalScratch):
+def solid_angles_at(i: int, patches: SaddlePatches, solid: wp.array[wp.float64]) -> wp.float64:
+    """Sum the solid angles of a patch's triangles around a vertex."""
+    total = ZERO
+    for k in range(patches.offsets[i], patches.offsets[i + 1]):
+        total += solid[patches.corners[k] // 3]
+    return total
+
+
+@wp.func
+def find_outside(
+    p: int, lane: int, lanes: int, patches: SaddlePatches, points: wp.array[wp.vec3d], scratch: LocalScratch
+):
     """Compute what the triangles outside a patch, which stay, add to the areas around its fixed vertices."""
-    for i in range(patches.starts[p], patches.starts[p + 1]):
-        scratch.outside[i] = wp.where(patches.free[i], ZERO, patches.whole[i])
-    for t in range(patches.face_starts[p], patches.face_starts[p + 1]):
+    for t in range(patches.face_starts[p] + lane, patches.face_starts[p + 1], lanes):
         face = patches.faces[t]
-        solid = solid_angle(points[face[0]], points[face[1]], points[face[2]])
-        for k in range(3):
-            if not patches.free[face[k]]:
-                scratch.outside[face[k]] = scratch.outside[face[k]] - solid
+        scratch.solid[t] = solid_angle(points[face[0]], points[face[1]], points[face[2]])
+    meet(p, lane, lanes, scratch.gates)
+    for i in range(patches.starts[p] + lane, patches.starts[p + 1], lanes):
+        scratch.outside[i] = ZERO
+        if not patches.free[i]:
+            scratch.outside[i] = patches.whole[i] - solid_angles_at(i, patches, scratch.solid)
 
 
 @wp.func
 def merit_of(
     p: int,
+    lane: int,
+    lanes: int,
     patches: SaddlePatches,
     given: LocalEnergy,
     before: wp.array[wp.vec3d],
@@ -105,54 +132,59 @@ def merit_of(
     """Compute areas and costs, and return the merit; LARGE where a triangle lost nearly all the volume it had."""
     begin = patches.starts[p]
     end = patches.starts[p + 1]
-    for i in range(begin, end):
-        scratch.ring[i] = scratch.outside[i]
-    shape = ZERO
-    for t in range(patches.face_starts[p], patches.face_starts[p + 1]):
+    meet(p, lane, lanes, scratch.gates)
+    for t in range(patches.face_starts[p] + lane, patches.face_starts[p + 1], lanes):
         face = patches.faces[t]
         a = points[face[0]]
         b = points[face[1]]
         c = points[face[2]]
         angle, d, volume, steep = distortion_terms(patches.frames[t], a, b, c)
         had = oriented_volume(before[face[0]], before[face[1]], before[face[2]])
-        if not keeps_volume(volume, had):
-            return LARGE
-        shape += patches.areas[t] * (angle + given.linear * d + given.inverse / d + given.barrier * steep)
-        solid = solid_angle(a, b, c)
-        for k in range(3):
-            scratch.ring[face[k]] = scratch.ring[face[k]] + solid
-    merit = given.shape_weight * shape / SPHERE_AREA
-    for i in range(begin, end):
+        scratch.solid[t] = solid_angle(a, b, c)
+        scratch.shape[t] = LARGE
+        if keeps_volume(volume, had):
+            distortion = angle + given.linear * d + given.inverse / d + given.barrier * steep
+            scratch.shape[t] = patches.areas[t] * distortion
+    meet(p, lane, lanes, scratch.gates)
+    for i in range(begin + lane, end, lanes):
+        ring = scratch.outside[i] + solid_angles_at(i, patches, scratch.solid)
         _pull, distance = logarithm(points[i], patches.start[i])
         cost = moving_cost(distance, given.softness)
+        missing = ring - patches.wanted[i]
+        scratch.ring[i] = ring
         scratch.cost[i] = cost
-        missing = scratch.ring[i] - patches.wanted[i]
-        merit += given.cost_factor * scratch.ring[i] * cost
-        merit += multipliers[i] * missing + HALF * patches.stiffness[i] * missing * missing
-    return merit
+        scratch.worth[i] = (
+            given.cost_factor * ring * cost + multipliers[i] * missing + HALF * patches.stiffness[i] * missing * missing
+        )
+    meet(p, lane, lanes, scratch.gates)
+    if lane == 0:
+        shape = ZERO
+        for t in range(patches.face_starts[p], patches.face_starts[p + 1]):
+            shape += scratch.shape[t]
+        merit = given.shape_weight * shape / SPHERE_AREA
+        for i in range(begin, end):
+            merit += scratch.worth[i]
+        scratch.numbers[p, MERIT] = wp.where(shape < LARGE, merit, LARGE)
+    meet(p, lane, lanes, scratch.gates)
+    return scratch.numbers[p, MERIT]
 
 
 @wp.func
 def differentiate(
     p: int,
+    lane: int,
+    lanes: int,
     patches: SaddlePatches,
     given: LocalEnergy,
     points: wp.array[wp.vec3d],
     multipliers: wp.array[wp.float64],
     scratch: LocalScratch,
 ):
-    """Compute the gradient, the Hessians of triangles, their areas' gradients and the metric of the cost's fits.
+    """Compute the gradients and Hessians of triangles, and the gradients of their areas.
 
     :func:`merit_of` has computed areas and costs at these points.
     """
-    begin = patches.starts[p]
-    end = patches.starts[p + 1]
-    for i in range(begin, end):
-        pull, distance = logarithm(points[i], patches.start[i])
-        scale = TWO * given.cost_factor * scratch.ring[i] * cost_slope(distance, given.softness)
-        scratch.pull[i] = -scale * pull
-        scratch.fits[i] = Fit()
-    for t in range(patches.face_starts[p], patches.face_starts[p + 1]):
+    for t in range(patches.face_starts[p] + lane, patches.face_starts[p + 1], lanes):
         face = patches.faces[t]
         a = points[face[0]]
         b = points[face[1]]
@@ -165,79 +197,120 @@ def differentiate(
         for k in range(3):
             potential += multipliers[face[k]] + given.cost_factor * scratch.cost[face[k]]
         for k in range(3):
-            i = face[k]
-            j = face[(k + 1) % 3]
-            y = points[i]
-            bend = area_gradient(y, points[j], points[face[(k + 2) % 3]])
+            y = points[face[k]]
+            bend = area_gradient(y, points[face[(k + 1) % 3]], points[face[(k + 2) % 3]])
             tangent = first_tangent(y)
             scratch.bends[t, 2 * k] = wp.dot(tangent, bend)
             scratch.bends[t, 2 * k + 1] = wp.dot(wp.cross(y, tangent), bend)
-            if patches.free[i]:
-                scratch.pull[i] = scratch.pull[i] + potential * bend + rows[k]
-                fit = neighbour_fit(y, patches.start[i], given.softness, points[j], patches.start[j])
-                scratch.fits[i] = scratch.fits[i] + fit
+            scratch.pulls[t, k] = potential * bend + rows[k]
+    meet(p, lane, lanes, scratch.gates)
 
 
 @wp.func
-def assemble(p: int, patches: SaddlePatches, given: LocalEnergy, points: wp.array[wp.vec3d], scratch: LocalScratch):
-    """Sum the saddle-point matrix and the right-hand side."""
-    begin = patches.starts[p]
-    end = patches.starts[p + 1]
-    clear_envelope(begin, end, 3, patches.first, patches.rows, scratch.left)
-    for i in range(begin, end):
-        scratch.diagonal[i] = wp.mat33d()
-    for t in range(patches.face_starts[p], patches.face_starts[p + 1]):
+def corner_block(t: int, m: int, n: int, patches: SaddlePatches, scratch: LocalScratch) -> wp.mat33d:
+    """Return what triangle t adds to the matrix, rows of its corner m and columns of its corner n, m <= n."""
+    block = wp.mat33d()
+    face = patches.faces[t]
+    one = patches.free[face[m]]
+    other = patches.free[face[n]]
+    if one and other:
+        upper = packed(2 * m, 2 * n)
+        lower = packed(2 * m + 1, 2 * n + 1)
+        block[0, 0] = scratch.blocks[t, upper]
+        block[0, 1] = scratch.blocks[t, upper + 1]
+        block[1, 0] = scratch.blocks[t, upper + 1]
+        if m < n:
+            block[1, 0] = scratch.blocks[t, lower - 1]
+        block[1, 1] = scratch.blocks[t, lower]
+    if m < n:
+        if one:
+            block[0, 2] = scratch.bends[t, 2 * m]
+            block[1, 2] = scratch.bends[t, 2 * m + 1]
+        if other:
+            block[2, 0] = scratch.bends[t, 2 * n]
+            block[2, 1] = scratch.bends[t, 2 * n + 1]
+    return block
+
+
+@wp.func
+def assemble_row(i: int, patches: SaddlePatches, given: LocalEnergy, points: wp.array[wp.vec3d], scratch: LocalScratch):
+    """Sum the blocks of a vertex with itself and those eliminated before it, and its right-hand side."""
+    clear_row(i, 3, patches.first, patches.rows, scratch.left)
+    y = points[i]
+    x = patches.start[i]
+    pull, distance = logarithm(y, x)
+    scale = TWO * given.cost_factor * scratch.ring[i] * cost_slope(distance, given.softness)
+    slope = -scale * pull
+    fit = Fit()
+    block = wp.mat33d()
+    for k in range(patches.offsets[i], patches.offsets[i + 1]):
+        t = patches.corners[k] // 3
+        m = patches.corners[k] - 3 * t
         face = patches.faces[t]
-        for m in range(3):
-            for n in range(m, 3):
-                i = face[m]
-                j = face[n]
-                block = wp.mat33d()
-                if patches.free[i] and patches.free[j]:
-                    upper = packed(2 * m, 2 * n)
-                    lower = packed(2 * m + 1, 2 * n + 1)
-                    block[0, 0] = scratch.blocks[t, upper]
-                    block[0, 1] = scratch.blocks[t, upper + 1]
-                    block[1, 0] = scratch.blocks[t, upper + 1]
-                    if m < n:
-                        block[1, 0] = scratch.blocks[t, lower - 1]
-                    block[1, 1] = scratch.blocks[t, lower]
-                if m < n:
-                    if patches.free[i]:
-                        block[0, 2] = scratch.bends[t, 2 * m]
-                        block[1, 2] = scratch.bends[t, 2 * m + 1]
-                    if patches.free[j]:
-                        block[2, 0] = scratch.bends[t, 2 * n]
-                        block[2, 1] = scratch.bends[t, 2 * n + 1]
-                if patches.free[i] or patches.free[j]:
-                    add_saddle_block(i, j, block, patches.first, patches.rows, scratch.diagonal, scratch.left)
-    for i in range(begin, end):
-        block = scratch.diagonal[i]
-        right = wp.vec3d(ZERO, ZERO, patches.wanted[i] - scratch.ring[i])
+        block = block + corner_block(t, m, m, patches, scratch)
+        for turn in range(1, 3):
+            n = (m + turn) % 3
+            if face[n] < i and (patches.free[i] or patches.free[face[n]]):
+                beside = corner_block(t, wp.min(m, n), wp.max(m, n), patches, scratch)
+                if n < m:
+                    beside = wp.transpose(beside)
+                add_saddle_block(i, face[n], beside, patches.first, patches.rows, scratch.left)
         if patches.free[i]:
-            y = points[i]
-            _pull, distance = logarithm(y, patches.start[i])
-            scale = TWO * given.cost_factor * scratch.ring[i] * cost_slope(distance, given.softness)
-            metric = scale * raised_fit(scratch.fits[i], given.least)
-            block[0, 0] = (ONE + given.regularisation) * (block[0, 0] + metric[0])
-            block[0, 1] = block[0, 1] + metric[1]
-            block[1, 0] = block[1, 0] + metric[1]
-            block[1, 1] = (ONE + given.regularisation) * (block[1, 1] + metric[2])
-            tangent = first_tangent(y)
-            right[0] = -wp.dot(tangent, scratch.pull[i])
-            right[1] = -wp.dot(wp.cross(y, tangent), scratch.pull[i])
-        else:
-            block[0, 0] = ONE
-            block[1, 1] = ONE
-        block[2, 2] = -ONE / patches.stiffness[i]
-        scratch.diagonal[i] = block
-        scratch.right[i] = right
-        scratch.step[i] = right
+            j = face[(m + 1) % 3]
+            slope = slope + scratch.pulls[t, m]
+            fit = fit + neighbour_fit(y, x, given.softness, points[j], patches.start[j])
+    right = wp.vec3d(ZERO, ZERO, patches.wanted[i] - scratch.ring[i])
+    if patches.free[i]:
+        metric = scale * raised_fit(fit, given.least)
+        block[0, 0] = (ONE + given.regularisation) * (block[0, 0] + metric[0])
+        block[0, 1] = block[0, 1] + metric[1]
+        block[1, 0] = block[1, 0] + metric[1]
+        block[1, 1] = (ONE + given.regularisation) * (block[1, 1] + metric[2])
+        tangent = first_tangent(y)
+        right[0] = -wp.dot(tangent, slope)
+        right[1] = -wp.dot(wp.cross(y, tangent), slope)
+    else:
+        block[0, 0] = ONE
+        block[1, 1] = ONE
+    block[2, 2] = -ONE / patches.stiffness[i]
+    scratch.diagonal[i] = block
+    scratch.right[i] = right
+    scratch.step[i] = right
+
+
+@wp.func
+def expect(p: int, patches: SaddlePatches, scratch: LocalScratch):
+    """Note the gain expected of the step, and the length to begin with: no vertex moves farther than half a radian."""
+    expected = ZERO
+    reach = ZERO
+    for i in range(patches.starts[p], patches.starts[p + 1]):
+        u = scratch.step[i]
+        missing = -scratch.right[i][2]
+        expected += scratch.right[i][0] * u[0] + scratch.right[i][1] * u[1]
+        expected += missing * (patches.stiffness[i] * missing - u[2])
+        reach = wp.max(reach, wp.sqrt(u[0] * u[0] + u[1] * u[1]))
+    scratch.numbers[p, EXPECTED] = expected
+    scratch.numbers[p, LENGTH] = ZERO
+    if expected > ZERO:
+        scratch.numbers[p, LENGTH] = ONE / wp.max(ONE, TWO * reach)
+
+
+@wp.func
+def mean_change(p: int, patches: SaddlePatches, scratch: LocalScratch) -> wp.float64:
+    """Return the mean of the multipliers' steps, weighted by the areas wanted."""
+    total = ZERO
+    change = ZERO
+    for i in range(patches.starts[p], patches.starts[p + 1]):
+        total += patches.wanted[i]
+        change += patches.wanted[i] * scratch.step[i][2]
+    return change / total
 
 
 @wp.kernel
 def settle_small_patches(
     group: wp.array[wp.int32],
+    first_lane: int,
+    lanes: int,
     patches: SaddlePatches,
     given: LocalEnergy,
     # Data in and out:
@@ -247,56 +320,113 @@ def settle_small_patches(
     scratch: LocalScratch,
 ):
     """Take Newton steps of a patch until the expected gain is small."""
-    thread, _compiled_once = wp.tid()
-    p = group[thread]
+    place, thread = wp.tid()
+    p = group[place]
+    lane = first_lane + thread
     begin = patches.starts[p]
     end = patches.starts[p + 1]
-    find_outside(p, patches, points, scratch)
+    find_outside(p, lane, lanes, patches, points, scratch)
     left = int(given.steps)
     while left > 0:
         left -= 1
-        merit = merit_of(p, patches, given, points, points, multipliers, scratch)
-        differentiate(p, patches, given, points, multipliers, scratch)
-        assemble(p, patches, given, points, scratch)
+        merit = merit_of(p, lane, lanes, patches, given, points, points, multipliers, scratch)
+        differentiate(p, lane, lanes, patches, given, points, multipliers, scratch)
+        for i in range(begin + lane, end, lanes):
+            assemble_row(i, patches, given, points, scratch)
+        meet(p, lane, lanes, scratch.gates)
+        factorise_saddle_envelope(
+            p,
+            lane,
+            lanes,
+            begin,
+            end,
+            patches.first,
+            patches.last,
+            patches.rows,
+            scratch.gates,
+            scratch.diagonal,
+            scratch.left,
+            scratch.numbers,
+        )
         length = ZERO
         expected = ZERO
-        if factorise_saddle_envelope(begin, end, patches.first, patches.rows, scratch.diagonal, scratch.left):
-            solve_saddle_envelope(begin, end, patches.first, patches.rows, scratch.diagonal, scratch.left, scratch.step)
-            reach = ZERO
-            for i in range(begin, end):
-                u = scratch.step[i]
-                missing = -scratch.right[i][2]
-                expected += scratch.right[i][0] * u[0] + scratch.right[i][1] * u[1]
-                expected += missing * (patches.stiffness[i] * missing - u[2])
-                reach = wp.max(reach, wp.sqrt(u[0] * u[0] + u[1] * u[1]))
-            if expected > ZERO:
-                # No vertex moves farther than half a radian.
-                length = ONE / wp.max(ONE, TWO * reach)
+        if scratch.numbers[p, DEFINITE] > ZERO:
+            solve_saddle_envelope(
+                p,
+                lane,
+                lanes,
+                begin,
+                end,
+                patches.first,
+                patches.last,
+                patches.rows,
+                scratch.gates,
+                scratch.diagonal,
+                scratch.left,
+                scratch.step,
+            )
+            if lane == 0:
+                expect(p, patches, scratch)
+            meet(p, lane, lanes, scratch.gates)
+            expected = scratch.numbers[p, EXPECTED]
+            length = scratch.numbers[p, LENGTH]
         trials = int(given.halvings)
         taken = ZERO
         while trials > 0 and length > ZERO:
             trials -= 1
-            for i in range(begin, end):
+            for i in range(begin + lane, end, lanes):
                 if patches.free[i]:
                     tried[i] = in_tangent(points[i], length * scratch.step[i][0], length * scratch.step[i][1])
-            after = merit_of(p, patches, given, points, tried, multipliers, scratch)
+            after = merit_of(p, lane, lanes, patches, given, points, tried, multipliers, scratch)
             if after <= merit - SUFFICIENT_DECREASE * length * expected:
                 taken = length
                 length = ZERO
             else:
                 length = HALF * length
         if taken > ZERO:
-            for i in range(begin, end):
+            # With its boundary fixed the area of a patch cannot change, so that its multipliers are determined up to a
+            # constant, to which the patch's total area error would add at every step.
+            constant = mean_change(p, patches, scratch)
+            for i in range(begin + lane, end, lanes):
                 points[i] = tried[i]
-            if given.constrained:
-                # With its boundary fixed the area of a patch cannot change, so that its multipliers are determined up
-                # to a constant, to which the patch's total area error would add at every step.
-                total = ZERO
-                change = ZERO
-                for i in range(begin, end):
-                    total += patches.wanted[i]
-                    change += patches.wanted[i] * scratch.step[i][2]
-                for i in range(begin, end):
-                    multipliers[i] = multipliers[i] + taken * (scratch.step[i][2] - change / total)
+                if given.constrained:
+                    multipliers[i] = multipliers[i] + taken * (scratch.step[i][2] - constant)
         if not taken * expected > given.enough:
             left = int(0)
+
+
+@wp.kernel
+def gather_patches(
+    vertices: wp.array[wp.int32],
+    points: wp.array[wp.vec3d],
+    areas: wp.array[wp.float64],
+    multipliers: wp.array[wp.float64],
+    # Data out:
+    moved: wp.array[wp.vec3d],
+    tried: wp.array[wp.vec3d],
+    whole: wp.array[wp.float64],
+    of_patches: wp.array[wp.float64],
+):
+    """Copy the points, areas and multipliers of a map to its patches."""
+    i = wp.tid()
+    v = vertices[i]
+    moved[i] = points[v]
+    tried[i] = points[v]
+    whole[i] = areas[v]
+    of_patches[i] = multipliers[v]
+
+
+@wp.kernel
+def scatter_patches(
+    vertices: wp.array[wp.int32],
+    moved: wp.array[wp.vec3d],
+    of_patches: wp.array[wp.float64],
+    # Data in and out:
+    points: wp.array[wp.vec3d],
+    multipliers: wp.array[wp.float64],
+):
+    """Copy the points and multipliers of patches to the map; points that stay are as they were."""
+    i = wp.tid()
+    v = vertices[i]
+    points[v] = moved[i]
+    multipliers[v] = of_patches[i]

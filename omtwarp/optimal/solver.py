@@ -29,7 +29,7 @@ from omtwarp.mesh.patches import Patches
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.optimal.combination import combine, scaled
 from omtwarp.optimal.energy import AREA_WEIGHT, MapTerms, TransportEnergy
-from omtwarp.optimal.kernels import local_state
+from omtwarp.optimal.kernels import single_gains
 from omtwarp.optimal.local import LocalSteps, freed_vertices
 from omtwarp.optimal.sphere import energy_on_sphere
 from omtwarp.options import Cost, Progress, Record
@@ -43,7 +43,6 @@ PENALTY = 1000.0  # μ: weight of the remaining area errors beside the cost
 # Penalties where a minimisation begins far from the optimum: the first allows longer steps, and more of them take
 # longer for the same maps.
 GROWING_PENALTIES, STEPS_OF_ROUND = (3.0, PENALTY), 12  # most steps with each before the last
-STATE = 6  # numbers of a vertex that local steps read
 LEAST_PENALTY = 1e-12  # in place of 0, by which saddle-point systems divide
 MIN_COST = 1e-6  # radians²: gains are compared with the cost, or with this where the cost is smaller
 MAX_HALVINGS = 20  # of a step, down to a millionth
@@ -335,28 +334,28 @@ class _Newton:
         if not energy.has_local_steps:
             return points, terms, 0
         gradient = self.domain.coordinates(before, energy.gradient(points, terms, self.multipliers))
-        of_map = [points, terms.areas, self.multipliers, terms.relative, terms.missing, wp.float64(self.stiffness)]
-        inputs = [*of_map, gradient, matrix.diagonal.reshape((-1, COORDINATES)), matrix.inner]
-        out = wp.empty((count, STATE), dtype=wp.float64, device=self.device)
-        wp.launch(local_state, dim=count, inputs=inputs, outputs=[out], device=self.device)
-        state = out.numpy()
-        areas, multipliers, gains = state[:, 3:].T
-        freed = freed_vertices(self.surface.faces, gains, expected)
+        inputs = [
+            terms.relative,
+            terms.missing,
+            wp.float64(self.stiffness),
+            gradient,
+            matrix.diagonal.reshape((-1, COORDINATES)),
+            matrix.inner,
+        ]
+        gains = wp.empty(count, dtype=wp.float64, device=self.device)
+        wp.launch(single_gains, dim=count, inputs=inputs, outputs=[gains], device=self.device)
+        freed = freed_vertices(self.surface.faces, gains.numpy(), expected)
         if freed is None:
             return points, terms, 0
         patches = Patches.of_vertices(self.surface.faces, freed)
-        setting = np.ascontiguousarray(state[:, :3]), terms.shape, areas, multipliers, self.stiffness / energy.wanted
-        steps = LocalSteps(energy, patches, *setting, constrained=self.constrained)
+        steps = LocalSteps(energy, patches, self.stiffness / energy.wanted, constrained=self.constrained)
         if not steps.worthwhile:
             return points, terms, 0
-        whole, vertices, of_patches = steps.run(LOCAL_GAIN_SHARE * self._enough(terms))
-        moved = self.domain.sent(whole)
+        moved, multipliers = steps.run(points, terms, self.multipliers, LOCAL_GAIN_SHARE * self._enough(terms))
         after = energy.terms(moved)
         if not self._penalised_energy(after) < self._penalised_energy(terms):
             return points, terms, 0
-        multipliers = multipliers.copy()
-        multipliers[vertices] = of_patches
-        self.multipliers = wp.array(multipliers, dtype=wp.float64, device=self.device)
+        self.multipliers = multipliers
         return moved, after, int(freed.sum())
 
     def _enough(self, terms: MapTerms) -> float:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.policy import resolve_device
+from omtwarp.device.start import wp
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.patches import Patches, grow
@@ -105,7 +106,8 @@ def kept_within(
 def _relaxed(energy: ShapeEnergy, sphere: Floats, freed: NDArray[np.bool_]) -> Floats:
     """Move vertices, given as a mask of shape [V], to where they hold less distortion."""
     surface = energy.surface
-    terms, none = energy.terms(energy.domain.sent(sphere)), np.zeros(surface.vertex_count)
+    points = energy.domain.sent(sphere)
+    terms, none = energy.terms(points), wp.zeros(surface.vertex_count, dtype=wp.float64, device=energy.device)
     patches, stiffness = Patches.of_vertices(surface.faces, freed), LEAST_PENALTY / energy.wanted
-    steps = LocalSteps(energy, patches, sphere, terms.shape, terms.areas.numpy(), none, stiffness, constrained=False)
-    return steps.run(0.0, STEPS)[0] if steps.worthwhile else sphere
+    steps = LocalSteps(energy, patches, stiffness, constrained=False)
+    return steps.run(points, terms, none, 0.0, STEPS)[0].numpy() if steps.worthwhile else sphere

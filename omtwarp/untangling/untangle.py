@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp.device.arrays import empty, triangles, vectors
+from omtwarp.device.arrays import empty, sent, triangles, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
@@ -31,7 +31,7 @@ from omtwarp.options import Progress
 from omtwarp.solvers.triangle_newton.frames import triangle_frames
 from omtwarp.solvers.triangle_newton.line_search import search_patches
 from omtwarp.solvers.triangle_newton.newton import PatchMatrix
-from omtwarp.solvers.triangle_newton.small_patches import SmallPatches, shared
+from omtwarp.solvers.triangle_newton.small_patches import SmallPatches
 from omtwarp.untangling.kernels import move_in_tangent, solid_angles, untangle_newton, untangle_value
 from omtwarp.untangling.patch_kernels import Untangling, untangle_small_patches
 
@@ -331,8 +331,8 @@ class _Untangling:
         given.most = max(int(np.ceil((budget.granted - budget.spent) / (whole.free + STEP_WORK))), 1)
         meshes = small.meshes(self.frames, self.surface.face_areas[whole.triangles])
         steps, rounds = (np.empty(whole.count, dtype=np.int32) for _ in range(2))
-        inputs = [meshes, shared(self.share, wp.float64), given]
-        outputs = [small.scratch(), shared(steps, wp.int32), shared(rounds, wp.int32)]
+        inputs = [meshes, sent(self.share, wp.float64), given]
+        outputs = [small.scratch(), sent(steps, wp.int32), sent(rounds, wp.int32)]
         points = small.launch(untangle_small_patches, self.sphere[whole.vertices], inputs, outputs)
         self.result[whole.vertices[: whole.free]] = points
         budget.spent += int(steps @ small.sizes) + STEP_WORK * int(steps.max())

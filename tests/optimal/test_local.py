@@ -1,11 +1,14 @@
 """Local steps of the optimal map: they gain, keep areas and boundaries, and find the same optimum sooner."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
+from omtwarp.device.threads import load
 from omtwarp.flips.rings import is_bijective
 from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mesh.patches import Patches, grow
@@ -27,6 +30,11 @@ def energy_of(surface, moser):
     return energy_on_sphere(surface, vectors(moser.conformal, CPU), CPU, shape_weight=0.01)
 
 
+def nothing(count):
+    """Return multipliers that are zero."""
+    return wp.zeros(count, dtype=wp.float64, device="cpu")
+
+
 def worth(energy, terms, stiffness):
     """Return cost, shape and penalty as a sum over the whole sphere."""
     return energy.lagrangian(terms) + 0.5 * float(stiffness @ terms.missing.numpy() ** 2)
@@ -42,17 +50,19 @@ def test_steps_gain_and_touch_nothing_else(moser):
     seed[np.argsort(-np.abs(before.relative.numpy()))[:20]] = True
     freed = grow(surface.faces, seed, 2)
     patches = Patches.of_vertices(surface.faces, freed)
-    setting = result.sphere, before.shape, before.areas.numpy(), np.zeros(len(freed)), stiffness
-    moved, vertices, multipliers = LocalSteps(energy, patches, *setting, constrained=True).run(0.0)
-    after = energy.terms(vectors(moved, CPU))
+    steps = LocalSteps(energy, patches, stiffness, constrained=True)
+    there, multipliers = steps.run(points, before, nothing(len(freed)), 0.0)
+    after, moved = energy.terms(there), there.numpy()
     assert worth(energy, after, stiffness) < worth(energy, before, stiffness)
     np.testing.assert_array_equal(moved[~freed], result.sphere[~freed])
     assert np.abs(moved - result.sphere).max() > 1e-4
     assert is_bijective(moved, surface.on("cpu").faces, device="cpu")
     # Patches cover what they covered, and their multipliers have no constant part.
-    areas = [terms.areas.numpy()[vertices].sum() for terms in (before, after)]
+    areas = [terms.areas.numpy()[patches.vertices].sum() for terms in (before, after)]
     assert areas[1] == pytest.approx(areas[0], rel=1e-9)
-    assert float(energy.wanted[vertices] @ multipliers) == pytest.approx(0.0, abs=1e-9 * np.abs(multipliers).max())
+    multipliers = multipliers.numpy()
+    assert float(energy.wanted @ multipliers) == pytest.approx(0.0, abs=1e-9 * np.abs(multipliers).max())
+    assert np.count_nonzero(multipliers) <= len(patches.vertices)
 
 
 @pytest.mark.parametrize("cost", [0.0, 0.2])
@@ -68,27 +78,55 @@ def test_many_steps_end_where_the_whole_energy_has_no_slope(moser, cost):
     freed = grow(surface.faces, seed, 4)
     patches = Patches.of_vertices(surface.faces, freed)
     assert patches.count == 1
-    none = np.zeros(len(seed))
-    setting = result.sphere, terms.shape, terms.areas.numpy(), none, stiffness, False
-    moved, _, _ = LocalSteps(energy, patches, *setting).run(1e-16, 60)
+    steps = LocalSteps(energy, patches, stiffness, constrained=False)
+    there, _ = steps.run(points, terms, nothing(len(seed)), 1e-16, 60)
 
     def slope(where, of):
         pressure = wp.array(stiffness * of.missing.numpy(), device="cpu")
         return np.linalg.norm(energy.gradient(where, of, pressure).numpy()[freed], axis=1).max()
 
-    there = vectors(moved, CPU)
     after = energy.terms(there)
-    assert np.abs(moved - result.sphere).max() > 1e-4
+    assert np.abs(there.numpy() - result.sphere).max() > 1e-4
     # Of the total area, which is taken as constant, the slope stays.
     assert slope(there, after) < 2e-3 * slope(points, terms)
+
+
+@pytest.mark.parametrize("lanes", [2, 3])
+def test_threads_that_share_a_patch_agree_to_the_bit_with_one_that_has_it_alone(moser, monkeypatch, lanes):
+    """As the threads of a block on a GPU do; without one of their barriers this fails or differs."""
+    surface, result = moser
+    energy = energy_of(surface, result)
+    points = vectors(result.sphere, CPU)
+    terms = energy.terms(points)
+    seed = np.zeros(surface.vertex_count, dtype=bool)
+    seed[[7, 700]] = True
+    patches = Patches.of_vertices(surface.faces, grow(surface.faces, seed, 2))
+    steps = LocalSteps(energy, patches, PENALTY / energy.wanted.sum() / energy.wanted, constrained=True)
+    alone = steps.run(points, terms, nothing(len(seed)), 0.0, 3)
+
+    def launch(kernel, sizes, inputs, outputs, device):
+        group = wp.array(np.arange(len(sizes), dtype=np.int32), device=device)
+        load(kernel, device)
+
+        def of_lane(lane):
+            of_thread = [group, lane, lanes, *inputs[2:]]
+            wp.launch(kernel, dim=(len(sizes), 1), inputs=of_thread, outputs=outputs, device=device)
+
+        with ThreadPoolExecutor(lanes) as pool:
+            list(pool.map(of_lane, range(lanes)))
+
+    monkeypatch.setattr("omtwarp.optimal.local.lanes_on", lambda device: lanes)
+    monkeypatch.setattr("omtwarp.optimal.local.launch_patches", launch)
+    shared = steps.run(points, terms, nothing(len(seed)), 0.0, 3)
+    assert np.abs(shared[0].numpy() - result.sphere).max() > 1e-4
+    for one, several in zip(alone, shared, strict=True):
+        np.testing.assert_array_equal(one.numpy(), several.numpy())
 
 
 def test_large_patches_are_left_to_steps_of_the_whole_map():
     surface = blob(1, amplitude=0.2, sphere=icosphere(40))
     energy = energy_on_sphere(surface, vectors(icosphere(40).vertices, CPU), CPU, shape_weight=0.01)
-    sphere, count = icosphere(40).vertices, surface.vertex_count
-    terms = energy.terms(vectors(sphere, CPU))
-    setting = sphere, terms.shape, terms.areas.numpy(), np.zeros(count), np.ones(count), True
+    setting = np.ones(surface.vertex_count), True
     for height, small in ((-0.5, False), (0.95, True)):
         patches = Patches.of_vertices(surface.faces, icosphere(40).vertices[:, 2] > height)
         assert LocalSteps(energy, patches, *setting).worthwhile == small

@@ -9,6 +9,7 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
+from omtwarp.device.arrays import sent
 from omtwarp.device.start import wp
 
 COLUMNS = 4  # vertices whose blocks a row stores entry by entry, as a group
@@ -22,6 +23,7 @@ class Envelopes:
         order: the vertices in the order of elimination, those of each matrix together, shape [N].
         starts: where each matrix begins in that order, and N, int32, shape [count + 1].
         first: the first place in the order that is joined to each place, or the place itself, int32, shape [N].
+        last: the last place whose row, from its first on, reaches each place, int32, shape [N].
         rows: where the groups of blocks of each place begin among all groups, int64, shape [N].
         size: number of groups of all matrices.
         operations: multiplications of a factorisation of each matrix with two unknowns to a vertex, shape [count].
@@ -30,6 +32,7 @@ class Envelopes:
     order: NDArray[np.intp]
     starts: NDArray[np.int32]
     first: NDArray[np.int32]
+    last: NDArray[np.int32]
     rows: NDArray[np.int64]
     size: int
     operations: NDArray[np.float64]
@@ -55,24 +58,24 @@ class Envelopes:
         np.minimum.at(first, high, low)
         starts = np.zeros(count + 1, dtype=np.int32)
         np.cumsum(np.bincount(matrix, minlength=count), out=starts[1:])
-        places = np.arange(vertices)
+        places = np.arange(vertices, dtype=np.int32)
+        last = places.copy()
+        np.maximum.at(last, first, places)
+        last = np.maximum.accumulate(last)
         widths = places - first + 1
         operations = np.bincount(matrix[order], 4.0 * widths**2, count).astype(np.float64, copy=False)
         groups = (places + COLUMNS - 1) // COLUMNS - first // COLUMNS
-        return cls(order, starts, first, np.cumsum(groups) - groups, int(groups.sum()), operations)
+        return cls(order, starts, first, last, np.cumsum(groups) - groups, int(groups.sum()), operations)
 
     def storage(self, unknowns: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return memory for all matrices with so many unknowns to a vertex: for diagonals, and what is left of them."""
         count = len(self.order)
         return np.empty((count, unknowns, unknowns)), np.empty(self.size * COLUMNS * unknowns**2)
 
-    def upload(self) -> list[wp.array]:
-        """Return starts, first and rows as arrays that kernels on the host read."""
-        return [
-            wp.array(self.starts, dtype=wp.int32, device="cpu", copy=False),
-            wp.array(self.first, dtype=wp.int32, device="cpu", copy=False),
-            wp.array(self.rows, dtype=wp.int64, device="cpu", copy=False),
-        ]
+    def upload(self, device: wp.Device | str = "cpu") -> list[wp.array]:
+        """Return starts, first, last and rows as arrays that kernels on a device read."""
+        numbers = [self.starts, self.first, self.last]
+        return [*(sent(values, wp.int32, device) for values in numbers), sent(self.rows, wp.int64, device)]
 
 
 __all__ = ["Envelopes"]

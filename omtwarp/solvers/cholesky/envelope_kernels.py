@@ -1,4 +1,7 @@
-"""Cholesky factors of small matrices within their envelope, as Warp functions: one thread factorises one matrix.
+"""Cholesky factors of small matrices within their envelope, as Warp functions.
+
+One thread factorises one matrix; a saddle-point matrix is shared by lanes, which are the threads of a block on a GPU,
+or one thread. Lanes divide the rows of every column, so that the bits do not depend on their number.
 
 A matrix has two unknowns for every vertex, or three with its multiplier. Row by row, all entries from the first that is
 not zero to the diagonal are kept, which are the ones that elimination can fill (George and Liu, "Computer Solution of
@@ -51,39 +54,54 @@ PRODUCT = """
 """
 
 
-# Pointers, because the compiler computes the place of every entry of Warp's arrays anew: 2.5 times as fast.
+# All lanes of matrix p wait until the last is here. On the host every lane counts its own turns.
+MEET = """
+#ifdef __CUDA_ARCH__
+    __syncthreads();
+#else
+    if (lanes > 1) {
+        int* turns = gates.data + p * lanes;
+        const int turn = turns[lane] + 1;
+        __atomic_store_n(turns + lane, turn, __ATOMIC_RELEASE);
+        for (int k = 0; k < lanes; ++k)
+            while (__atomic_load_n(turns + k, __ATOMIC_ACQUIRE) < turn) {}
+    }
+#endif
+"""
+
+# Pointers, because the compiler computes the place of every entry of Warp's arrays anew: 2.5 times as fast. Every lane
+# computes the unknowns of column j from what it reads; the first writes them when all have read.
 SUBSTITUTE = """
     const int width = 4 * SIZE * SIZE;
     double* y = (double*)x.data;
-    for (int i = begin; i < end; ++i) {
-        const double* own = (const double*)(diagonal.data + i);
-        const double* row = left.data + (long long)width * (rows.data[i] - first.data[i] / 4);
-        double s[SIZE];
-        for (int a = 0; a < SIZE; ++a) s[a] = y[SIZE * i + a];
-        for (int j = first.data[i]; j < i; ++j) {
-            const double* block = row + (long long)width * (j / 4) + j % 4;
-            for (int a = 0; a < SIZE; ++a)
-                for (int b = 0; b < SIZE; ++b) s[a] -= block[4 * (SIZE * a + b)] * y[SIZE * j + b];
-        }
+    double s[SIZE];
+    for (int j = begin; j < end; ++j) {
+        const double* own = (const double*)(diagonal.data + j);
         for (int a = 0; a < SIZE; ++a) {
+            s[a] = y[SIZE * j + a];
             for (int b = 0; b < a; ++b) s[a] -= own[SIZE * a + b] * s[b];
             s[a] *= own[SIZE * a + a];
         }
-        for (int a = 0; a < SIZE; ++a) y[SIZE * i + a] = s[a];
+        for (int i = j + 1 + lane; i <= last.data[j]; i += lanes) {
+            if (first.data[i] > j) continue;
+            const double* block = left.data + (long long)width * (rows.data[i] - first.data[i] / 4 + j / 4) + j % 4;
+            for (int a = 0; a < SIZE; ++a)
+                for (int b = 0; b < SIZE; ++b) y[SIZE * i + a] -= block[4 * (SIZE * a + b)] * s[b];
+        }
+        MEET
+        if (lane == 0)
+            for (int a = 0; a < SIZE; ++a) y[SIZE * j + a] = a < 2 ? s[a] : -s[a];
     }
-    for (int i = begin; i < end; ++i)
-        for (int a = 2; a < SIZE; ++a) y[SIZE * i + a] = -y[SIZE * i + a];
+    MEET
     for (int i = end - 1; i >= begin; --i) {
         const double* own = (const double*)(diagonal.data + i);
         const double* row = left.data + (long long)width * (rows.data[i] - first.data[i] / 4);
-        double s[SIZE];
         for (int a = SIZE - 1; a >= 0; --a) {
             s[a] = y[SIZE * i + a];
             for (int b = a + 1; b < SIZE; ++b) s[a] -= own[SIZE * b + a] * s[b];
             s[a] *= own[SIZE * a + a];
-            y[SIZE * i + a] = s[a];
         }
-        for (int j = first.data[i]; j < i; ++j) {
+        for (int j = first.data[i] + lane; j < i; j += lanes) {
             const double* block = row + (long long)width * (j / 4) + j % 4;
             for (int b = 0; b < SIZE; ++b) {
                 double sum = 0.0;
@@ -91,8 +109,17 @@ SUBSTITUTE = """
                 y[SIZE * j + b] -= sum;
             }
         }
+        MEET
+        if (lane == 0)
+            for (int a = 0; a < SIZE; ++a) y[SIZE * i + a] = s[a];
     }
+    MEET
 """
+
+
+@wp.func_native(MEET)
+def meet(p: int, lane: int, lanes: int, gates: wp.array[wp.int32]):
+    """Wait for the other lanes of matrix p; ``gates`` hold a number for each on the host, [count * lanes], zeros."""
 
 
 @wp.func_native(PRODUCT.replace("SIZE", "2"))
@@ -120,18 +147,17 @@ def groups_before(i: int, first: wp.array[wp.int32]) -> int:
 
 
 @wp.func
-def clear_envelope(
-    begin: int,
-    end: int,
+def clear_row(
+    i: int,
     size: int,
     first: wp.array[wp.int32],
     rows: wp.array[wp.int64],
     # Data in and out:
     left: wp.array[wp.float64],
 ):
-    """Set the blocks beside the diagonal, of ``size`` rows each, of the vertices begin to end - 1 to zero."""
+    """Set the blocks of vertex i with those before it, of ``size`` rows each, to zero."""
     numbers = size * size * COLUMNS
-    for k in range(numbers * int(rows[begin]), numbers * (int(rows[end - 1]) + groups_before(end - 1, first))):
+    for k in range(numbers * int(rows[i]), numbers * (int(rows[i]) + groups_before(i, first))):
         left[k] = ZERO
 
 
@@ -169,21 +195,13 @@ def add_saddle_block(
     first: wp.array[wp.int32],
     rows: wp.array[wp.int64],
     # Data in and out:
-    diagonal: wp.array[wp.mat33d],
     left: wp.array[wp.float64],
 ):
-    """Add a block with rows of vertex i and columns of vertex j, on whichever side of the diagonal is kept."""
-    if i == j:
-        diagonal[i] = diagonal[i] + block
-        return
-    kept = block
-    if i < j:
-        kept = wp.transpose(block)
-    column = wp.min(i, j)
-    at = 9 * COLUMNS * group_of(wp.max(i, j), column, first, rows) + column % COLUMNS
+    """Add a block with rows of vertex i and columns of vertex j < i."""
+    at = 9 * COLUMNS * group_of(i, j, first, rows) + j % COLUMNS
     for a in range(3):
         for b in range(3):
-            left[at] = left[at] + kept[a, b]
+            left[at] = left[at] + block[a, b]
             at += COLUMNS
 
 
@@ -228,11 +246,12 @@ def factorise_envelope(
     return True
 
 
-@wp.func_native(SUBSTITUTE.replace("SIZE", "2"))
+@wp.func_native("    const int lane = 0, lanes = 1;" + SUBSTITUTE.replace("MEET", "").replace("SIZE", "2"))
 def solve_envelope(
     begin: int,
     end: int,
     first: wp.array[wp.int32],
+    last: wp.array[wp.int32],
     rows: wp.array[wp.int64],
     diagonal: wp.array[wp.mat22d],
     left: wp.array[wp.float64],
@@ -243,27 +262,63 @@ def solve_envelope(
 
 
 @wp.func
+def saddle_pivot(j: int, rest: wp.mat33d, diagonal: wp.array[wp.mat33d]) -> bool:
+    """Replace a block on the diagonal by its factor, with its own diagonal inverted; return whether it has one."""
+    if not rest[0, 0] > ZERO:
+        return False
+    l00 = ONE / wp.sqrt(rest[0, 0])
+    l10 = rest[1, 0] * l00
+    l20 = rest[2, 0] * l00
+    pivot = rest[1, 1] - l10 * l10
+    if not pivot > ZERO:
+        return False
+    l11 = ONE / wp.sqrt(pivot)
+    l21 = (rest[2, 1] - l20 * l10) * l11
+    pivot = l20 * l20 + l21 * l21 - rest[2, 2]
+    if not pivot > ZERO:
+        return False
+    diagonal[j] = wp.mat33d(l00, ZERO, ZERO, l10, l11, ZERO, l20, l21, ONE / wp.sqrt(pivot))
+    return True
+
+
+@wp.func
 def factorise_saddle_envelope(
+    p: int,
+    lane: int,
+    lanes: int,
     begin: int,
     end: int,
     first: wp.array[wp.int32],
+    last: wp.array[wp.int32],
     rows: wp.array[wp.int64],
+    gates: wp.array[wp.int32],
     # Data in and out:
     diagonal: wp.array[wp.mat33d],
     left: wp.array[wp.float64],
-) -> bool:
+    definite: wp.array2d[wp.float64],
+):
     """Factorise a quasi-definite matrix L S Lᵀ with S = diag(1, 1, -1) at every vertex, the diagonal of L inverted.
 
-    The third unknown of every vertex is a multiplier (:mod:`omtwarp.solvers.cholesky.saddle`). Returns whether all
-    pivots have their signs.
+    The third unknown of every vertex is a multiplier (:mod:`omtwarp.solvers.cholesky.saddle`). ``definite`` of p gets 1
+    where all pivots have their signs, otherwise 0.
     """
-    for i in range(begin, end):
-        for j in range(first[i], i + 1):
-            both = wp.max(first[i], first[j])
-            count = (j + COLUMNS - 1) // COLUMNS - both // COLUMNS
-            total = saddle_product_of_rows(group_of(i, both, first, rows), group_of(j, both, first, rows), count, left)
-            if j < i:
-                own = diagonal[j]
+    for j in range(begin, end):
+        if lane == 0:
+            at = group_of(j, first[j], first, rows)
+            total = saddle_product_of_rows(at, at, groups_before(j, first), left)
+            definite[p, 0] = ZERO
+            if saddle_pivot(j, diagonal[j] - total, diagonal):
+                definite[p, 0] = ONE
+        meet(p, lane, lanes, gates)
+        if not definite[p, 0] > ZERO:
+            return
+        own = diagonal[j]
+        for i in range(j + 1 + lane, last[j] + 1, lanes):
+            if first[i] <= j:
+                both = wp.max(first[i], first[j])
+                count = (j + COLUMNS - 1) // COLUMNS - both // COLUMNS
+                u = group_of(i, both, first, rows)
+                total = saddle_product_of_rows(u, group_of(j, both, first, rows), count, left)
                 at = 9 * COLUMNS * group_of(i, j, first, rows) + j % COLUMNS
                 for a in range(3):
                     x = (left[at] - total[a, 0]) * own[0, 0]
@@ -273,32 +328,20 @@ def factorise_saddle_envelope(
                     left[at + COLUMNS] = y
                     left[at + 2 * COLUMNS] = -z
                     at += 3 * COLUMNS
-            else:
-                rest = diagonal[i] - total
-                if not rest[0, 0] > ZERO:
-                    return False
-                l00 = ONE / wp.sqrt(rest[0, 0])
-                l10 = rest[1, 0] * l00
-                l20 = rest[2, 0] * l00
-                pivot = rest[1, 1] - l10 * l10
-                if not pivot > ZERO:
-                    return False
-                l11 = ONE / wp.sqrt(pivot)
-                l21 = (rest[2, 1] - l20 * l10) * l11
-                pivot = l20 * l20 + l21 * l21 - rest[2, 2]
-                if not pivot > ZERO:
-                    return False
-                l22 = ONE / wp.sqrt(pivot)
-                diagonal[i] = wp.mat33d(l00, ZERO, ZERO, l10, l11, ZERO, l20, l21, l22)
-    return True
+        meet(p, lane, lanes, gates)
 
 
-@wp.func_native(SUBSTITUTE.replace("SIZE", "3"))
+@wp.func_native(SUBSTITUTE.replace("MEET", MEET).replace("SIZE", "3"))
 def solve_saddle_envelope(
+    p: int,
+    lane: int,
+    lanes: int,
     begin: int,
     end: int,
     first: wp.array[wp.int32],
+    last: wp.array[wp.int32],
     rows: wp.array[wp.int64],
+    gates: wp.array[wp.int32],
     diagonal: wp.array[wp.mat33d],
     left: wp.array[wp.float64],
     # Data in and out:
@@ -310,9 +353,10 @@ def solve_saddle_envelope(
 __all__ = [
     "add_block",
     "add_saddle_block",
-    "clear_envelope",
+    "clear_row",
     "factorise_envelope",
     "factorise_saddle_envelope",
+    "meet",
     "solve_envelope",
     "solve_saddle_envelope",
 ]

@@ -3,7 +3,7 @@
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ZERO, wp
 from omtwarp.solvers.cholesky.envelope_kernels import (
     add_block,
-    clear_envelope,
+    clear_row,
     factorise_envelope,
     solve_envelope,
 )
@@ -28,6 +28,7 @@ class PatchMeshes:
     frames: wp.array[wp.vec3d]
     areas: wp.array[wp.float64]
     first: wp.array[wp.int32]  # as of omtwarp.solvers.cholesky.envelope_kernels, [free]
+    last: wp.array[wp.int32]
     rows: wp.array[wp.int64]
     shifts: wp.array[wp.float64]  # of the diagonal, one tried after another
 
@@ -49,8 +50,8 @@ def assemble(p: int, patches: PatchMeshes, growth: wp.float64, scratch: PatchScr
     """Sum the Hessians of the triangles, and let the diagonal grow by a share of its mean at each vertex."""
     begin = patches.starts[p]
     end = patches.starts[p + 1]
-    clear_envelope(begin, end, 2, patches.first, patches.rows, scratch.left)
     for i in range(begin, end):
+        clear_row(i, 2, patches.first, patches.rows, scratch.left)
         scratch.diagonal[i] = wp.mat22d(ZERO, ZERO, ZERO, ZERO)
     for t in range(patches.face_starts[p], patches.face_starts[p + 1]):
         face = patches.faces[t]
@@ -98,7 +99,8 @@ def find_direction(p: int, patches: PatchMeshes, growth: wp.float64, scratch: Pa
         return wp.float64(wp.NAN)
     for k in range(2 * begin, 2 * end):
         scratch.direction[k] = -scratch.slopes[k]
-    solve_envelope(begin, end, patches.first, patches.rows, scratch.diagonal, scratch.left, scratch.direction)
+    first = patches.first
+    solve_envelope(begin, end, first, patches.last, patches.rows, scratch.diagonal, scratch.left, scratch.direction)
     slope = ZERO
     for k in range(2 * begin, 2 * end):
         slope += scratch.direction[k] * scratch.slopes[k]

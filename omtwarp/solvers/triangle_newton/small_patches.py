@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.device.arrays import sent
 from omtwarp.device.start import wp
 from omtwarp.device.threads import core_count, load, run_all
 from omtwarp.mesh.patches import Patches, sides_of
@@ -21,6 +22,7 @@ from omtwarp.solvers.triangle_newton.patch_kernels import PatchMeshes, PatchScra
 # Multiplications of the largest patch's factorisation: beyond some 2,600 vertices the multifrontal one takes less time.
 MAX_OPERATIONS = 6e7
 MIN_SHARED_TRIANGLES = 500  # with fewer a second thread costs more than it saves
+BLOCK = 256  # threads of a block: Warp's own number, for which modules are compiled
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,23 +71,23 @@ class SmallPatches:
         place = np.arange(len(self.patches.vertices), dtype=np.int32)
         place[order] = np.arange(len(order), dtype=np.int32)
         meshes = PatchMeshes()
-        meshes.starts, meshes.first, meshes.rows = self.envelopes.upload()
-        meshes.face_starts = shared(self.face_starts, wp.int32)
-        meshes.faces = shared(place[self.patches.faces[self.triangles]], wp.vec3i)
-        meshes.frames = shared(frames[self.triangles], wp.vec3d)
-        meshes.areas = shared(areas[self.triangles], wp.float64)
-        meshes.shifts = shared(np.array(DIAGONAL_SHIFTS), wp.float64)
+        meshes.starts, meshes.first, meshes.last, meshes.rows = self.envelopes.upload()
+        meshes.face_starts = sent(self.face_starts, wp.int32)
+        meshes.faces = sent(place[self.patches.faces[self.triangles]], wp.vec3i)
+        meshes.frames = sent(frames[self.triangles], wp.vec3d)
+        meshes.areas = sent(areas[self.triangles], wp.float64)
+        meshes.shifts = sent(np.array(DIAGONAL_SHIFTS), wp.float64)
         return meshes
 
     def scratch(self) -> PatchScratch:
         """Return memory for one launch."""
         triangles, free = len(self.triangles), self.patches.free
         scratch = PatchScratch()
-        scratch.gradient = shared(np.empty((triangles, 6)), wp.float64)
-        scratch.blocks = shared(np.empty((triangles, 21)), wp.float64)
+        scratch.gradient = sent(np.empty((triangles, 6)), wp.float64)
+        scratch.blocks = sent(np.empty((triangles, 21)), wp.float64)
         diagonal, left = self.envelopes.storage(2)
-        scratch.diagonal, scratch.left = shared(diagonal, wp.mat22d), shared(left, wp.float64)
-        scratch.slopes, scratch.direction = (shared(np.empty(2 * free), wp.float64) for _ in range(2))
+        scratch.diagonal, scratch.left = sent(diagonal, wp.mat22d), sent(left, wp.float64)
+        scratch.slopes, scratch.direction = (sent(np.empty(2 * free), wp.float64) for _ in range(2))
         return scratch
 
     def launch(
@@ -103,39 +105,51 @@ class SmallPatches:
         moved = points.copy()
         moved[: len(order)] = points[order]
         tried = moved.copy()
-        state = [shared(moved, wp.vec3d), shared(tried, wp.vec3d), *outputs]
+        state = [sent(moved, wp.vec3d), sent(tried, wp.vec3d), *outputs]
         launch_patches(kernel, np.diff(self.face_starts), inputs, state)
         out = np.empty((len(order), 3))
         out[order] = moved[: len(order)]
         return out
 
 
-def launch_patches(kernel: wp.Kernel, sizes: NDArray[np.int32], inputs: list[object], outputs: list[object]) -> None:
-    """Launch a kernel over all patches, on all cores.
+def lanes_on(device: wp.Device) -> int:
+    """Return how many threads share a patch: a block of a GPU, one thread of the host."""
+    return BLOCK if device.is_cuda else 1
+
+
+def launch_patches(
+    kernel: wp.Kernel,
+    sizes: NDArray[np.int32],
+    inputs: list[object],
+    outputs: list[object],
+    device: wp.Device | str = "cpu",
+) -> None:
+    """Launch a kernel over all patches: a block of a GPU for each, or a thread, on all cores of the host.
 
     Args:
-        kernel: takes a list of patches, the inputs and the outputs; a thread works on one patch of the list.
+        kernel: takes a list of patches, the inputs and the outputs; its first index is a place in the list, its second
+            the lane.
         sizes: triangles of each patch, shape [count]: every core gets about as many.
         inputs, outputs: further arguments.
+        device: where these are.
     """
-    cores = 1 if sizes.sum() < MIN_SHARED_TRIANGLES else min(core_count(), len(sizes))
+    where = wp.get_device(device)
+    lanes = lanes_on(where)
+    order = np.argsort(-sizes, kind="stable").astype(np.int32)
+    cores = 1 if lanes > 1 or sizes.sum() < MIN_SHARED_TRIANGLES else min(core_count(), len(sizes))
     work = np.zeros(cores)
     core_of = np.zeros(len(sizes), dtype=np.intp)
-    for patch in np.argsort(-sizes, kind="stable"):
+    for patch in order:
         core_of[patch] = int(work.argmin())
         work[core_of[patch]] += sizes[patch]
-    load(kernel, "cpu")
+    load(kernel, where)
 
     def run(group: NDArray[np.int32]) -> None:
-        arguments = [shared(group, wp.int32), *inputs]
-        wp.launch(kernel, dim=len(group), inputs=arguments, outputs=outputs, device="cpu")
+        arguments = [sent(group, wp.int32, where), *inputs]
+        grid = (len(group), lanes)
+        wp.launch(kernel, dim=grid, inputs=arguments, outputs=outputs, device=where, block_dim=BLOCK)
 
-    run_all(run, [np.flatnonzero(core_of == k).astype(np.int32) for k in range(cores)])
-
-
-def shared(values: NDArray[np.generic], dtype: type) -> wp.array:
-    """Return an array on the host that shares the memory of NumPy's."""
-    return wp.array(np.ascontiguousarray(values), dtype=dtype, device="cpu", copy=False)
+    run_all(run, [order[core_of[order] == k] for k in range(cores)])
 
 
-__all__ = ["SmallPatches", "launch_patches", "shared"]
+__all__ = ["SmallPatches", "lanes_on", "launch_patches"]

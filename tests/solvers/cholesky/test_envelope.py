@@ -24,38 +24,40 @@ wp.set_module_options(KERNEL_OPTIONS)
 def solve_each(
     starts: wp.array[wp.int32],
     first: wp.array[wp.int32],
+    last: wp.array[wp.int32],
     rows: wp.array[wp.int64],
     # Data in and out:
     diagonal: wp.array[wp.mat22d],
     left: wp.array[wp.float64],
     x: wp.array[wp.float64],
     # Data out:
-    definite: wp.array[wp.int32],
+    definite: wp.array2d[wp.float64],
 ):
     p, _compiled_once = wp.tid()
-    definite[p] = wp.int32(0)
     if factorise_envelope(starts[p], starts[p + 1], first, rows, diagonal, left):
-        definite[p] = wp.int32(1)
-        solve_envelope(starts[p], starts[p + 1], first, rows, diagonal, left, x)
+        definite[p, 0] = wp.float64(1.0)
+        solve_envelope(starts[p], starts[p + 1], first, last, rows, diagonal, left, x)
 
 
 @wp.kernel
 def solve_each_saddle(
     starts: wp.array[wp.int32],
     first: wp.array[wp.int32],
+    last: wp.array[wp.int32],
     rows: wp.array[wp.int64],
     # Data in and out:
     diagonal: wp.array[wp.mat33d],
     left: wp.array[wp.float64],
     x: wp.array[wp.vec3d],
     # Data out:
-    definite: wp.array[wp.int32],
+    definite: wp.array2d[wp.float64],
 ):
     p, _compiled_once = wp.tid()
-    definite[p] = wp.int32(0)
-    if factorise_saddle_envelope(starts[p], starts[p + 1], first, rows, diagonal, left):
-        definite[p] = wp.int32(1)
-        solve_saddle_envelope(starts[p], starts[p + 1], first, rows, diagonal, left, x)
+    begin, end = starts[p], starts[p + 1]
+    gates = starts  # one lane has no others to wait for
+    factorise_saddle_envelope(p, 0, 1, begin, end, first, last, rows, gates, diagonal, left, definite)
+    if definite[p, 0] > wp.float64(0.0):
+        solve_saddle_envelope(p, 0, 1, begin, end, first, last, rows, gates, diagonal, left, x)
 
 
 def solved(edges, matrix, count, dense, right, unknowns=2):
@@ -71,16 +73,21 @@ def solved(edges, matrix, count, dense, right, unknowns=2):
             group = envelopes.rows[i] + j // COLUMNS - envelopes.first[i] // COLUMNS
             groups[group, :, :, j % COLUMNS] = blocks[own, envelopes.order[j]]
     x = np.ascontiguousarray(right.reshape(-1, unknowns)[envelopes.order])
-    definite = np.zeros(count, dtype=np.int32)
+    definite = np.zeros((count, 1))
     kernel, block, numbers = solve_each, wp.mat22d, wp.float64
     if unknowns == 3:
         kernel, block, numbers = solve_each_saddle, wp.mat33d, wp.vec3d
-    arrays = [(diagonal, block), (left, wp.float64), (x if unknowns == 3 else x.ravel(), numbers), (definite, wp.int32)]
+    arrays = [
+        (diagonal, block),
+        (left, wp.float64),
+        (x if unknowns == 3 else x.ravel(), numbers),
+        (definite, wp.float64),
+    ]
     outputs = [wp.array(values, dtype=kind, device="cpu", copy=False) for values, kind in arrays]
     wp.launch(kernel, dim=count, inputs=envelopes.upload(), outputs=outputs, device="cpu")
     out = np.empty((len(matrix), unknowns))
     out[envelopes.order] = x
-    return out.ravel(), definite.astype(bool)
+    return out.ravel(), definite[:, 0] > 0.0
 
 
 def random_matrix(edges, vertices, rng):
