@@ -34,7 +34,7 @@ from scipy.sparse.linalg import splu
 
 import omtwarp
 from omtwarp.open_surfaces.planar import flipped_in_plane
-from omtwarp.topology.boundary import boundary_loops
+from omtwarp.topology.kind import boundary_loops
 
 STEPS, ENOUGH = 100, 1e-6
 FIRST_STEPS, DESCENT_STEPS = 5, 200

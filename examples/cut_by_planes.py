@@ -23,8 +23,7 @@ import numpy as np
 
 import omtwarp
 from omtwarp.mesh.surface import triangle_areas
-from omtwarp.topology.boundary import boundary_loops
-from omtwarp.topology.kind import parts_of
+from omtwarp.topology.kind import boundary_loops, parts_of
 
 ON_CIRCLE = 1e-12
 

@@ -18,7 +18,6 @@ from omtwarp.mesh.arrays import normalised
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-
 # Boxes are kept in single precision, whose unit of roundoff at 1 is 6e-8: they are grown by more than what is lost.
 BOX_MARGIN = wp.constant(wp.float64(1e-6))
 

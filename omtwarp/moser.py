@@ -22,7 +22,6 @@ from omtwarp.solvers.poisson import PoissonSolver, cotangent_solver, solve_array
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-
 SHORTEST_STEP = wp.constant(wp.float64(1e-3))  # where slivers would need shorter ones: a path has 14 units of time
 MAX_STEPS = wp.constant(20000)  # of a path: more than FINAL_TIME / SHORTEST_STEP, so that every path ends
 

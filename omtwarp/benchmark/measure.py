@@ -11,12 +11,12 @@ import subprocess
 import tempfile
 import time
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from omtwarp.benchmark.tables import Facts
 from omtwarp.device.start import wp
 from omtwarp.device.threads import core_count
 from omtwarp.files.interruptions import interpreter
@@ -151,3 +151,116 @@ def _run(command: list[str], environment: dict[str, str]) -> tuple[float, float]
     wall = time.perf_counter() - start
     after = os.times()
     return wall, after.children_user + after.children_system - before.children_user - before.children_system
+
+
+Facts: TypeAlias = dict
+"""Figures by name, ready for JSON, times in seconds and memory in bytes.
+
+Of a stage ``name``, ``seconds``, ``cpu_seconds``, ``iterations``, ``flips``, ``area`` and ``ratio`` to the reference;
+of a map, or the medians of several, ``seconds``, ``cpu_seconds``, both ratios, ``peak_bytes`` above what the process
+held before, ``device_bytes`` (None where an earlier map needed as much), ``flips``, ``bijective`` and ``stages``; of a
+mesh ``family``, ``name``, ``vertices``, ``faces``, ``splu``, ``factor_bytes`` and ``runs``, one on each device.
+"""
+
+MAPS = (
+    "Seconds on the wall, stage by stage, and of all threads; both of a whole map as multiples of one SciPy `splu` "
+    "factorisation and solve of the same mesh's Laplacian, on one thread; the peak of memory above that before:"
+)
+STAGES = ("conformal", "moser", "omt", "refine", "optimality", "other")
+
+
+def markdown(result: Facts) -> str:
+    """Return the tables of a result of :func:`omtwarp.benchmark.run` as Markdown."""
+    parts = [_machine(result["machine"], result["settings"]), MAPS, maps_table(result)]
+    if result.get("growth"):
+        parts.append(_growth(result["growth"]))
+    parts += [_kernels(table) for table in result.get("kernels", [])]
+    if "first_use" in result:
+        parts.append(_first_use(result["first_use"]))
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def table(heads: list[str], rows: list[list[str]]) -> str:
+    """Return a Markdown table with its first column aligned left and the others right."""
+    lines = ["| " + " | ".join(heads) + " |", "|" + "|".join([":--"] + ["--:"] * (len(heads) - 1)) + "|"]
+    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
+
+
+def _machine(machine: Facts, settings: Facts) -> str:
+    memory = f", {machine['memory'] / 2**30:.0f} GiB" if machine["memory"] else ""
+    gpus = "; " + ", ".join(gpu["name"] for gpu in machine["gpus"]) if machine["gpus"] else "; no CUDA device"
+    versions = ", ".join(f"{name} {version}" for name, version in machine["versions"].items())
+    load = machine["load_before"]
+    busy = f" Load average before: {load:.1f}." if load is not None else ""
+    return (
+        f"{machine['processor']}, {machine['cores']} cores{memory}{gpus}; {machine['system']}. {versions}. "
+        f"Median of {settings['repeats']} maps each, kernels compiled before.{busy}"
+    )
+
+
+def _number(value: float | None, digits: int = 3) -> str:
+    if value is None or value != value:
+        return ""
+    return f"{value:.{digits}g}" if abs(value) < 1000 else f"{value:.0f}"
+
+
+def _stage_names(result: Facts) -> list[str]:
+    present = {stage["name"] for mesh in result["meshes"] for run in mesh["runs"] for stage in run["stages"]}
+    return [name for name in STAGES if name in present] + sorted(present - set(STAGES))
+
+
+def maps_table(result: Facts) -> str:
+    """Return the table of all maps, one in a row: seconds on the wall by stage, processor seconds and memory."""
+    names = _stage_names(result)
+    rows = []
+    for mesh in result["meshes"]:
+        for run in mesh["runs"]:
+            stages = {stage["name"]: stage["seconds"] for stage in run["stages"]}
+            memory = [None if size is None else size / 2**20 for size in (run["peak_bytes"], run["device_bytes"])]
+            seconds = [*(stages.get(name) for name in names), run["seconds"], run["cpu_seconds"]]
+            ratios = [run.get("ratio"), run.get("cpu_ratio")]
+            figures = [_number(value) for value in (*seconds, *ratios, *memory)]
+            rows.append([mesh["name"], f"{mesh['faces']}", run["device"], *figures, str(run["flips"])])
+    heads = ["mesh", "faces", "device", *names, "whole map", "CPU", "map / splu", "CPU / splu", "MiB", "device MiB"]
+    return table([*heads, "flips"], rows)
+
+
+def _growth(growth: dict[str, dict[str, dict[str, float]]]) -> str:
+    rows = []
+    for family, devices in growth.items():
+        for device, stages in devices.items():
+            cells = [_number(stages.get(name)) for name in (*STAGES, "total", "splu")]
+            rows.append([family, device, *cells])
+    return "Exponent p of time ~ faces^p:\n\n" + table(["family", "device", *STAGES, "whole map", "splu"], rows)
+
+
+def _kernels(kernels: Facts) -> str:
+    rows = [
+        [
+            f"`{row['name']}`",
+            str(row["launches"]),
+            _number(1e3 * row["seconds"]),
+            _number(row["bytes"] / 1e6),
+            _number(row["bytes_per_second"] / 1e9),
+            f"{100 * row['part_of_copy']:.0f} %",
+        ]
+        for row in kernels["kernels"]
+    ]
+    head = (
+        f"Kernels on {kernels['device']}, {kernels['faces']} faces; a plain copy moves "
+        f"{kernels['bandwidth'] / 1e9:.0f} GB/s there:"
+    )
+    names = ["kernel", "launches", "ms", "MB moved", "GB/s", "of a copy"]
+    return head + "\n\n" + table(names, rows)
+
+
+def _first_use(first: dict[str, dict[str, float]]) -> str:
+    rows = [
+        [device]
+        + [_number(one[key]) for key in ("compile_seconds", "compile_cpu_seconds", "load_seconds")]
+        + [_number(one[key]) for key in ("import_seconds", "help_seconds")]
+        for device, one in first.items()
+    ]
+    times = ["all kernels compiled", "the same, CPU", "loaded again", "`import omtwarp`", "`omtwarp --help`"]
+    heads = ["device", *(f"{time}, s" for time in times)]
+    return "First use:\n\n" + table(heads, rows)

@@ -16,14 +16,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from omtwarp.benchmark.tables import Facts
+from omtwarp.benchmark.measure import Facts
 from omtwarp.device.graphs import step_by_step
 from omtwarp.device.start import wp
 from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mesh.surface import Surface
 
 # Kernels that work through a list whose length only the device knows: next to nothing, and counted as nothing.
-LISTED = ("omtwarp.flips.guard_kernels.find_bad_around", "omtwarp.flips.guard_kernels.shorten_steps")
+LISTED = ("omtwarp.flips.guard.find_bad_around", "omtwarp.flips.guard.shorten_steps")
 
 
 @dataclass

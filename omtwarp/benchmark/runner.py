@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from omtwarp.benchmark.measure import Clock, PeakMemory, first_use, machine, splu_reference
+from omtwarp.benchmark.measure import Clock, Facts, PeakMemory, first_use, machine, splu_reference
 from omtwarp.benchmark.roofline import kernel_table
-from omtwarp.benchmark.tables import Facts
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError

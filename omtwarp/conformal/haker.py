@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.conformal.centring import centre_points
-from omtwarp.conformal.kernels import project_to_sphere
+from omtwarp.conformal.centring import centre_points, project_to_sphere
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads

@@ -184,6 +184,3 @@ def _centred(sphere: Numbers, masses: Numbers, device: str | None) -> Numbers | 
         return centre_points(sphere, masses, device=device)[0]
     except OmtwarpError:
         return None
-
-
-__all__ = ["HarmonicMap", "harmonic_points"]

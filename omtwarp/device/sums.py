@@ -10,7 +10,6 @@ from omtwarp.device.start import KERNEL_OPTIONS, wp
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-
 # A thread sums GROUP rows, LANES apart: neighbouring threads read neighbouring memory on CUDA, and on a CPU the next
 # thread reads from cache.
 GROUP = wp.constant(64)

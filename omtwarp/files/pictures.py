@@ -75,6 +75,3 @@ def read_stack(stream: BinaryIO) -> tuple[NDArray[np.generic], tuple[float, floa
     if text.startswith("ImageJ=") and thick and min(per_unit) > 0.0:
         sides = (1.0 / per_unit[0], 1.0 / per_unit[1], abs(float(thick.group(1))))
     return np.stack(pages).transpose(2, 1, 0), sides
-
-
-__all__ = ["FORMATS", "open_picture", "read_stack"]

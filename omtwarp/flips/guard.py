@@ -1,22 +1,172 @@
-"""Steps that cannot flip: a motion shortened only where it would turn a triangle over."""
+"""Steps that cannot flip: a motion shortened only where it would turn a triangle over.
+
+The first round examines all triangles, later rounds only those around vertices that have just been changed. Lists of
+these are filled by counting upwards, in an order that differs from run to run; no result depends on it.
+"""
 
 from __future__ import annotations
+
+from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import list_threads, resolve_device
-from omtwarp.device.start import wp
-from omtwarp.flips.guard_kernels import Count, count_nonpositive, end_round, find_bad, find_bad_around, shorten_steps
+from omtwarp.device.start import KERNEL_OPTIONS, ZERO, wp
 from omtwarp.flips.rings import is_bijective
 from omtwarp.mesh.surface import Surface
+
+wp.set_module_options(KERNEL_OPTIONS)
 
 # A vertex whose step was halved this often stays where it was.
 MAX_ROUNDS = 500
 # A step that leaves a triangle a hundredth of its area counts as a flip: on scanned shapes one such triangle raises the
 # area distortion of the map by more than the step lowers it.
 MIN_PART = 0.2
+
+
+class Count(IntEnum):
+    """Places of the counters.
+
+    Triangles to be corrected in this round and the next, vertices changed, rounds begun, vertices held back in all.
+    """
+
+    BAD = 0
+    NEXT = 1
+    CHANGED = 2
+    ROUND = 3
+    HELD = 4
+
+
+@wp.kernel
+def count_nonpositive(
+    points: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    # Data out:
+    count: wp.array[wp.int32],
+):
+    """Count triangles with det[s0, s1, s2] <= 0 in floating point, which may be wrong for one that is nearly flat."""
+    face = faces[wp.tid()]
+    if not wp.dot(points[face[0]], wp.cross(points[face[1]], points[face[2]])) > ZERO:
+        wp.atomic_add(count, 0, 1)
+
+
+@wp.func
+def is_bad(before: wp.array[wp.vec3d], after: wp.array[wp.vec3d], face: wp.vec3i, floor: wp.float64):
+    """Return whether a step flips a triangle, or shrinks it below its floor; one that is below it already may grow."""
+    size = wp.dot(after[face[0]], wp.cross(after[face[1]], after[face[2]]))
+    bad = bool(True)
+    if size > ZERO:
+        if size >= floor:
+            bad = bool(False)
+        elif size >= wp.dot(before[face[0]], wp.cross(before[face[1]], before[face[2]])):
+            bad = bool(False)
+    return bad
+
+
+@wp.kernel
+def find_bad(
+    before: wp.array[wp.vec3d],
+    after: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    floors: wp.array[wp.float64],
+    # Data in and out:
+    counters: wp.array[wp.int32],
+    # Data out:
+    bad: wp.array2d[wp.int32],
+):
+    f = wp.tid()
+    if is_bad(before, after, faces[f], floors[f]):
+        bad[0, wp.atomic_add(counters, Count.NEXT, 1)] = f
+
+
+@wp.kernel
+def end_round(
+    most: int,
+    # Data in and out:
+    counters: wp.array[wp.int32],
+    # Data out:
+    again: wp.array[wp.int32],
+):
+    """Go on while there are bad triangles; in the round after the last one all vertices go back."""
+    again[0] = 0
+    if counters[Count.NEXT] > 0 and counters[Count.ROUND] <= most:
+        again[0] = 1
+        counters[Count.ROUND] = counters[Count.ROUND] + 1
+    counters[Count.BAD] = counters[Count.NEXT]
+    counters[Count.NEXT] = 0
+    counters[Count.CHANGED] = 0
+
+
+@wp.kernel
+def shorten_steps(
+    before: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    bad: wp.array2d[wp.int32],
+    limit: int,
+    most: int,
+    threads: int,
+    # Data in and out:
+    counters: wp.array[wp.int32],
+    vertex_rounds: wp.array[wp.int32],
+    halvings: wp.array[wp.int32],
+    wanted: wp.array[wp.vec3d],
+    after: wp.array[wp.vec3d],
+    # Data out:
+    changed: wp.array[wp.int32],
+):
+    """Halve the steps of bad triangles' corners, once each; ``wanted`` keeps where those were going at first."""
+    thread, _compiled_once = wp.tid()
+    this = counters[Count.ROUND]
+    if this > most:
+        for v in range(thread, before.shape[0], threads):
+            if halvings[v] == 0:
+                wp.atomic_add(counters, Count.HELD, 1)
+            after[v] = before[v]
+    else:
+        for k in range(thread, counters[Count.BAD], threads):
+            face = faces[bad[(this - 1) % 2, k]]
+            for corner in range(3):
+                v = face[corner]
+                if wp.atomic_max(vertex_rounds, v, this) < this:
+                    times = halvings[v] + 1
+                    halvings[v] = times
+                    if times == 1:
+                        wanted[v] = after[v]
+                        wp.atomic_add(counters, Count.HELD, 1)
+                    if times >= limit:
+                        after[v] = before[v]
+                    else:
+                        part = wp.pow(wp.float64(0.5), wp.float64(times))
+                        after[v] = wp.normalize(before[v] + part * (wanted[v] - before[v]))
+                    changed[wp.atomic_add(counters, Count.CHANGED, 1)] = v
+
+
+@wp.kernel
+def find_bad_around(
+    before: wp.array[wp.vec3d],
+    after: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    floors: wp.array[wp.float64],
+    offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    changed: wp.array[wp.int32],
+    threads: int,
+    # Data in and out:
+    counters: wp.array[wp.int32],
+    face_rounds: wp.array[wp.int32],
+    # Data out:
+    bad: wp.array2d[wp.int32],
+):
+    this = counters[Count.ROUND]
+    for k in range(wp.tid(), counters[Count.CHANGED], threads):
+        v = changed[k]
+        for n in range(offsets[v], offsets[v + 1]):
+            f = corners[n] // 3
+            if wp.atomic_max(face_rounds, f, this) < this:
+                if is_bad(before, after, faces[f], floors[f]):
+                    bad[this % 2, wp.atomic_add(counters, Count.NEXT, 1)] = f
 
 
 class StepGuard:

@@ -12,9 +12,33 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.arrays import triangles, vectors
 from omtwarp.device.policy import resolve_device
-from omtwarp.device.start import wp
+from omtwarp.device.start import KERNEL_OPTIONS, ZERO, wp
 from omtwarp.device.threads import Arguments, cut, launch_parts
-from omtwarp.flips.guard_kernels import UNCERTAIN, certain_signs
+
+wp.set_module_options(KERNEL_OPTIONS)
+
+UNCERTAIN = wp.constant(2)  # instead of a sign
+
+
+@wp.kernel
+def certain_signs(
+    points: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    relative: wp.float64,
+    underflow: wp.float64,
+    # Data out:
+    signs: wp.array[wp.int8],
+):
+    """Compute the signs of det[a, b, c] that rounding cannot have changed, and UNCERTAIN for the others."""
+    f = wp.tid()
+    a, b, c = points[faces[f][0]], points[faces[f][1]], points[faces[f][2]]
+    value = wp.dot(a, wp.cross(b, c))
+    magnitude = wp.abs(a[0]) * (wp.abs(b[1] * c[2]) + wp.abs(b[2] * c[1]))
+    magnitude += wp.abs(a[1]) * (wp.abs(b[2] * c[0]) + wp.abs(b[0] * c[2]))
+    magnitude += wp.abs(a[2]) * (wp.abs(b[0] * c[1]) + wp.abs(b[1] * c[0]))
+    signs[f] = wp.int8(UNCERTAIN)
+    if wp.isfinite(value) and wp.abs(value) > relative * magnitude + underflow:
+        signs[f] = wp.where(value > ZERO, wp.int8(1), wp.int8(-1))
 
 
 def orientation_signs(

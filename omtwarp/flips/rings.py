@@ -22,7 +22,6 @@ from omtwarp.flips.predicates import exact_signs, orientation_signs
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-
 SCALE = wp.constant(wp.float64(2.0**40))  # steps of a radian: sums of 10^6 angles fit int64, and a step is 1e-12
 
 

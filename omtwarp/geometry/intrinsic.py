@@ -20,7 +20,6 @@ from omtwarp.mesh.surface import Surface
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-
 # An edge is Delaunay where the sine of the sum of its two opposite angles is above minus this: round-off flips nothing.
 ROUND_OFF = wp.constant(wp.float64(1e-12))
 

@@ -21,13 +21,117 @@ from scipy import sparse
 
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
-from omtwarp.device.start import wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
 from omtwarp.errors import OmtwarpError
-from omtwarp.geometry import kernels
-from omtwarp.mesh.arrays import TINY
+from omtwarp.geometry.spherical import TINY
 from omtwarp.mesh.surface import Surface
 
+wp.set_module_options(KERNEL_OPTIONS)
+
 Array = NDArray[np.float64]
+
+# mypy: ignore-errors
+
+
+@wp.func
+def unit_normal(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
+    """Return the unit normal of a triangle; a triangle without area has none and gives zero."""
+    n = wp.cross(b - a, c - a)
+    return n / wp.max(wp.length(n), TINY)
+
+
+@wp.func
+def dual_flux_vector(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
+    """Return the sum of (dual length) x (unit edge) over the two edges leaving ``a``.
+
+    Its product with a field is the outflow at ``a``. With l_c = (c / 2) cot(gamma) and l_b = (b / 2) cot(beta), the sum
+    l_c c^ + l_b b^ of equation (23) is the edge ``bc`` turned by -90 degrees and halved. It is evaluated in that form:
+    the cotangents of a sliver are huge and cancel, the turned edge is not.
+    """
+    return HALF * wp.cross(c - b, unit_normal(a, b, c))
+
+
+@wp.func
+def corner_cotangent(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.float64:
+    """Return the cotangent of the angle at ``a``."""
+    return wp.dot(b - a, c - a) / wp.max(wp.length(wp.cross(b - a, c - a)), TINY)
+
+
+@wp.kernel
+def rotate_in_faces(
+    vertices: wp.array[wp.vec3d],
+    faces: wp.array2d[wp.int32],
+    field: wp.array[wp.vec3d],
+    # Data out:
+    rotated_out: wp.array[wp.vec3d],
+):
+    f = wp.tid()
+    n = unit_normal(vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]])
+    rotated_out[f] = wp.cross(n, field[f])
+
+
+@wp.kernel
+def vertex_divergence(
+    vertices: wp.array[wp.vec3d],
+    faces: wp.array2d[wp.int32],
+    corner_offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    field: wp.array[wp.vec3d],
+    # Data out:
+    flux_out: wp.array[wp.float64],
+):
+    i = wp.tid()
+    flux = wp.float64(0.0)
+    for n in range(corner_offsets[i], corner_offsets[i + 1]):
+        f = corners[n] // 3
+        s = corners[n] - 3 * f
+        b = vertices[faces[f, (s + 1) % 3]]
+        c = vertices[faces[f, (s + 2) % 3]]
+        flux += wp.dot(dual_flux_vector(vertices[i], b, c), field[f])
+    flux_out[i] = flux
+
+
+@wp.kernel
+def interpolate_at_vertices(
+    vertices: wp.array[wp.vec3d],
+    faces: wp.array2d[wp.int32],
+    corner_offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    field: wp.array[wp.vec3d],
+    # Data out:
+    interpolated_out: wp.array[wp.vec3d],
+):
+    i = wp.tid()
+    total = wp.vec3d(ZERO, ZERO, ZERO)
+    weights = wp.float64(0.0)
+    a = vertices[i]
+    for n in range(corner_offsets[i], corner_offsets[i + 1]):
+        f = corners[n] // 3
+        s = corners[n] - 3 * f
+        p, q = vertices[faces[f, (s + 1) % 3]] - a, vertices[faces[f, (s + 2) % 3]] - a
+        weight = wp.length(wp.cross(p, q)) / wp.max(wp.length_sq(p) * wp.length_sq(q), TINY)
+        total += weight * field[f]
+        weights += weight
+    interpolated_out[i] = total * (ONE / wp.max(weights, TINY))
+
+
+@wp.func
+def cotangent_at(corner: int, points: wp.array[wp.vec3d], faces: wp.array[wp.vec3i]) -> wp.float64:
+    face = faces[corner // 3]
+    k = corner % 3
+    return corner_cotangent(points[face[k]], points[face[(k + 1) % 3]], points[face[(k + 2) % 3]])
+
+
+@wp.kernel
+def edge_weights_of_corners(
+    points: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    corners: wp.array[wp.vec2i],
+    # Data out:
+    weights: wp.array[wp.float64],
+):
+    e = wp.tid()
+    weights[e] = HALF * (cotangent_at(corners[e][0], points, faces) + cotangent_at(corners[e][1], points, faces))
 
 
 def _corner_points(vertices: ArrayLike, faces: ArrayLike) -> tuple[Array, NDArray[np.int64], list[Array]]:
@@ -41,7 +145,7 @@ def _corner_points(vertices: ArrayLike, faces: ArrayLike) -> tuple[Array, NDArra
 def corner_cotangents(vertices: ArrayLike, faces: ArrayLike) -> Array:
     """Return the cotangent of the angle at every corner, shape [F, 3]; negative where the angle is obtuse."""
     _, _, p = _corner_points(vertices, faces)
-    doubled = np.maximum(np.linalg.norm(np.cross(p[1] - p[0], p[2] - p[0]), axis=1), TINY)
+    doubled = np.maximum(np.linalg.norm(np.cross(p[1] - p[0], p[2] - p[0]), axis=1), float(TINY))
     dots = [np.einsum("ij,ij->i", p[(k + 1) % 3] - p[k], p[(k + 2) % 3] - p[k]) for k in range(3)]
     return np.stack(dots, axis=1) / doubled[:, None]
 
@@ -121,11 +225,11 @@ class DifferentialOperators:
 
     def rotate(self, field: ArrayLike | wp.array) -> wp.array:
         """Apply J, a turn by +90 degrees, in each triangle, [F, 3] -> [F, 3] (section 2.3, equation 10)."""
-        return self._run(kernels.rotate_in_faces, self.face_count, field, wp.vec3d, gather=False)
+        return self._run(rotate_in_faces, self.face_count, field, wp.vec3d, gather=False)
 
     def divergence(self, field: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
         """Return the outflow of each vertex's cell, [F, 3] -> [V]: equation 23 (appendix A.2)."""
-        return self._run(kernels.vertex_divergence, self.vertex_count, field, wp.float64, out)
+        return self._run(vertex_divergence, self.vertex_count, field, wp.float64, out)
 
     def interpolate_dual(self, field: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
         """Interpolate vectors from dual vertices linearly to the primal ones, [F, 3] -> [V, 3] (Algorithm 1, line 7).
@@ -135,7 +239,7 @@ class DifferentialOperators:
         functions of a flat neighbourhood whether or not triangles are obtuse. The paper says "linear interpolation"
         and no more.
         """
-        return self._run(kernels.interpolate_at_vertices, self.vertex_count, field, wp.vec3d, out)
+        return self._run(interpolate_at_vertices, self.vertex_count, field, wp.vec3d, out)
 
 
 def cotangent_edge_weights(surface: Surface, points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -151,5 +255,5 @@ def cotangent_edge_weights(surface: Surface, points: NDArray[np.float64]) -> NDA
     mesh = surface.on("cpu")
     weights = wp.empty(len(mesh.edge_corners), dtype=wp.float64, device="cpu")
     inputs = [vectors(points, weights.device), mesh.faces, mesh.edge_corners]
-    wp.launch(kernels.edge_weights_of_corners, dim=weights.size, inputs=inputs, outputs=[weights], device="cpu")
+    wp.launch(edge_weights_of_corners, dim=weights.size, inputs=inputs, outputs=[weights], device="cpu")
     return weights.numpy()

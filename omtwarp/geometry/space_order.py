@@ -24,7 +24,6 @@ from omtwarp.mesh.surface import Surface
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-
 BITS = 20  # of every coordinate of a cell: three of them fit into one number of 64 bits
 HIGHEST_BIT = wp.constant(1 << (BITS - 1))
 LAST_CELL = wp.constant((1 << BITS) - 1)

@@ -1,7 +1,7 @@
 """Geometry of the sphere and of triangles for kernels: distances, directions, products, each in one place."""
 
 # mypy: ignore-errors
-from omtwarp.device.start import KERNEL_OPTIONS, ONE, ZERO, wp
+from omtwarp.device.start import KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.mesh import arrays
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -64,3 +64,9 @@ def oriented_volume(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.float64:
     It is six times the volume of the triangle and the centre; differences come first.
     """
     return wp.dot(a, wp.cross(b - a, c - a))
+
+
+@wp.func
+def solid_angle(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
+    """Return the signed solid angle of a spherical triangle (van Oosterom and Strackee 1983)."""
+    return TWO * wp.atan2(triple_product(a, b, c), ONE + wp.dot(a, b) + wp.dot(b, c) + wp.dot(c, a))

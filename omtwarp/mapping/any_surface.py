@@ -55,11 +55,20 @@ from omtwarp.options import (
 )
 from omtwarp.spheres import triangle_solid_angles
 from omtwarp.texturing.density import TargetLike
-from omtwarp.topology.boundary import boundary_half_edges, boundary_loops, loop_length
 from omtwarp.topology.doubling import Double, double, quartered_double, split_chords
 from omtwarp.topology.filling import FilledSurface, fill_holes
 from omtwarp.topology.handles import cut_handles, cut_open, slit_open
-from omtwarp.topology.kind import Part, described, numbered_in_space, options_for, parts_of, places_of
+from omtwarp.topology.kind import (
+    Part,
+    boundary_half_edges,
+    boundary_loops,
+    described,
+    loop_length,
+    numbered_in_space,
+    options_for,
+    parts_of,
+    places_of,
+)
 from omtwarp.torus.mapping import map_to_torus
 
 Floats = NDArray[np.float64]

@@ -24,8 +24,7 @@ from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics.certificate import Certificate, certify_triangles
 from omtwarp.metrics.distortion import Distortion, measure_in_plane, measure_triangles
 from omtwarp.options import ChosenOptions, Domain, Record
-from omtwarp.topology.boundary import boundary_half_edges
-from omtwarp.topology.kind import connected_components
+from omtwarp.topology.kind import boundary_half_edges, connected_components
 
 Array = NDArray[np.float64]
 

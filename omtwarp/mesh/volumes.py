@@ -164,6 +164,3 @@ def smoothed(vertices: Floats, faces: Ints, rounds: int) -> Floats:
         for share in (there, back):
             vertices = vertices + share * (neighbours @ vertices / valence - vertices)
     return vertices
-
-
-__all__ = ["MOST_ROUNDS", "ROUNDS", "VOLUMES", "label_surfaces", "smoothed", "surface_of"]

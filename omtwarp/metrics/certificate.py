@@ -9,14 +9,49 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.arrays import triangles, vectors
 from omtwarp.device.policy import resolve_device
-from omtwarp.device.start import wp
+from omtwarp.device.start import KERNEL_OPTIONS, wp
 from omtwarp.flips.rings import Examined, examine
+from omtwarp.geometry.spherical import triple_product
 from omtwarp.mesh.arrays import real_numbers, require_unit_length
 from omtwarp.mesh.checks import MeshLike, as_faces, as_triangles
 from omtwarp.mesh.surface import SPHERE_AREA, triangle_areas
-from omtwarp.metrics.kernels import count_crossings
+
+wp.set_module_options(KERNEL_OPTIONS)
 
 RAYS = 32  # all have to count the same degree; without flips one would suffice
+
+
+@wp.kernel
+def count_crossings(
+    sphere: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    rays: wp.array[wp.vec3d],
+    clearance: wp.float64,
+    # Data out:
+    crossings: wp.array[wp.int32],
+    doubtful: wp.array[wp.int32],
+):
+    """Compute the signed number of spherical triangles over every ray from the centre.
+
+    Rays too near an edge are marked. A ray is inside a triangle where its three triple products have the sign of the
+    triangle's own; with the opposite sign all three, its antipode is. The counts are integers, so the order of the
+    additions does not matter.
+    """
+    f, r = wp.tid()
+    face = faces[f]
+    a, b, c = sphere[face[0]], sphere[face[1]], sphere[face[2]]
+    ray = rays[r]
+    w0, w1, w2 = triple_product(ray, b, c), triple_product(ray, c, a), triple_product(ray, a, b)
+    upright = triple_product(a, b, c) > wp.float64(0.0)
+    positive = upright and w0 > -clearance and w1 > -clearance and w2 > -clearance
+    negative = not upright and w0 < clearance and w1 < clearance and w2 < clearance
+    if positive or negative:
+        if wp.min(wp.min(wp.abs(w0), wp.abs(w1)), wp.abs(w2)) < clearance:
+            wp.atomic_add(doubtful, r, 1)
+        elif positive:
+            wp.atomic_add(crossings, r, 1)
+        else:
+            wp.atomic_add(crossings, r, -1)
 
 
 @dataclass(frozen=True)

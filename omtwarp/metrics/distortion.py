@@ -19,12 +19,54 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.arrays import triangles, vectors
 from omtwarp.device.policy import resolve_device
-from omtwarp.device.start import wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, wp
+from omtwarp.geometry.spherical import TINY, solid_angle, triple_product
 from omtwarp.mesh.arrays import in_range, real_numbers, require_unit_length
 from omtwarp.mesh.checks import MeshLike, as_faces, as_triangles
-from omtwarp.metrics.kernels import triangle_distortion
+
+wp.set_module_options(KERNEL_OPTIONS)
 
 WEIGHTINGS = ("mean", "surface", "sphere")
+
+
+@wp.func
+def triangle_frame(p0: wp.vec3d, p1: wp.vec3d, p2: wp.vec3d):
+    """Return the base, foot and height of a triangle laid flat with its first edge along the x axis."""
+    base = wp.length(p1 - p0)
+    along = (p1 - p0) / wp.max(base, TINY)
+    foot = wp.dot(p2 - p0, along)
+    height = wp.length(p2 - p0 - foot * along)
+    return base, foot, height
+
+
+@wp.kernel
+def triangle_distortion(
+    surface: wp.array[wp.vec3d],
+    sphere: wp.array[wp.vec3d],
+    faces: wp.array[wp.vec3i],
+    # Data out:
+    surface_area: wp.array[wp.float64],
+    sphere_area: wp.array[wp.float64],
+    determinant: wp.array[wp.float64],
+    angle: wp.array[wp.float64],
+    triple: wp.array[wp.float64],
+    solid: wp.array[wp.float64],
+):
+    f = wp.tid()
+    face = faces[f]
+    base, foot, height = triangle_frame(surface[face[0]], surface[face[1]], surface[face[2]])
+    a, b, c = wp.normalize(sphere[face[0]]), wp.normalize(sphere[face[1]]), wp.normalize(sphere[face[2]])
+    image_base, image_foot, image_height = triangle_frame(a, b, c)
+    # The Jacobian between the two flat triangles is upper triangular in these frames: [[p, q], [0, r]].
+    p = image_base / base
+    r = image_height / height
+    q = (image_foot - p * foot) / height
+    surface_area[f] = HALF * base * height
+    sphere_area[f] = HALF * image_base * image_height
+    determinant[f] = p * r
+    angle[f] = (p * p + q * q + r * r) / (p * r)
+    triple[f] = triple_product(a, b, c)
+    solid[f] = solid_angle(a, b, c)
 
 
 class Aggregates(TypedDict):

@@ -151,6 +151,3 @@ def _exact(energy: HeldEnergy, points: Floats) -> tuple[Floats, float]:
         "no map with straight sides was found that keeps the areas of triangles: use a finer mesh, map to the "
         "hemisphere, or leave exact out"
     )
-
-
-__all__ = ["Quartered", "exact_in_plane", "exact_on_cap", "shares_of_polygons"]

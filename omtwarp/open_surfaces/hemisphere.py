@@ -130,6 +130,3 @@ def symmetric_start(
     image[own] = turned / np.linalg.norm(turned, axis=1)[:, None]
     image = folded_map(double, image)
     return image if is_bijective(image, surface.faces, device=device) else None
-
-
-__all__ = ["is_symmetric", "mirror_frame", "symmetric_map", "symmetric_start", "symmetrised"]

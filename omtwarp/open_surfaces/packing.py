@@ -91,6 +91,3 @@ def _apart(start: Floats, shares: Floats, covered: float) -> Floats | None:
         return None
     placed = found.x.reshape(-1, 3)
     return placed / np.linalg.norm(placed, axis=1)[:, None]
-
-
-__all__ = ["cap_radius", "pack_caps"]

@@ -16,7 +16,7 @@ from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, plane_areas
 from omtwarp.refine.matching import MOST_WEIGHT, match_area
 from omtwarp.spheres import triangle_solid_angles
-from omtwarp.topology.boundary import boundary_loops
+from omtwarp.topology.kind import boundary_loops
 from omtwarp.untangling.untangle import SCHEDULES, RepairBudget, Schedule, untangle_patches
 
 Floats = NDArray[np.float64]
@@ -284,6 +284,3 @@ def _convex(points: Floats, faces: NDArray, held: NDArray[np.bool_], flipped: ND
     moved = points.copy()
     moved[free] = splu(own).solve(right)
     return moved
-
-
-__all__ = ["flipped_in_plane", "match_in_plane", "untangle_in_plane", "untangle_on_sphere"]

@@ -397,17 +397,3 @@ class SymmetricSteps(FlipFreeSteps):
 
     def _moved(self, points: wp.array, direction: wp.array, share: wp.array | None, length: float) -> wp.array:
         return vectors(self._admitted(super()._moved(points, direction, share, length).numpy()), self._device)
-
-
-__all__ = [
-    "MirrorCellFactor",
-    "MirrorFactor",
-    "MirroredEnergy",
-    "MirroredSphere",
-    "SymmetricSteps",
-    "folded",
-    "folded_map",
-    "mirrored_energy",
-    "symmetric_exact_map",
-    "symmetric_optimal_map",
-]

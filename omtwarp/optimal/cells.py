@@ -16,14 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.arrays import Workspace, empty
-from omtwarp.device.start import wp
+from omtwarp.device.start import KERNEL_OPTIONS, wp
 from omtwarp.device.threads import Arguments, cut, launch_parts
 from omtwarp.mesh.quarter import PARTS, QuarteredSurface
 from omtwarp.mesh.surface import Surface
-from omtwarp.optimal.cell_kernels import cell_masses, cell_means, cell_slopes, on_parts, sums_of_parts
 from omtwarp.optimal.combination import scaled
 from omtwarp.optimal.kernels import areas_around, corner_sums, edge_slopes
 from omtwarp.solvers.mesh_factor import SaddlePointFactor, cell_saddle_factor, coordinate_factor, surface_saddle_factor
+
+wp.set_module_options(KERNEL_OPTIONS)
 
 Numbers = NDArray[np.float64]
 
@@ -32,6 +33,85 @@ CORNER_SHARE, MIDDLE_SHARE = 1.0 / 12.0, 1.0 / 4.0  # of a triangle's mass, on e
 # of triangles, which are corrected afterwards.
 MAX_RING_RMS, MAX_RING_ERROR = 2e-4, 9e-3
 MAX_CELL_RMS, MAX_CELL_ERROR = 1e-3, 0.05
+
+
+@wp.kernel
+def sums_of_parts(
+    values: wp.array[wp.float64],
+    # Data out:
+    sums: wp.array[wp.float64],
+):
+    """Sum a number per part over the parts of every triangle, shape [N]."""
+    c = wp.tid()
+    total = wp.float64(0.0)
+    for k in range(PARTS):
+        total += values[PARTS * c + k]
+    sums[c] = total
+
+
+@wp.kernel
+def on_parts(
+    values: wp.array[wp.float64],
+    # Data out:
+    repeated: wp.array[wp.float64],
+):
+    """Give every part the number of its triangle, shape [4 N]."""
+    f = wp.tid()
+    repeated[f] = values[f // PARTS]
+
+
+@wp.kernel
+def cell_means(
+    values: wp.array[wp.float64],
+    vertices: wp.array2d[wp.int32],
+    shares: wp.array[wp.float64],
+    # Data out:
+    means: wp.array[wp.float64],
+):
+    """Compute the mean over every cell's mass of a number per vertex, shape [N]."""
+    c = wp.tid()
+    total = wp.float64(0.0)
+    for k in range(vertices.shape[1]):
+        total += shares[k] * values[vertices[c, k]]
+    means[c] = total
+
+
+@wp.kernel
+def cell_masses(
+    areas: wp.array[wp.float64],
+    shares: wp.array[wp.float64],
+    offsets: wp.array[wp.int32],
+    places: wp.array[wp.int32],
+    factor: wp.float64,
+    # Data out:
+    masses: wp.array[wp.float64],
+):
+    """Sum the shares of the cells' areas at every vertex, times a factor, shape [V]."""
+    v = wp.tid()
+    total = wp.float64(0.0)
+    width = shares.shape[0]
+    for i in range(offsets[v], offsets[v + 1]):
+        cell = places[i] // width
+        total += shares[places[i] - width * cell] * areas[cell]
+    masses[v] = factor * total
+
+
+@wp.kernel
+def cell_slopes(
+    of_parts: wp.array2d[wp.vec2d],
+    # Data out:
+    slopes: wp.array3d[wp.float64],
+):
+    """Sum the derivatives of the parts' areas to those of every cell by its six vertices, shape [N, 6, 2]."""
+    c = wp.tid()
+    begin = PARTS * c
+    for k in range(3):
+        corner = of_parts[begin + k, 0]
+        # The middle of the edge from corner k to the next is in the parts of both, and in the one in the middle.
+        middle = of_parts[begin + k, 1] + of_parts[begin + (k + 1) % 3, 2] + of_parts[begin + 3, k]
+        for axis in range(2):
+            slopes[c, k, axis] = corner[axis]
+            slopes[c, 3 + k, axis] = middle[axis]
 
 
 class Cells(Protocol):
@@ -210,6 +290,3 @@ class TriangleCells:
         if self._factor is None:
             self._factor = cell_saddle_factor(self._surface.scaled_vertices, self._surface.edges, self.vertices)
         return self._factor
-
-
-__all__ = ["Cells", "MeasuredRings", "RingCells", "TriangleCells"]

@@ -20,6 +20,3 @@ def combine(
 def scaled(values: wp.array, factor: float, out: wp.array | None = None) -> wp.array:
     """Return a multiple of numbers, float64, shape [N], in ``out`` where it is given."""
     return combine(factor, values, 0.0, values, out)
-
-
-__all__ = ["combine", "scaled"]

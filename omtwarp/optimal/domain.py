@@ -109,6 +109,3 @@ class Shape(Protocol):
 
     def hessian(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
         """Return every triangle's Hessian in its corners' frames, semidefinite: on and above the diagonal, [F, 21]."""
-
-
-__all__ = ["Domain", "Shape", "ShapeTerms", "VertexCost"]

@@ -119,6 +119,3 @@ def minimise_cells(
     restored, right = restore_areas(energy, found.points, notify=notify)
     ended = found.ended if right else f"{found.ended}; areas are not right to {EXACT:g}"
     return replace(found, points=restored, history=tuple(history), converged=found.converged and right, ended=ended)
-
-
-__all__ = ["CELL_GAIN", "ITERATIONS", "exact_map", "minimise_cells"]

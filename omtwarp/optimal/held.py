@@ -102,6 +102,3 @@ class HeldFactor:
         numbers = right.numpy().copy()
         numbers[: COORDINATES * len(self._held)].reshape(-1, COORDINATES)[self._held] = 0.0
         return self._factor.solve(wp.array(numbers, dtype=wp.float64, device=right.device))
-
-
-__all__ = ["HeldEnergy", "HeldSphere"]

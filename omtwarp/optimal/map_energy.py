@@ -133,6 +133,3 @@ class MapEnergy:
     def _multipliers(self, given: ArrayLike | None) -> wp.array:
         numbers = np.zeros(self._count) if given is None else real_numbers(given, "multipliers", (self._count,))
         return wp.array(numbers, dtype=wp.float64, device=self._energy.device)
-
-
-__all__ = ["MapEnergy"]

@@ -252,16 +252,3 @@ def minimised(
         sphere, multipliers = found.sphere, found.multipliers
         kept(found)
     return found, term
-
-
-__all__ = [
-    "EMBEDDED",
-    "NESTED",
-    "ShapeTerm",
-    "coarse_surface",
-    "embedded_start",
-    "minimised",
-    "nested_start",
-    "shape_term",
-    "shape_term_by_law",
-]

@@ -202,6 +202,3 @@ class PlaneShape:
 
 def _kept(values: NDArray, dtype: type) -> wp.array:
     return wp.array(np.ascontiguousarray(values, dtype=np.float64), dtype=dtype, device="cpu")
-
-
-__all__ = ["Plane", "PlaneCost", "PlaneShape"]

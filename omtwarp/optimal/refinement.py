@@ -255,6 +255,3 @@ class _Refinement:
     def excess(self, sphere: NDArray[np.float64]) -> float:
         """Return how far the mean area distortion of the triangles of a map is above 2."""
         return self.distortion.terms(vectors(sphere, self.device)).area
-
-
-__all__ = ["TRIANGLE_WEIGHT", "WEIGHTS", "RefineResult", "least_distortion", "refine_map", "refinement_weight"]

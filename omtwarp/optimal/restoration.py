@@ -92,6 +92,3 @@ def _right(energy: TransportEnergy, terms: MapTerms) -> bool:
     """Return whether all areas are within the tolerance."""
     rms, largest = energy.area_errors(terms)
     return rms <= energy.exact_tolerance and largest <= energy.exact_tolerance
-
-
-__all__ = ["restore_areas"]

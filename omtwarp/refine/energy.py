@@ -14,8 +14,13 @@ from omtwarp.device.start import wp
 from omtwarp.device.sums import Reading
 from omtwarp.device.threads import Arguments, cut, launch_parts
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, scaled_areas
-from omtwarp.refine.kernels import gather_tangent, triangle_gradient, triangle_hessian, triangle_terms
-from omtwarp.refine.step_kernels import distortion_summands
+from omtwarp.refine.kernels import (
+    distortion_summands,
+    gather_tangent,
+    triangle_gradient,
+    triangle_hessian,
+    triangle_terms,
+)
 from omtwarp.refine.strain import StrainBarrier
 from omtwarp.refine.vertex_term import VertexDerivatives, VertexTerm, tangent_blocks
 from omtwarp.solvers.triangle_newton.frames import triangle_frames

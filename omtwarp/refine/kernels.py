@@ -6,6 +6,7 @@ brings the image's total flat area to 4π. Angle distortion is fro / D, area dis
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, THREE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import oriented_volume
+from omtwarp.mesh import surface
 from omtwarp.solvers.triangle_newton.newton_kernels import packed
 from omtwarp.solvers.triangle_newton.triangle import (
     first_column,
@@ -292,3 +293,24 @@ def triangle_hessian(
     c = sphere[face[2]]
     share = areas[t] / divisor
     distortion_hessian(t, frames[t], share, a, b, c, linear, inverse, barrier, hessian)
+
+
+SPHERE_AREA = wp.constant(wp.float64(surface.SPHERE_AREA))  # of the unit sphere, 4π
+
+
+@wp.kernel
+def distortion_summands(
+    ratio: wp.array[wp.float64],
+    total: wp.array[wp.float64],
+    # Data out:
+    excess: wp.array[wp.float64],
+    inverse: wp.array[wp.float64],
+):
+    """Compute r + 1/r - 2 without cancellation, r the area ratio scaled by the image's total area, and 1/ratio.
+
+    Neither is multiplied by the areas yet.
+    """
+    t = wp.tid()
+    scaled = SPHERE_AREA / total[0] * ratio[t]
+    excess[t] = (scaled - ONE) * (scaled - ONE) / scaled
+    inverse[t] = ONE / ratio[t]

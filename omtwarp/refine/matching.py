@@ -74,6 +74,3 @@ def not_matched(area: float, reached: float) -> tuple[str, str] | None:
         return None
     text = f"no map with the area distortion {area:.9g} was found: this one has {reached:.9g}"
     return text, "remesh with more triangles, or ask for more" if reached > area else "ask for less"
-
-
-__all__ = ["LEAST_WEIGHT", "MOST_WEIGHT", "match_area", "not_matched"]

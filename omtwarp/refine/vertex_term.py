@@ -58,6 +58,3 @@ def tangent_blocks(points: wp.array, hessian: NDArray[np.float64]) -> NDArray[np
         bases.append(vectors.numpy())
     basis = np.stack(bases, axis=1)
     return np.asarray(basis @ hessian @ basis.transpose(0, 2, 1))
-
-
-__all__ = ["VertexDerivatives", "VertexTerm", "tangent_blocks"]

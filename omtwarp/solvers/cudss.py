@@ -17,11 +17,24 @@ from numpy.typing import NDArray
 
 from omtwarp.device.arrays import Workspace
 from omtwarp.device.policy import solver_device
-from omtwarp.device.start import wp
+from omtwarp.device.start import KERNEL_OPTIONS, wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.solvers.cholesky.dissection import Dissection
 from omtwarp.solvers.cholesky.multifrontal import NotPositiveDefinite
-from omtwarp.solvers.cudss_kernels import gather_entries
+
+wp.set_module_options(KERNEL_OPTIONS)
+
+
+@wp.kernel
+def gather_entries(
+    given: wp.array[wp.float64],
+    source: wp.array[wp.int32],
+    # Data out:
+    entries_out: wp.array[wp.float64],
+):
+    """Take every entry of a sparse matrix from its place in a list of blocks."""
+    i = wp.tid()
+    entries_out[i] = given[source[i]]
 
 
 def load_library() -> ModuleType:
@@ -197,6 +210,3 @@ def upper_entries(
     lists = (offsets, columns[sorted_by_row], source[kept][sorted_by_row])
     first, second, third = (array.astype(np.int32) for array in lists)
     return first, second, third
-
-
-__all__ = ["CudssFactor"]

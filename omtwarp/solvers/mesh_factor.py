@@ -318,20 +318,3 @@ def cell_saddle_factor(
         multipliers = np.repeat(np.arange(len(cells)), cells.shape[1])
         return SparseSaddleFactor(len(points), edges, multipliers, cells.ravel())
     return OrderedSaddleFactor(expand_with_cells(points, edges, cells))
-
-
-__all__ = [
-    "MeshFactor",
-    "OrderedSaddleFactor",
-    "SaddlePointFactor",
-    "SparseFactor",
-    "SparseSaddleFactor",
-    "begin_saddle_order",
-    "cell_saddle_factor",
-    "coordinate_factor",
-    "mesh_factor",
-    "solve_parts",
-    "surface_factor",
-    "surface_saddle_factor",
-    "vertex_saddle_factor",
-]

@@ -71,6 +71,3 @@ class SaddleMatrix:
         own[:, [0, 1], [0, 1]] = diagonal.reshape(-1, 2)
         own[:, 0, 1] = own[:, 1, 0] = inner
         return own, others.reshape(-1, 2, 2), slopes, -compliance
-
-
-__all__ = ["COORDINATES", "SaddleMatrix"]

@@ -22,7 +22,7 @@ from omtwarp.start.decimation import Level, Removal, integers, simplify
 from omtwarp.start.decimation_kernels import Vertex
 from omtwarp.start.hierarchical import Embedding, renumbered, sweeps
 from omtwarp.start.hierarchical_kernels import insert_on_equator, relax_vertices, slide_on_equator
-from omtwarp.topology.boundary import boundary_half_edges
+from omtwarp.topology.kind import boundary_half_edges
 
 AREA_WEIGHT = 10.0  # of area distortion against angle distortion, as by default on the whole sphere
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from omtwarp.mesh.arrays import edge_keys
 from omtwarp.mesh.origins import Derived
 from omtwarp.mesh.quarter import QuarteredSurface
-from omtwarp.topology.boundary import boundary_half_edges
+from omtwarp.topology.kind import boundary_half_edges
 
 
 def split_chords(vertices: NDArray[np.float64], faces: NDArray, loop: NDArray[np.int64] | None = None) -> Derived:

@@ -145,7 +145,7 @@ def fill_holes(vertices: NDArray[np.float64], faces: NDArray, loops: list[NDArra
     Args:
         vertices: float64, shape [V, 3].
         faces: an oriented manifold mesh, shape [F, 3].
-        loops: boundary loops, see :func:`omtwarp.topology.boundary.boundary_loops`; others stay open.
+        loops: boundary loops, see :func:`omtwarp.topology.kind.boundary_loops`; others stay open.
     """
     points, triangles = [vertices], [np.asarray(faces, dtype=np.int64)]
     marks = [np.full(len(faces), -1, dtype=np.int64)]

@@ -32,8 +32,8 @@ from omtwarp.mesh.origins import Derived
 from omtwarp.mesh.surface import Surface
 from omtwarp.mesh.validate import components_of
 from omtwarp.options import CutAlong
-from omtwarp.topology.boundary import boundary_loops
 from omtwarp.topology.filling import fill_holes
+from omtwarp.topology.kind import boundary_loops
 
 
 @dataclass(frozen=True, eq=False)

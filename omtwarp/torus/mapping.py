@@ -13,14 +13,13 @@ from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.maps.result import StageReport
 from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh.origins import Origins
-from omtwarp.mesh.quarter import quarter
+from omtwarp.mesh.quarter import PARTS, QuarteredSurface, quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.optimal.solver import OptimalMap
 from omtwarp.options import AreaMatch, Progress, Record, continued, parse_refinement
 from omtwarp.refine.matching import not_matched
 from omtwarp.torus.harmonic import QUANTUM, FlatTorus, conformal_torus, embedded_torus, quantised
 from omtwarp.torus.optimality import torus_optimality
-from omtwarp.torus.quartering import quartered_torus
 from omtwarp.torus.transport import (
     Report,
     eased_on_torus,
@@ -197,3 +196,35 @@ class _Run:
         if self.measured is not None:
             result.report["optimality"] = self.measured
         return result
+
+
+def quartered_torus(
+    quartered: QuarteredSurface, faces: NDArray[np.integer], wraps: NDArray[np.int64], *maps: Floats
+) -> tuple[NDArray[np.int64], list[Floats]]:
+    """Extend maps to a torus to the quartered mesh, with new vertices at the midpoints of the edges' images.
+
+    Args:
+        quartered: the mesh's triangles in four parts each.
+        faces: those of the mesh itself, shape [F, 3].
+        wraps: at the corners of those, shape [F, 3, 2].
+        maps: coordinates of the mesh's vertices, shape [V, 2] each.
+
+    Returns:
+        The wraps at the corners of the parts, shape [4 F, 3, 2], and the coordinates of all vertices.
+    """
+    count, edges = len(maps[0]), len(quartered.ends)
+    # A middle has the wraps of the first end of its edge.
+    first = quartered.ends[quartered.middles - count, 0]
+    own = np.where((faces == first)[..., None], wraps, np.roll(wraps, -1, axis=1))
+    step = np.zeros((edges, 2), dtype=np.int64)
+    after = np.roll(wraps, -1, axis=1) - wraps
+    step[quartered.middles - count] = np.where((faces == first)[..., None], after, -after)
+    parts = np.empty((len(faces), PARTS, 3, 2), dtype=np.int64)
+    for k in range(3):
+        parts[:, k] = np.stack([wraps[:, k], own[:, k], own[:, k - 1]], axis=1)
+    parts[:, 3] = own
+    found = []
+    for places in maps:
+        one, other = places[quartered.ends[:, 0]], places[quartered.ends[:, 1]]
+        found.append(np.concatenate([places, quantised(0.5 * (one + other + step))]))
+    return parts.reshape(-1, 3, 2), found

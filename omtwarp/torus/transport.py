@@ -189,6 +189,3 @@ def refine_on_torus(
 def _shown(report: Report | None) -> Progress | None:
     """Return a report as the minimisation calls it, with the name of its stage."""
     return None if report is None else lambda _stage, done, most, record: report(done, most, record)
-
-
-__all__ = ["eased_on_torus", "energy_on_torus", "exact_on_torus", "refine_on_torus", "transport_on_torus"]

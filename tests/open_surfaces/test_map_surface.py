@@ -13,8 +13,7 @@ from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import Surface, plane_areas, triangle_areas
 from omtwarp.open_surfaces.packing import cap_radius, pack_caps
 from omtwarp.open_surfaces.planar import flipped_in_plane, untangle_in_plane, untangle_on_sphere
-from omtwarp.topology.boundary import boundary_half_edges, boundary_loops
-from omtwarp.topology.kind import parts_of
+from omtwarp.topology.kind import boundary_half_edges, boundary_loops, parts_of
 
 
 def without(surface: omtwarp.Surface, keep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -9,7 +9,7 @@ from omtwarp.mesh.shapes import rings
 from omtwarp.optimal.cells import TriangleCells
 from omtwarp.optimal.energy import TransportEnergy
 from omtwarp.torus.harmonic import FlatTorus, conformal_torus
-from omtwarp.torus.quartering import quartered_torus
+from omtwarp.torus.mapping import quartered_torus
 from omtwarp.torus.transport import energy_on_torus
 
 

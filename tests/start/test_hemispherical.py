@@ -12,9 +12,8 @@ from omtwarp.open_surfaces.symmetric import ACROSS
 from omtwarp.start.decimation import simplify
 from omtwarp.start.decimation_kernels import Vertex
 from omtwarp.start.hemispherical import hemispherical_embedding
-from omtwarp.topology.boundary import boundary_half_edges, boundary_loops
 from omtwarp.topology.doubling import double, split_chords
-from omtwarp.topology.kind import parts_of
+from omtwarp.topology.kind import boundary_half_edges, boundary_loops, parts_of
 
 
 def part_above(surface, level):

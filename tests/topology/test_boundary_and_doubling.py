@@ -9,8 +9,8 @@ import trimesh
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh import shapes
 from omtwarp.mesh.validate import check
-from omtwarp.topology.boundary import boundary_loops, loop_length
 from omtwarp.topology.doubling import double, split_chords
+from omtwarp.topology.kind import boundary_loops, loop_length
 
 
 def strip(count: int = 6) -> tuple[np.ndarray, np.ndarray]:

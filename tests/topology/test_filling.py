@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 import omtwarp
 from omtwarp.mesh import shapes
 from omtwarp.mesh.validate import check
-from omtwarp.topology.boundary import boundary_loops
 from omtwarp.topology.filling import fill_holes, fill_loop
+from omtwarp.topology.kind import boundary_loops
 
 
 def circle(count: int, wave: float = 0.0) -> np.ndarray:

@@ -13,11 +13,12 @@ from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.metrics import measure_triangles
 from omtwarp.metrics.optimality import optimality
 from omtwarp.transport.flow import AREA_PRICE
-from omtwarp.transport.polish import AREA_SLACK, polish_transport
-from omtwarp.transport.polish_kernels import (
+from omtwarp.transport.polish import (
+    AREA_SLACK,
     cost_and_area_errors,
     displacements_to_start,
     move_by_potentials,
+    polish_transport,
     weak_curl_and_area,
 )
 

@@ -7,7 +7,6 @@ from omtwarp.device.start import KERNEL_OPTIONS, wp
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-
 # Raw pointers, because the compiler vectorises loops over them but not over Warp's arrays: three times as fast. The
 # pragmas prevent unrolling, which is no faster and takes about half of the time to compile this file. LAPACK and BLAS
 # are called by address (see lapack.py), so that no front passes through Python.

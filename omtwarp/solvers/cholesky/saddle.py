@@ -126,6 +126,3 @@ def _expand_nodes(
     couplings = np.concatenate([edge_blocks(edges, COORDINATES), gradients.reshape(-1, 2), inner])
     expanded = of_unknowns(d, order, first, owned, row_keys, couplings)
     return expanded, own_cells.astype(np.int32)
-
-
-__all__ = ["UNKNOWNS", "expand", "expand_with_cells"]

@@ -62,6 +62,3 @@ def least_separators(edges: NDArray[np.int64], band: Mask, second: Mask) -> tupl
     beyond = second & ~band
     beyond[vertices[~entered]] = True
     return separates, beyond
-
-
-__all__ = ["least_separators"]

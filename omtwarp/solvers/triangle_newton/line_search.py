@@ -41,6 +41,3 @@ def search_patches(
         length[worse] *= 0.5
     length[worse] = 0.0
     return move(length), length
-
-
-__all__ = ["SUFFICIENT_DECREASE", "search_patches"]
