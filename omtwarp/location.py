@@ -57,11 +57,7 @@ def clamped(weights: wp.vec3d) -> wp.vec3d:
 
 @wp.func(inline=True)
 def walk(
-    p: wp.vec3d,
-    start: int,
-    points: wp.array[wp.vec3d],
-    faces: wp.array[wp.vec3i],
-    neighbours: wp.array[wp.vec3i],
+    p: wp.vec3d, start: int, points: wp.array[wp.vec3d], faces: wp.array[wp.vec3i], neighbours: wp.array[wp.vec3i]
 ):
     """Walk from a face to the face that holds p, across the edge that p lies furthest beyond; for moving points."""
     f = int(start)

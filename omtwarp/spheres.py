@@ -31,10 +31,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.geometry.sphere_hierarchy import sphere_hierarchy
-from omtwarp.mesh.arrays import TINY, in_range, normalised, real_numbers, whole_numbers
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int32]
+from omtwarp.mesh.arrays import TINY, Floats, Ints, in_range, normalised, real_numbers, whole_numbers
 
 NAMES = "ico0 to ico8, fsaverage3 to fsaverage7, healpix:NSIDE, healpix-nested:NSIDE, equiangular:HxW, octahedral:N"
 
@@ -56,17 +53,17 @@ class SphereGrid:
 
     name: str
     points: Floats
-    faces: Integers | None
+    faces: Ints | None
     shape: tuple[int, ...]
     pixel_corners: Floats | None = None
-    pixel_owners: Integers | None = None
+    pixel_owners: Ints | None = None
     own: tuple[int, int] | None = None
 
     def __repr__(self) -> str:
         return f"SphereGrid({self.name}, {len(self.points)} points)"
 
     @cached_property
-    def triangles(self) -> Integers:
+    def triangles(self) -> Ints:
         """The grid's faces, or the Delaunay triangulation of its points, int32, shape [F, 3]."""
         if self.faces is not None:
             return self.faces
@@ -83,12 +80,12 @@ class SphereGrid:
         return len(self.points) if self.own is None else self.own[0]
 
     @property
-    def own_triangles(self) -> Integers:
+    def own_triangles(self) -> Ints:
         """The triangles without those that fill holes, int32, shape [F, 3]."""
         return self.triangles if self.own is None else self.triangles[: self.own[1]]
 
     @cached_property
-    def cells(self) -> tuple[Floats, Integers]:
+    def cells(self) -> tuple[Floats, Ints]:
         """Corners [M, 4, 3] of convex spherical polygons that cover the sphere once, and the point of each [M].
 
         What fills holes has none.
@@ -128,7 +125,7 @@ def triangle_solid_angles(a: Floats, b: Floats, c: Floats) -> Floats:
     return np.asarray(2.0 * np.arctan2(triple, 1.0 + dots[0] + dots[1] + dots[2]))
 
 
-def vertex_cells(points: Floats, faces: Integers) -> tuple[Floats, Integers]:
+def vertex_cells(points: Floats, faces: Ints) -> tuple[Floats, Ints]:
     """Split triangles into one quadrilateral per corner: the points nearest to it in barycentric coordinates.
 
     Its corners are the vertex, the middles of its two edges and the triangle's centre, pushed out to the sphere; seen
@@ -239,7 +236,7 @@ def is_named(name: str) -> bool:
     )
 
 
-def freesurfer_icosahedron(level: int) -> tuple[Floats, Integers]:
+def freesurfer_icosahedron(level: int) -> tuple[Floats, Ints]:
     """Return FreeSurfer's icosahedral sphere: that of ``fsaverage`` at level 7, of ``fsaverage5`` at level 5.
 
     The subdivided icosahedron in FreeSurfer's order: midpoints are numbered as they are met, triangle by triangle; the

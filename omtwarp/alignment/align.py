@@ -7,20 +7,18 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from omtwarp.alignment.rotation_search import Best, best_rotations, complex_coefficients, improved
 from omtwarp.errors import OmtwarpError, OmtwarpWarning, choose
 from omtwarp.geometry.axes import fitted_rotation
 from omtwarp.geometry.harmonics import check_degree, real_harmonics
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.arrays import TINY, in_range, real_numbers
+from omtwarp.mesh.arrays import TINY, Floats, in_range, real_numbers
 from omtwarp.options import AlignBy, AlignByLike
 from omtwarp.resampling import SpherePoints, as_points
 from omtwarp.resampling.resample import PointsLike
 from omtwarp.spheres import SphereGrid, triangle_solid_angles
-
-Floats = NDArray[np.float64]
 
 
 def sphere_weights(points: SpherePoints) -> Floats:

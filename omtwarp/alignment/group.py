@@ -12,11 +12,11 @@ from omtwarp.alignment.align import DEGREE, feature_coefficients, mirror_image, 
 from omtwarp.alignment.rotation_search import Complex, best_rotation, complex_coefficients, rotated
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.axes import fitted_rotation
+from omtwarp.mesh.arrays import Floats
 from omtwarp.options import Progress
 from omtwarp.resampling import SpherePoints, as_points, resample
 from omtwarp.resampling.resample import PointsLike
 
-Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 ROUNDS = 20  # largest number of means that are computed; a mean that settles to TOLERANCE ends it earlier

@@ -23,9 +23,8 @@ from scipy.ndimage import maximum_filter
 from scipy.spatial.transform import Rotation
 
 from omtwarp.geometry.harmonics import degree_of
-from omtwarp.mesh.arrays import ROUND_OFF, TINY
+from omtwarp.mesh.arrays import ROUND_OFF, TINY, Floats
 
-Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 

@@ -25,17 +25,7 @@ from typing import cast
 
 import numpy as np
 
-from omtwarp.cohort.item import (
-    ERROR,
-    MEMORY,
-    OK,
-    Job,
-    Row,
-    append_to_journal,
-    locked,
-    read_record,
-    write_record,
-)
+from omtwarp.cohort.item import ERROR, MEMORY, OK, Job, Row, append_to_journal, locked, read_record, write_record
 from omtwarp.device.policy import asks_for_cuda
 from omtwarp.errors import OmtwarpError, OmtwarpWarning, choose, unexpected
 from omtwarp.files.limits import address_space

@@ -33,7 +33,7 @@ def write_page(rows: Sequence[Row], folder: Path) -> Path:
     done = [row for row in rows if row["status"] == OK]
     failures = [row for row in rows if row["status"] not in (OK, "waiting")]
     body = [
-        element("p", f"{len(rows)} surfaces: " + ", ".join(f"{n} {status}" for status, n in sorted(counts.items()))),
+        element("p", f"{len(rows)} surfaces: " + ", ".join(f"{n} {status}" for status, n in sorted(counts.items())))
     ]
     if done:
         body += [element("h2", "Measures"), _measures(done)]

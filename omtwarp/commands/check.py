@@ -57,10 +57,7 @@ def run(
         count = len(known[-1]["defects"])
         if count:
             saved = f"; what could be repaired was saved as '{target}'" if target is not None else ""
-            left, where = (
-                (" left" if repair else ""),
-                ("" if printing.as_json or printing.quiet else ", see above"),
-            )
+            left, where = ((" left" if repair else ""), ("" if printing.as_json or printing.quiet else ", see above"))
             raise OmtwarpError(f"{mesh}: {count} kind{'s' * (count > 1)} of defect{left}{where}{saved}")
 
     try:

@@ -9,16 +9,7 @@ from typing import Annotated
 
 import typer
 
-from omtwarp.commands._options import (
-    ROUTE,
-    Only,
-    Printing,
-    Shown,
-    Source,
-    as_size,
-    output_option,
-    picture_size,
-)
+from omtwarp.commands._options import ROUTE, Only, Printing, Shown, Source, as_size, output_option, picture_size
 from omtwarp.commands._streams import progress_bar
 from omtwarp.commands._work import map_from, show_each, start_device, targets_of
 from omtwarp.options import Backend, MapOptions

@@ -8,13 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from omtwarp.commands._options import (
-    ROUTE,
-    Only,
-    Printing,
-    named,
-    output_option,
-)
+from omtwarp.commands._options import ROUTE, Only, Printing, named, output_option
 from omtwarp.commands._painted import standing
 from omtwarp.commands._streams import input_file
 from omtwarp.commands._work import (

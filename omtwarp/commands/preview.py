@@ -9,14 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from omtwarp.commands._options import (
-    Printing,
-    Source,
-    as_size,
-    output_option,
-    picture_size,
-    size_text,
-)
+from omtwarp.commands._options import Printing, Source, as_size, output_option, picture_size, size_text
 from omtwarp.commands._streams import input_file, step_times
 from omtwarp.commands._work import show_each, targets_of
 from omtwarp.errors import OmtwarpError

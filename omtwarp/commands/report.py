@@ -5,13 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from omtwarp.commands._options import (
-    Printing,
-    RouteOptions,
-    Shown,
-    Source,
-    output_option,
-)
+from omtwarp.commands._options import Printing, RouteOptions, Shown, Source, output_option
 from omtwarp.commands._work import map_from, show_each, start_device, targets_of
 
 

@@ -8,12 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from omtwarp.commands._options import (
-    Printing,
-    RouteOptions,
-    Source,
-    output_option,
-)
+from omtwarp.commands._options import Printing, RouteOptions, Source, output_option
 from omtwarp.commands._painted import painted_map, standing, with_objects
 from omtwarp.commands._streams import step_times, warnings_as_lines
 from omtwarp.commands._work import map_from, require_bijective, show_each, sizes, start_device, targets_of, with_files

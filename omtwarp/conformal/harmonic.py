@@ -23,20 +23,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from omtwarp.conformal.centring import centre_points
 from omtwarp.conformal.haker import conformal_map, intrinsic_solver
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.intrinsic import intrinsic_edges
-from omtwarp.mesh.arrays import normalised
+from omtwarp.mesh.arrays import Floats, normalised
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import Surface
 from omtwarp.options import Progress, Record
 from omtwarp.solvers.poisson import PoissonSolver, edge_laplacian
-
-Numbers = NDArray[np.float64]
 
 STEPS = 60  # most steps
 SHORTEST = 2.0**-10  # share of a step below which none lowers the energy
@@ -53,18 +51,14 @@ class HarmonicMap:
         converged: whether the last step was expected to gain a share of ``GAIN`` or less.
     """
 
-    sphere: Numbers
+    sphere: Floats
     history: list[Record]
     converged: bool
 
 
 @blas_threads(1)
 def harmonic_points(
-    surface: MeshLike,
-    *,
-    start: ArrayLike | None = None,
-    device: str | None = "auto",
-    progress: Progress | None = None,
+    surface: MeshLike, *, start: ArrayLike | None = None, device: str | None = "auto", progress: Progress | None = None
 ) -> HarmonicMap:
     """Return the discrete harmonic map of a closed genus-0 surface, Möbius-centred.
 
@@ -98,7 +92,7 @@ def harmonic_points(
     sphere, _ = centre_points(given, masses, device=device)
     value = energy.value(sphere)
     history: list[Record] = [{"iteration": 0, "energy": value, "length": 0.0}]
-    before: tuple[Numbers, Numbers, float] | None = None  # direction, slope and gain of the step before
+    before: tuple[Floats, Floats, float] | None = None  # direction, slope and gain of the step before
     converged = False
     for number in range(1, STEPS + 1):
         if progress is not None:
@@ -146,21 +140,21 @@ class _DirichletEnergy:
         self._masses, self._solver = surface.vertex_areas, solver
         self._laplacian = edge_laplacian(self._ends, self._weights, surface.vertex_count)
 
-    def value(self, sphere: Numbers) -> float:
+    def value(self, sphere: Floats) -> float:
         """Return ½ Σ w |y_i - y_j|²."""
         i, j = self._ends.T
         return 0.5 * float(self._weights @ ((sphere[i] - sphere[j]) ** 2).sum(axis=1))
 
-    def pull(self, sphere: Numbers) -> Numbers:
+    def pull(self, sphere: Floats) -> Floats:
         """Return L y, shape [V, 3]; its tangent part is the gradient."""
         return np.asarray(self._laplacian @ sphere)
 
-    def curvature(self, sphere: Numbers, pull: Numbers, direction: Numbers) -> float:
+    def curvature(self, sphere: Floats, pull: Floats, direction: Floats) -> float:
         """Return the second derivative d · (L - y · L y) d along a tangent direction d, from L y."""
         normal = (sphere * pull).sum(axis=1)
         return float((direction * (self._laplacian @ direction - normal[:, None] * direction)).sum())
 
-    def preconditioned(self, sphere: Numbers, slope: Numbers) -> Numbers:
+    def preconditioned(self, sphere: Floats, slope: Floats) -> Floats:
         """Return the tangent step z that L and the condition on the mean give a slope r, shape [V, 3].
 
         With B = m P, P the projections to the tangent planes, L u + B p = r and Bᵀ u = 0 determine u, and z = P u.
@@ -173,12 +167,12 @@ class _DirichletEnergy:
         return _tangent(sphere, moved - shift)
 
 
-def _tangent(sphere: Numbers, vectors: Numbers) -> Numbers:
+def _tangent(sphere: Floats, vectors: Floats) -> Floats:
     """Return vectors, shape [V, 3] or [3], less their parts normal to the sphere at its points."""
     return vectors - (sphere * vectors).sum(axis=1)[:, None] * sphere
 
 
-def _centred(sphere: Numbers, masses: Numbers, device: str | None) -> Numbers | None:
+def _centred(sphere: Floats, masses: Floats, device: str | None) -> Floats | None:
     """Return points moved by the Möbius transformation that centres them; None where there is none."""
     try:
         return centre_points(sphere, masses, device=device)[0]

@@ -7,9 +7,4 @@ from omtwarp.geometry.operators import (
     cotangent_laplacian,
 )
 
-__all__ = [
-    "DifferentialOperators",
-    "circumcentric_coordinates",
-    "corner_cotangents",
-    "cotangent_laplacian",
-]
+__all__ = ["DifferentialOperators", "circumcentric_coordinates", "corner_cotangents", "cotangent_laplacian"]

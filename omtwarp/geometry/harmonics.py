@@ -17,9 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import sph_legendre_p_all
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import real_numbers, whole_number
-
-Floats = NDArray[np.float64]
+from omtwarp.mesh.arrays import Floats, real_numbers, whole_number
 
 
 def check_degree(degree: int) -> int:

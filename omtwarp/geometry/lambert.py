@@ -10,9 +10,8 @@ Source: J. P. Snyder, Map Projections: A Working Manual, USGS Professional Paper
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from omtwarp.mesh.arrays import Floats
 
 
 def hemisphere_to_disk(points: Floats) -> Floats:

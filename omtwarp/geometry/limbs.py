@@ -74,9 +74,7 @@ def rings(surface: Surface) -> Iterator[Ring]:
 def thinnest_ring(surface: Surface) -> Ring | None:
     """Find the ring with the smallest ratio of vertices to vertices needed; None where no ring cuts off enough area."""
     return min(
-        rings(surface),
-        key=lambda ring: ring.around / vertices_needed(ring.share, surface.face_count),
-        default=None,
+        rings(surface), key=lambda ring: ring.around / vertices_needed(ring.share, surface.face_count), default=None
     )
 
 

@@ -24,13 +24,10 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.spherical import TINY
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import Surface
 
 wp.set_module_options(KERNEL_OPTIONS)
-
-Array = NDArray[np.float64]
-
-# mypy: ignore-errors
 
 
 @wp.func
@@ -134,7 +131,7 @@ def edge_weights_of_corners(
     weights[e] = HALF * (cotangent_at(corners[e][0], points, faces) + cotangent_at(corners[e][1], points, faces))
 
 
-def _corner_points(vertices: ArrayLike, faces: ArrayLike) -> tuple[Array, NDArray[np.int64], list[Array]]:
+def _corner_points(vertices: ArrayLike, faces: ArrayLike) -> tuple[Floats, NDArray[np.int64], list[Floats]]:
     points = np.asarray(vertices, dtype=np.float64)
     triangles = np.asarray(faces, dtype=np.int64)
     if points.ndim != 2 or points.shape[1] != 3 or triangles.ndim != 2 or triangles.shape[1] != 3:
@@ -142,7 +139,7 @@ def _corner_points(vertices: ArrayLike, faces: ArrayLike) -> tuple[Array, NDArra
     return points, triangles, [points[triangles[:, k]] for k in range(3)]
 
 
-def corner_cotangents(vertices: ArrayLike, faces: ArrayLike) -> Array:
+def corner_cotangents(vertices: ArrayLike, faces: ArrayLike) -> Floats:
     """Return the cotangent of the angle at every corner, shape [F, 3]; negative where the angle is obtuse."""
     _, _, p = _corner_points(vertices, faces)
     doubled = np.maximum(np.linalg.norm(np.cross(p[1] - p[0], p[2] - p[0]), axis=1), float(TINY))
@@ -150,7 +147,7 @@ def corner_cotangents(vertices: ArrayLike, faces: ArrayLike) -> Array:
     return np.stack(dots, axis=1) / doubled[:, None]
 
 
-def circumcentric_coordinates(vertices: ArrayLike, faces: ArrayLike) -> Array:
+def circumcentric_coordinates(vertices: ArrayLike, faces: ArrayLike) -> Floats:
     """Return the barycentric coordinates of every triangle's circumcentre, its dual vertex, shape [F, 3].
 
     They sum to 1.
@@ -242,7 +239,7 @@ class DifferentialOperators:
         return self._run(interpolate_at_vertices, self.vertex_count, field, wp.vec3d, out)
 
 
-def cotangent_edge_weights(surface: Surface, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def cotangent_edge_weights(surface: Surface, points: Floats) -> Floats:
     """Return the weight of every edge in the matrix D of section 4.1, (cot R + cot S) / 2, shape [E].
 
     Minus the entries of :func:`omtwarp.geometry.cotangent_laplacian` off the diagonal, in the order of

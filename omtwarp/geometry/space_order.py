@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import KERNEL_OPTIONS, wp
-from omtwarp.mesh.arrays import edge_keys
+from omtwarp.mesh.arrays import Floats, edge_keys
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.quarter import PARTS, QuarteredSurface
 from omtwarp.mesh.surface import Surface
@@ -147,7 +147,7 @@ def in_space_order(surface: Surface) -> OrderedSurface:
     return replace(kept, surface=other)
 
 
-def order_along_curve(points: NDArray[np.float64]) -> Places:
+def order_along_curve(points: Floats) -> Places:
     """Return the numbers of points in their order along Hilbert's curve through their bounding cube, shape [N].
 
     Points in one cell of it are ordered by their coordinates.
@@ -179,13 +179,12 @@ def _ordered(surface: Surface) -> OrderedSurface:
     return OrderedSurface(vertices, faces, Surface(surface.vertices[vertices], turned[faces]), turns[faces])
 
 
-Array = NDArray[np.float64]
-Cut = Callable[[NDArray[np.int64], NDArray[np.intp]], Array]
+Cut = Callable[[NDArray[np.int64], NDArray[np.intp]], Floats]
 
 
 def in_strips(
-    corners: Array, shortest: NDArray[np.intp], counts: NDArray[np.int64], cut: Cut
-) -> tuple[NDArray[np.intp], Array]:
+    corners: Floats, shortest: NDArray[np.intp], counts: NDArray[np.int64], cut: Cut
+) -> tuple[NDArray[np.intp], Floats]:
     """Cut triangles in strips along one of their edges.
 
     Args:

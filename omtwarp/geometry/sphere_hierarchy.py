@@ -17,14 +17,13 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import Floats, Ints
 from omtwarp.mesh.surface import face_neighbours
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int32]
 HIGHEST_LEVEL = 10  # of an icosahedron that has 10 · 4¹⁰ + 2 nodes, ten million
 
 
-def icosahedron() -> tuple[FloatArray, IntArray]:
+def icosahedron() -> tuple[Floats, Ints]:
     """Return the vertices of an icosahedron on the unit sphere, shape [12, 3], and its outward faces, shape [20, 3]."""
     signs = [(s, t * (1 + np.sqrt(5.0)) / 2) for s in (-1.0, 1.0) for t in (-1, 1)]
     corners = [[0, s, t] for s, t in signs] + [[s, t, 0] for s, t in signs] + [[t, 0, s] for s, t in signs]
@@ -54,11 +53,11 @@ class SphereHierarchy:
             triangles, then four opposite those triangles' other edges.
     """
 
-    vertices: FloatArray
+    vertices: Floats
     node_counts: tuple[int, ...]
-    level_faces: tuple[IntArray, ...]
-    level_parents: tuple[IntArray, ...]
-    level_wings: tuple[IntArray, ...]
+    level_faces: tuple[Ints, ...]
+    level_parents: tuple[Ints, ...]
+    level_wings: tuple[Ints, ...]
 
     @property
     def level(self) -> int:
@@ -71,12 +70,12 @@ class SphereHierarchy:
         return self.node_counts[-1]
 
     @property
-    def faces(self) -> IntArray:
+    def faces(self) -> Ints:
         """Triangles of the finest level, shape [F, 3]."""
         return self.level_faces[-1]
 
     @cached_property
-    def node_areas(self) -> FloatArray:
+    def node_areas(self) -> Floats:
         """A third of the spherical triangles' areas around each node of the finest level, shape [N]; the sum is 4π.
 
         This is the quadrature with respect to which the wavelets' integrals vanish: ∫ f = sum of node_areas * f(node).
@@ -102,7 +101,7 @@ class SphereHierarchy:
         return sparse.csr_matrix((data, (rows, columns)), shape=(coarse + added, coarse))
 
 
-def predict_stencil(hierarchy: SphereHierarchy, level: int, *, butterfly: bool) -> tuple[IntArray, FloatArray]:
+def predict_stencil(hierarchy: SphereHierarchy, level: int, *, butterfly: bool) -> tuple[Ints, Floats]:
     """Return the nodes, shape [M_j, 2 or 8], and weights from which the value at each midpoint of a level is predicted.
 
     Linear: half of each end. Butterfly: the eight-point rule of Dyn, Levin and Gregory (1990) with tension 1/16, as in
@@ -114,7 +113,7 @@ def predict_stencil(hierarchy: SphereHierarchy, level: int, *, butterfly: bool) 
     return np.ascontiguousarray(stencil), np.array([8.0, 8, 2, 2, -1, -1, -1, -1]) / 16
 
 
-def _halve_edges(faces: IntArray, node_count: int) -> tuple[IntArray, IntArray, IntArray]:
+def _halve_edges(faces: Ints, node_count: int) -> tuple[Ints, Ints, Ints]:
     """Return the edges' ends [E, 2], butterfly wings [E, 6], and the edge (k, k + 1) of every triangle [F, 3]."""
     tail, head = faces.astype(np.int64), np.roll(faces, -1, axis=1).astype(np.int64)
     keys = np.minimum(tail, head) * node_count + np.maximum(tail, head)
@@ -153,8 +152,8 @@ def sphere_hierarchy(level: int) -> SphereHierarchy:
         raise OmtwarpError(f"level {level} of the sphere's subdivision is outside 0 to {HIGHEST_LEVEL}")
     vertices, faces = icosahedron()
     counts, all_faces = [len(vertices)], [faces]
-    all_parents: list[IntArray] = []
-    all_wings: list[IntArray] = []
+    all_parents: list[Ints] = []
+    all_wings: list[Ints] = []
     for _ in range(int(level)):
         parents, wings, edge = _halve_edges(faces, len(vertices))
         middles = vertices[parents[:, 0]] + vertices[parents[:, 1]]

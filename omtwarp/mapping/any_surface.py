@@ -20,7 +20,7 @@ from omtwarp.mapping.pipeline import map_double, map_to_sphere
 from omtwarp.maps.result import MapResult, MeshReport, StageReport, SurfaceReport
 from omtwarp.maps.torus_map import TorusMap
 from omtwarp.measures import face_weights
-from omtwarp.mesh.arrays import edge_keys
+from omtwarp.mesh.arrays import Floats, edge_keys
 from omtwarp.mesh.checks import MeshLike
 from omtwarp.mesh.origins import Derived, Origins
 from omtwarp.mesh.quarter import PARTS, quarter
@@ -30,12 +30,7 @@ from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.open_surfaces.exact_areas import Quartered, exact_in_plane, exact_on_cap, shares_of_polygons
 from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetric_map
 from omtwarp.open_surfaces.packing import pack_caps
-from omtwarp.open_surfaces.planar import (
-    match_in_plane,
-    untangle_in_plane,
-    untangle_on_sphere,
-    untangle_patches_on_cap,
-)
+from omtwarp.open_surfaces.planar import match_in_plane, untangle_in_plane, untangle_on_sphere, untangle_patches_on_cap
 from omtwarp.optimal.refinement import refinement_weight
 from omtwarp.options import (
     AreaMatch,
@@ -70,8 +65,6 @@ from omtwarp.topology.kind import (
     places_of,
 )
 from omtwarp.torus.mapping import map_to_torus
-
-Floats = NDArray[np.float64]
 
 
 def map_surface(

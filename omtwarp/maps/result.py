@@ -18,15 +18,13 @@ from omtwarp.files.inputs import open_input, read_arrays, write_arrays
 from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.files.output import as_path
 from omtwarp.maps.display import Displayable
-from omtwarp.mesh.arrays import Layout, fitting_arrays, owned, real_numbers, require_unit_length, whole_numbers
+from omtwarp.mesh.arrays import Floats, Layout, fitting_arrays, owned, real_numbers, require_unit_length, whole_numbers
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics.certificate import Certificate, certify_triangles
 from omtwarp.metrics.distortion import Distortion, measure_in_plane, measure_triangles
 from omtwarp.options import ChosenOptions, Domain, Record
 from omtwarp.topology.kind import boundary_half_edges, connected_components
-
-Array = NDArray[np.float64]
 
 SEVERAL = "several"  # the domain of parts that went to different ones
 STAGES = ("sphere", "conformal", "moser", "transported")
@@ -352,17 +350,17 @@ class MapResult(StoredMap):
         True
     """
 
-    vertices: Array = field(metadata=stored(np.float64, "V", 3))
+    vertices: Floats = field(metadata=stored(np.float64, "V", 3))
     faces: NDArray[np.int32] = field(metadata=stored(np.int32, "F", 3))
-    sphere: Array = field(metadata=stored(np.float64, "V", 3))
-    conformal: Array = field(metadata=stored(np.float64, "V", 3))
-    density: Array = field(metadata=stored(np.float64, "V"))
-    face_density: Array | None = field(default=None, metadata=stored(np.float64, "F"))
-    source: Array | None = field(default=None, metadata=stored(np.float64, "V", 3))
-    moser: Array | None = field(default=None, metadata=stored(np.float64, "V", 3))
-    transported: Array | None = field(default=None, metadata=stored(np.float64, "V", 3))
-    measure: Array | None = field(default=None, metadata=stored(np.float64, "F"))
-    target: Array | None = field(default=None, metadata=stored(np.float64, "V"))
+    sphere: Floats = field(metadata=stored(np.float64, "V", 3))
+    conformal: Floats = field(metadata=stored(np.float64, "V", 3))
+    density: Floats = field(metadata=stored(np.float64, "V"))
+    face_density: Floats | None = field(default=None, metadata=stored(np.float64, "F"))
+    source: Floats | None = field(default=None, metadata=stored(np.float64, "V", 3))
+    moser: Floats | None = field(default=None, metadata=stored(np.float64, "V", 3))
+    transported: Floats | None = field(default=None, metadata=stored(np.float64, "V", 3))
+    measure: Floats | None = field(default=None, metadata=stored(np.float64, "F"))
+    target: Floats | None = field(default=None, metadata=stored(np.float64, "V"))
     vertex_origin: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "V"))
     face_origin: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "F"))
     vertex_of_file: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "N"))
@@ -370,18 +368,18 @@ class MapResult(StoredMap):
     report: MapReport = field(default_factory=lambda: cast(MapReport, {}))
 
     domain: str = "sphere"
-    disk: Array | None = field(default=None, metadata=stored(np.float64, "V", 2))
+    disk: Floats | None = field(default=None, metadata=stored(np.float64, "V", 2))
     split_edges: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "K", 2))
     part: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "F"))
-    cap_centres: Array | None = field(default=None, metadata=stored(np.float64, "P", 3))
-    cap_shares: Array | None = field(default=None, metadata=stored(np.float64, "P"))
+    cap_centres: Floats | None = field(default=None, metadata=stored(np.float64, "P", 3))
+    cap_shares: Floats | None = field(default=None, metadata=stored(np.float64, "P"))
     loops: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "M"))
     loop_ends: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "L"))
     loop_pairs: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "G", 2))
-    filled_vertices: Array | None = field(default=None, metadata=stored(np.float64, "W", 3))
+    filled_vertices: Floats | None = field(default=None, metadata=stored(np.float64, "W", 3))
     filled_faces: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "H", 3))
-    filled_sphere: Array | None = field(default=None, metadata=stored(np.float64, "W", 3))
-    filled_conformal: Array | None = field(default=None, metadata=stored(np.float64, "W", 3))
+    filled_sphere: Floats | None = field(default=None, metadata=stored(np.float64, "W", 3))
+    filled_conformal: Floats | None = field(default=None, metadata=stored(np.float64, "W", 3))
     filled_loop: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "H"))
 
     required = ("vertices", "faces", "sphere", "conformal", "density")
@@ -411,13 +409,13 @@ class MapResult(StoredMap):
             known.append("bijective")
         return f"MapResult({', '.join(known)})"
 
-    def turned(self, frame: Array) -> MapResult:
+    def turned(self, frame: Floats) -> MapResult:
         """Return the map and those of its stages turned by a rotation or reflection, ``points @ frame``."""
         known = {name: getattr(self, name) for name in ON_SPHERE}
         return self.with_arrays({name: points @ frame for name, points in known.items() if points is not None})
 
     @property
-    def maps(self) -> dict[str, Array]:
+    def maps(self) -> dict[str, Floats]:
         """The maps of the stages that were run, by name; ``sphere`` is the final one, or ``disk`` on the disk."""
         known = {name: getattr(self, name) for name in (*STAGES, "disk")}
         return {name: points for name, points in known.items() if points is not None}
@@ -546,7 +544,7 @@ def renumbered(result: MapResult, numbers: Mapping[str, NDArray[np.int64]], arra
     return result.with_arrays(result.rows({k: np.argsort(new) for k, new in numbers.items()}) | dict(arrays))
 
 
-def _certified(faces: NDArray[np.int32], points: Array) -> Certificate:
+def _certified(faces: NDArray[np.int32], points: Floats) -> Certificate:
     """Return the certificate of one part, its vertices numbered anew and its boundary closed."""
     used, own = np.unique(faces, return_inverse=True)
     own, places = own.reshape(-1, 3).astype(np.int32), points[used]

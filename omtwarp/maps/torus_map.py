@@ -22,11 +22,10 @@ from omtwarp.maps.result import (
     read_map_arrays,
     stored,
 )
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import SPHERE_AREA, plane_areas, triangle_areas
 from omtwarp.metrics.distortion import Distortion, summarize
 from omtwarp.options import Record
-
-Floats = NDArray[np.float64]
 
 
 class TorusReport(TypedDict, total=False):

@@ -265,11 +265,7 @@ def _read_ply(data: bytes) -> VertexData:
     return VertexData(np.stack([np.asarray(vertex[name], dtype=np.float64) for name in names], axis=1), tuple(names))
 
 
-def write_data(
-    path: Path,
-    data: VertexData,
-    mesh: tuple[NDArray[np.float64], NDArray[np.int32]] | None = None,
-) -> None:
+def write_data(path: Path, data: VertexData, mesh: tuple[NDArray[np.float64], NDArray[np.int32]] | None = None) -> None:
     """Write per-vertex data; an older file is as it was if anything is wrong.
 
     Args:

@@ -14,10 +14,9 @@ from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import TINY, normalised
+from omtwarp.mesh.arrays import TINY, Floats, normalised
 from omtwarp.mesh.surface import Surface
 
-Points = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
 GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
@@ -153,7 +152,7 @@ def plate(width: float = 4.0, depth: float = 3.0, thickness: float = 0.2, face_c
     return Surface(sphere.vertices * radius[:, None] * (np.array([width, depth, thickness]) / 2), sphere.faces)
 
 
-def star_shape(radius: Callable[[Points], Points], sphere: Surface | int = 5120) -> Surface:
+def star_shape(radius: Callable[[Floats], Floats], sphere: Surface | int = 5120) -> Surface:
     """Return a surface that every ray from the centre meets once.
 
     Args:
@@ -179,7 +178,7 @@ def blob(seed: int = 0, amplitude: float = 0.35, degree: int = 6, sphere: Surfac
     axes = normalised(rng.normal(size=(len(orders), 3)))
     strengths = rng.normal(size=len(orders))
 
-    def logarithm(x: Points) -> Points:
+    def logarithm(x: Floats) -> Floats:
         total = np.zeros(len(x))
         for order, axis, strength in zip(orders, axes, strengths, strict=True):
             total += strength * legendre.legval(x @ axis, [0.0] * int(order) + [1.0])
@@ -309,7 +308,7 @@ def hippocampus(
     return Surface(bent * [1.0, 1.0, stretch], base.faces)
 
 
-def _bend(points: Points, curvature: float, length: float) -> Points:
+def _bend(points: Floats, curvature: float, length: float) -> Floats:
     """Roll the z axis between 0 and ``length`` onto an arc in the xz plane, straight on beyond its ends."""
     if curvature == 0.0:
         return points
@@ -325,7 +324,7 @@ def _bend(points: Points, curvature: float, length: float) -> Points:
 # Implicit surfaces --------------------------------------------------------------------------------------------------
 
 
-def implicit_surface(value: Callable[[Points], Points], low: ArrayLike, high: ArrayLike, cell: float) -> Surface:
+def implicit_surface(value: Callable[[Floats], Floats], low: ArrayLike, high: ArrayLike, cell: float) -> Surface:
     """Triangulate the surface value = 0 by marching tetrahedra, then even the triangles out along the surface.
 
     Args:
@@ -385,7 +384,7 @@ def rings(count: int = 1, tube: float = 0.35, cell: float = 0.15) -> Surface:
     """
     centres = 2.0 * np.arange(count)
 
-    def value(p: Points) -> Points:
+    def value(p: Floats) -> Floats:
         around = [np.hypot(np.hypot(p[:, 0] - x, p[:, 1]) - 1.0, p[:, 2]) - tube for x in centres]
         return np.min(around, axis=0)
 
@@ -414,7 +413,7 @@ def _march(tetrahedra: NDArray, inside: NDArray) -> NDArray:
     return np.concatenate(pieces)
 
 
-def _average_of_neighbours(surface: Surface, points: Points) -> Points:
+def _average_of_neighbours(surface: Surface, points: Floats) -> Floats:
     """Return the mean position of every vertex's neighbours, shape [V, 3]."""
     flat = surface.faces.ravel()
     following = points[np.roll(surface.faces, -1, axis=1).ravel()]
@@ -424,7 +423,7 @@ def _average_of_neighbours(surface: Surface, points: Points) -> Points:
     return np.stack(sums, axis=1) / degree[:, None]
 
 
-def _onto_surface(value: Callable[[Points], Points], points: Points, cell: float, steps: int) -> Points:
+def _onto_surface(value: Callable[[Floats], Floats], points: Floats, cell: float, steps: int) -> Floats:
     """Run Newton's method along the gradient, with steps of at most half a cell."""
     step = 1e-4 * cell  # the error of one-sided differences is that part of the change of a slope over a cell
     for _ in range(steps):
@@ -437,7 +436,7 @@ def _onto_surface(value: Callable[[Points], Points], points: Points, cell: float
     return points
 
 
-def metaballs(spheres: ArrayLike, blend: float = 0.15) -> Callable[[Points], Points]:
+def metaballs(spheres: ArrayLike, blend: float = 0.15) -> Callable[[Floats], Floats]:
     """Return the signed distance to a smooth union of cones between balls, negative inside.
 
     Args:
@@ -446,7 +445,7 @@ def metaballs(spheres: ArrayLike, blend: float = 0.15) -> Callable[[Points], Poi
     """
     cones = np.asarray(spheres, dtype=np.float64).reshape(-1, 8)
 
-    def value(x: Points) -> Points:
+    def value(x: Floats) -> Floats:
         total = np.zeros(len(x))
         for cone in cones:
             start, radius, end, other = cone[:3], cone[3], cone[4:7], cone[7]
@@ -551,7 +550,7 @@ def shuffled(surface: Surface, seed: int = 0) -> Surface:
 # Parts --------------------------------------------------------------------------------------------------------------
 
 
-def _icosahedron() -> tuple[Points, Faces]:
+def _icosahedron() -> tuple[Floats, Faces]:
     """Return the twelve corners, unit vectors, and twenty outward faces of the regular icosahedron."""
     g = (1 + np.sqrt(5)) / 2
     corners = [[-1, g, 0], [1, g, 0], [-1, -g, 0], [1, -g, 0], [0, -1, g], [0, 1, g]]
@@ -562,7 +561,7 @@ def _icosahedron() -> tuple[Points, Faces]:
     return normalised(np.array(corners, dtype=np.float64)), np.array(faces)
 
 
-def _capped_grid(grid: Points, north: Points, south: Points, flip: bool = False) -> tuple[Points, Faces]:
+def _capped_grid(grid: Floats, north: Floats, south: Floats, flip: bool = False) -> tuple[Floats, Faces]:
     """Close a grid of rings from north to south, [R, S, 3], with a point at either end; ``flip`` if it runs north."""
     rings, segments = grid.shape[:2]
     index = np.arange(rings * segments).reshape(rings, segments)
@@ -588,6 +587,6 @@ def _sorted_faces(faces: Faces) -> Faces:
     return faces[np.lexsort(faces.T[::-1])]
 
 
-def _normals(points: Points, a: NDArray, b: NDArray, c: NDArray) -> Points:
+def _normals(points: Floats, a: NDArray, b: NDArray, c: NDArray) -> Floats:
     """Return the normals of triangles, whose lengths are twice the triangles' areas."""
     return np.cross(points[b] - points[a], points[c] - points[a])

@@ -19,9 +19,9 @@ from scipy import sparse
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.pictures import read_stack
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.neuro import nibabel_module
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 VOLUMES = ("nii", "mgh", "mgz", "tif", "tiff")  # suffixes

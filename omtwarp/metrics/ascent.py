@@ -13,9 +13,8 @@ from collections.abc import Callable
 from typing import Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from omtwarp.mesh.arrays import Floats
 
 # Few steps go on, up to so many times as many, while each takes away this share of the excess: on half of a caudate
 # nucleus the gap falls from 5.8 to 1.97, 1.03, 0.46 % in three, whose map is nearer than that.
@@ -26,7 +25,7 @@ class Bounded(Protocol):
     """A potential, and the lower bound on the cost that it gives."""
 
     @property
-    def potential(self) -> Array:
+    def potential(self) -> Floats:
         """The potential that the bound belongs to."""
 
     @property
@@ -40,22 +39,18 @@ Found = TypeVar("Found", bound=Bounded)
 class DualProblem(Protocol[Found]):
     """The interface of Kantorovich's dual problem of a map."""
 
-    def bound(self, potential: Array) -> Found:
+    def bound(self, potential: Floats) -> Found:
         """Return the lower bound on the cost that a potential gives."""
 
-    def slope(self, current: Found) -> Array:
+    def slope(self, current: Found) -> Floats:
         """Return the derivative of the bound by the potential."""
 
-    def smoothed(self, slope: Array) -> Array:
+    def smoothed(self, slope: Floats) -> Floats:
         """Return the change of the potential that a slope asks for, by the matrix of the fit."""
 
 
 def ascend(
-    dual: DualProblem[Found],
-    best: Found,
-    most: int,
-    enough: float,
-    notify: Callable[[int, Found], None] | None = None,
+    dual: DualProblem[Found], best: Found, most: int, enough: float, notify: Callable[[int, Found], None] | None = None
 ) -> tuple[Found, int]:
     """Raise a bound by steps, each of which is shortened until it raises the bound.
 
@@ -99,7 +94,7 @@ def _goes_on(excesses: list[float], most: int) -> bool:
     return most <= FEW_STEPS and 0 < done < LONGEST * most and excesses[-1] < (1.0 - LARGE_GAIN) * excesses[-2]
 
 
-def _step(dual: DualProblem[Found], pairs: _Pairs, best: Found, slope: Array, most: int) -> Found | None:
+def _step(dual: DualProblem[Found], pairs: _Pairs, best: Found, slope: Floats, most: int) -> Found | None:
     """Return the bound after one step, or None where no length raises it."""
     trials, shorter = 6, 0.4  # lengths of a step that are tried, each so many times the one before
     # The first step is this long, in units of what would bring a straight line to zero. Above so many points it is as
@@ -133,7 +128,7 @@ class _Pairs:
     def __init__(self, dual: DualProblem[Found]):
         self._smoothed = dual.smoothed
         # Most pairs, of steps and changes of the slope; 3 to 20 are usual (Nocedal and Wright 2006, chapter 7)
-        self._pairs: deque[tuple[Array, Array, float]] = deque(maxlen=10)
+        self._pairs: deque[tuple[Floats, Floats, float]] = deque(maxlen=10)
         self._scale = 1.0
 
     @property
@@ -141,7 +136,7 @@ class _Pairs:
         """Whether there is no pair."""
         return not self._pairs
 
-    def add(self, step: Array, change: Array) -> None:
+    def add(self, step: Floats, change: Floats) -> None:
         """Add a step of the potential and how far the slope fell, unless its curvature is round-off."""
         product = float(step @ change)
         # Least curvature, s · y over |s| |y|: pairs with less are not kept, their curvature is round-off
@@ -149,7 +144,7 @@ class _Pairs:
             self._pairs.append((step, change, product))
             self._scale = product / float(change @ self._smoothed(change))
 
-    def direction(self, slope: Array) -> Array:
+    def direction(self, slope: Floats) -> Floats:
         """Return the change of the potential that a slope asks for, by the corrected matrix."""
         right, factors = slope.copy(), []
         for step, change, product in reversed(self._pairs):

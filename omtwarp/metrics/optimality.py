@@ -51,7 +51,7 @@ from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.geometry import DifferentialOperators
 from omtwarp.geometry.axes import turned_towards
-from omtwarp.mesh.arrays import TINY, real_number, real_numbers, whole_number
+from omtwarp.mesh.arrays import TINY, Floats, real_number, real_numbers, whole_number
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics import optimality_kernels as kernels
@@ -59,8 +59,6 @@ from omtwarp.metrics.ascent import ascend
 from omtwarp.metrics.optimality_dual import Bound, SourceBound, SourceDual, TransportDual
 from omtwarp.options import Cost, Progress, Record
 from omtwarp.solvers.poisson import cotangent_solver
-
-Array = NDArray[np.float64]
 
 ASCENT_STEPS = 3  # by default, as each costs as much as the bound itself
 GOOD_ENOUGH = 1e-4
@@ -71,10 +69,10 @@ STEPS_BEFORE = 3  # ascent, for progress: the curl, the first potential and its 
 class SphereMaps(Protocol):
     """Attributes of a finished map, such as :class:`omtwarp.MapResult`."""
 
-    vertices: Array
+    vertices: Floats
     faces: NDArray[np.int32]
-    sphere: Array
-    conformal: Array
+    sphere: Floats
+    conformal: Floats
 
 
 @dataclass(frozen=True)
@@ -87,7 +85,7 @@ class Curl:
     """
 
     relative: float
-    stream: Array
+    stream: Floats
 
 
 @dataclass(frozen=True)
@@ -118,9 +116,9 @@ class Optimality:
     uniform_gap: float
     swapped_edges: int
     ascent_steps: int
-    potential: Array
-    vertex_gap: Array
-    stream: Array
+    potential: Floats
+    vertex_gap: Floats
+    stream: Floats
 
     def to_dict(self) -> dict[str, float | int | None]:
         """Return the numbers by name, ready for JSON, with None for one that is not finite."""
@@ -238,9 +236,9 @@ def map_optimality(
 @blas_threads(1)
 def _measure(
     surface: Surface,
-    x: Array,
-    y: Array,
-    mass: Array,
+    x: Floats,
+    y: Floats,
+    mass: Floats,
     potential: ArrayLike | None,
     ascent_steps: int,
     device: str | None,
@@ -317,7 +315,7 @@ def _measure(
     )
 
 
-def _better_of(dual: TransportDual, fitted: Array, potential: ArrayLike | None) -> Bound:
+def _better_of(dual: TransportDual, fitted: Floats, potential: ArrayLike | None) -> Bound:
     """Return the better bound of a potential fitted and one given, if any."""
     best = dual.bound(fitted)
     if potential is not None:
@@ -339,7 +337,7 @@ def _ascended(
     return ascend(dual, best, most, _excess_at(cost, enough), before_step)
 
 
-def _raised_at_sources(dual: TransportDual, transform: Array, most: int, enough: float) -> tuple[SourceBound, int]:
+def _raised_at_sources(dual: TransportDual, transform: Floats, most: int, enough: float) -> tuple[SourceBound, int]:
     """Raise the better of a bound with φ given and one with φ fitted, by at most so many steps."""
     cost = 2.0 * float(dual.mass @ dual.cost)
     sources = SourceDual(dual)
@@ -402,7 +400,7 @@ def map_curl(
     return _curl_part(surface, y, log, device)
 
 
-def _curl_part(surface: Surface, y: Array, log: Array, device: str | None) -> Curl:
+def _curl_part(surface: Surface, y: Floats, log: Floats, device: str | None) -> Curl:
     """Compute the curl of the displacement on the image mesh."""
     where = resolve_device(device)
     images, faces = vectors(y, where), surface.on(where).faces
@@ -419,7 +417,7 @@ def _curl_part(surface: Surface, y: Array, log: Array, device: str | None) -> Cu
     return Curl(float(np.sqrt(max(float(stream @ vorticity), 0.0) / norm)), stream)
 
 
-def _log_maps(base: Array, target: Array, device: str | None) -> Array:
+def _log_maps(base: Floats, target: Floats, device: str | None) -> Floats:
     where = resolve_device(device)
     out = wp.empty(len(base), dtype=wp.vec3d, device=where)
     inputs = [vectors(base, where), vectors(target, where)]
@@ -427,7 +425,7 @@ def _log_maps(base: Array, target: Array, device: str | None) -> Array:
     return out.numpy()
 
 
-def _points(given: ArrayLike, surface: Surface, name: str) -> Array:
+def _points(given: ArrayLike, surface: Surface, name: str) -> Floats:
     """Normalise points of the unit sphere, shape [V, 3], again, since the bound's accuracy depends on their lengths.
 
     Raises:
@@ -437,7 +435,7 @@ def _points(given: ArrayLike, surface: Surface, name: str) -> Array:
     return np.ascontiguousarray(points / np.linalg.norm(points, axis=1)[:, None])
 
 
-def _masses(given: ArrayLike, count: int) -> Array:
+def _masses(given: ArrayLike, count: int) -> Floats:
     """Check that masses, shape [V], are positive, and scale them to the sum 4π.
 
     Raises:

@@ -24,11 +24,10 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import Arguments, core_count, launch_parts
 from omtwarp.geometry.space_order import in_strips
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics import optimality_kernels as kernels
 from omtwarp.solvers.poisson import EdgeLaplacianSolver
-
-Array = NDArray[np.float64]
 
 TOLERANCE = 1e-5
 """How far below the true minimum, in units of the mean cost, the search for it may stay: what it adds to the gap."""
@@ -50,11 +49,11 @@ class Bound:
         visited: nodes of the tree that were examined, shape [V].
     """
 
-    potential: Array
-    vertex_gap: Array
+    potential: Floats
+    vertex_gap: Floats
     excess: float
     face: NDArray[np.int64]
-    weights: Array
+    weights: Floats
     visited: NDArray[np.int32]
 
 
@@ -70,17 +69,17 @@ class SharedSources:
 
     chosen: NDArray[np.intp]
     of: NDArray[np.intp]
-    lowered: Array
+    lowered: Floats
 
     def spread(
         self,
-        own: Array,
-        proven: Array,
+        own: Floats,
+        proven: Floats,
         face: NDArray[np.int64],
-        weights: Array,
+        weights: Floats,
         visited: NDArray[np.int32],
         surface: Surface,
-    ) -> tuple[Array, NDArray[np.int64], Array, NDArray[np.int32]]:
+    ) -> tuple[Floats, NDArray[np.int64], Floats, NDArray[np.int32]]:
         """Return bounds, triangles, weights and visits of all points from those of the chosen; ``own`` is of all."""
         everywhere = np.minimum(proven[self.of] - self.lowered, own)
         triangle, share, least = face[self.of], weights[self.of].copy(), own[self.chosen]
@@ -130,7 +129,7 @@ class TransportDual:
     """
 
     def __init__(
-        self, surface: Surface, x: Array, y: Array, mass: Array, device: str | None, tolerance: float = TOLERANCE
+        self, surface: Surface, x: Floats, y: Floats, mass: Floats, device: str | None, tolerance: float = TOLERANCE
     ):
         self.device = resolve_device(device)
         self.surface, self.mass = surface, mass
@@ -138,8 +137,8 @@ class TransportDual:
         vertices, faces = surface.vertex_count, surface.face_count
         displaced = wp.empty(vertices, dtype=wp.vec3d, device=self.device)
         self._launch(kernels.vertex_displacement, vertices, [self.y, self.x], [displaced])
-        self.log: Array = displaced.numpy()
-        self.cost: Array = 0.5 * (self.log**2).sum(axis=1)
+        self.log: Floats = displaced.numpy()
+        self.cost: Floats = 0.5 * (self.log**2).sum(axis=1)
         self.tolerance = tolerance * float(mass @ self.cost) / float(mass.sum())
         # Triangles near each other in space next to each other in the tree.
         triangles, corners = narrow_parts(y, surface.faces)
@@ -167,11 +166,11 @@ class TransportDual:
         self._solver: EdgeLaplacianSolver | None = None
 
     @property
-    def edge_terms(self) -> Array:
+    def edge_terms(self) -> Floats:
         """The quadratic terms of ψ on the edges of every triangle, shape [F, 3]."""
         return self._edge.numpy()
 
-    def initial_potential(self) -> tuple[Array, int]:
+    def initial_potential(self) -> tuple[Floats, int]:
         """Fit ψ to the middles of the admissible differences along all edges.
 
         Returns:
@@ -186,7 +185,7 @@ class TransportDual:
         self._solver = EdgeLaplacianSolver(self.surface, weights)
         return self._solver.fit(0.5 * (lowest + highest)), int((highest < lowest).sum())
 
-    def admissible_differences(self, of_sources: bool = False) -> tuple[Array, Array]:
+    def admissible_differences(self, of_sources: bool = False) -> tuple[Floats, Floats]:
         """Return the least and the largest difference of ψ along every edge with which its ends do not swap partners.
 
         Args:
@@ -199,7 +198,7 @@ class TransportDual:
         self._launch(kernels.admissible_differences, len(edges), [*pair, ends], [low, high])
         return low.numpy(), high.numpy()
 
-    def bound(self, potential: Array) -> Bound:
+    def bound(self, potential: Floats) -> Bound:
         """Compute φ, the c-transform of ψ, at every x_i."""
         parts, nodes = len(self._parts[0]), 2 * self._leaves
         nodal = wp.array(potential, dtype=wp.float64, device=self.device)
@@ -253,11 +252,11 @@ class TransportDual:
         """Whether many of the x_i are so close to others that their transforms are computed once for all of them."""
         return self.shared is not None
 
-    def slope(self, current: Bound) -> Array:
+    def slope(self, current: Bound) -> Floats:
         """Return the derivative of Σ m_i (φ(x_i) + ψ(y_i)) by ψ: the map's own mass less the mass at the minimisers."""
         return missing_mass(self.mass, current.face, self.surface.faces, current.weights)
 
-    def smoothed(self, slope: Array) -> Array:
+    def smoothed(self, slope: Floats) -> Floats:
         """Return the change of ψ that a slope asks for: the initial fit's matrix approximates the second derivative.
 
         Where the minima attract more mass than the map sends, ψ has to decrease, smoothly.
@@ -265,14 +264,14 @@ class TransportDual:
         assert self._solver is not None
         return self._solver.solve(slope)
 
-    def integral(self, potential: Array) -> float:
+    def integral(self, potential: Floats) -> float:
         """Integrate ψ over the sphere: the mean of a quadratic on every triangle, times its solid angle."""
         a, b, c = self.y.numpy()[self.surface.faces.T]
         triple = np.einsum("ij,ij->i", a, np.cross(b, c))
         solid = 2.0 * np.arctan2(triple, 1.0 + (a * b).sum(1) + (b * c).sum(1) + (c * a).sum(1))
         return float(solid @ quadratic_means(potential, self.surface.faces, self.edge_terms))
 
-    def spread(self, transform: Array) -> Spread:
+    def spread(self, transform: Floats) -> Spread:
         """Integrate the cost and its dual φ, given at the x_i, shape [V], over the triangles that carry the masses.
 
         A triangle carries its share of the masses of its corners. Along an edge φ is the quadratic with the slopes
@@ -295,7 +294,7 @@ class TransportDual:
         wp.launch(kernel, dim=count, inputs=inputs, outputs=outputs, device=self.device)
 
 
-def shared_sources(points: Array, edges: NDArray[np.int32], side: float) -> SharedSources | None:
+def shared_sources(points: Floats, edges: NDArray[np.int32], side: float) -> SharedSources | None:
     """Choose one point in each cube of a grid to stand for the others there; None where few points are so close.
 
     Args:
@@ -317,7 +316,7 @@ def shared_sources(points: Array, edges: NDArray[np.int32], side: float) -> Shar
     return SharedSources(chosen, of, 0.5 * np.pi**2 * apart)
 
 
-def missing_mass(mass: Array, triangle: NDArray[np.integer], faces: NDArray[np.int32], shares: Array) -> Array:
+def missing_mass(mass: Floats, triangle: NDArray[np.integer], faces: NDArray[np.int32], shares: Floats) -> Floats:
     """Return the mass that the map sends to every vertex less the mass of the points whose best image is there.
 
     Args:
@@ -333,7 +332,7 @@ def missing_mass(mass: Array, triangle: NDArray[np.integer], faces: NDArray[np.i
     return np.where(moved, mass, 0.0) - np.bincount(corners, weights=arrived, minlength=len(mass))
 
 
-def quadratic_means(nodal: Array, corners: NDArray[np.int32], edge_terms: Array) -> Array:
+def quadratic_means(nodal: Floats, corners: NDArray[np.int32], edge_terms: Floats) -> Floats:
     """Return the mean over every triangle of the quadratic w0 f0 + w1 f1 + w2 f2 + Σ w_k w_(k+1) e_k, shape [F].
 
     Args:
@@ -344,7 +343,7 @@ def quadratic_means(nodal: Array, corners: NDArray[np.int32], edge_terms: Array)
     return nodal[corners].mean(axis=1) + edge_terms.sum(axis=1) / 12.0
 
 
-def narrow_parts(points: Array, faces: NDArray[np.int32]) -> tuple[NDArray[np.int64], Array]:
+def narrow_parts(points: Floats, faces: NDArray[np.int32]) -> tuple[NDArray[np.int64], Floats]:
     """Cut triangles of a sphere in strips along their shortest edge until no edge is longer than ``LONGEST``.
 
     Args:
@@ -356,7 +355,7 @@ def narrow_parts(points: Array, faces: NDArray[np.int32]) -> tuple[NDArray[np.in
         [P, 3, 3].
     """
     triangles, corners = np.arange(len(faces)), np.broadcast_to(np.eye(3), (len(faces), 3, 3))
-    finished: list[tuple[NDArray[np.int64], Array]] = []
+    finished: list[tuple[NDArray[np.int64], Floats]] = []
     # Rounds: two cut a triangle both ways, others what is uneven; more need ends of edges that are nearly opposite
     for _ in range(8):
         places = corners @ points[faces[triangles]]
@@ -371,7 +370,7 @@ def narrow_parts(points: Array, faces: NDArray[np.int32]) -> tuple[NDArray[np.in
         counts = np.ceil(arc / LONGEST).astype(np.int64)
         step = arc / counts
 
-        def equal_arcs(strip: NDArray[np.int64], of: NDArray[np.intp], counts=counts, step=step) -> Array:
+        def equal_arcs(strip: NDArray[np.int64], of: NDArray[np.intp], counts=counts, step=step) -> Floats:
             ahead, behind = np.sin(strip * step[of]), np.sin((counts[of] - strip) * step[of])
             return ahead / np.maximum(ahead + behind, np.finfo(float).tiny)
 
@@ -381,7 +380,7 @@ def narrow_parts(points: Array, faces: NDArray[np.int32]) -> tuple[NDArray[np.in
     return np.concatenate([part for part, _ in finished]), np.concatenate([part for _, part in finished])
 
 
-def order_by_halves(points: Array) -> NDArray[np.int32]:
+def order_by_halves(points: Floats) -> NDArray[np.int32]:
     """Order points so that those below each node of a complete binary tree in heap order lie close together.
 
     Each node's points are halved along the longest side of their bounding box. Along Hilbert's curve
@@ -452,8 +451,8 @@ class SourceBound:
         nearest: which stand-in attains the minimum at every image, shape [V].
     """
 
-    potential: Array
-    at_images: Array
+    potential: Floats
+    at_images: Floats
     excess: float
     nearest: NDArray[np.int64]
 
@@ -490,12 +489,12 @@ class SourceDual:
         weights = 1.0 / np.maximum(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1), 1e-5)
         self._solver = EdgeLaplacianSolver(dual.surface, weights / weights.mean())
 
-    def initial_potential(self) -> Array:
+    def initial_potential(self) -> Floats:
         """Fit φ to the middles of the differences along edges with which neither end would swap partners, shape [V]."""
         low, high = self._dual.admissible_differences(of_sources=True)
         return self._solver.fit(0.5 * (low + high))
 
-    def bound(self, potential: Array) -> SourceBound:
+    def bound(self, potential: Floats) -> SourceBound:
         """Compute the largest ψ that goes with φ, shape [V], after points were raised to what their stand-in allows.
 
         With it φ(x_j) + ψ(y_i) <= c(x_j, y_i) for all i and j, whatever φ is.
@@ -519,7 +518,7 @@ class SourceDual:
         excess = float(dual.mass @ (dual.cost - potential - at_images))
         return SourceBound(potential, at_images, excess, np.where(nearest < 0, self._of, nearest))
 
-    def slope(self, current: SourceBound) -> Array:
+    def slope(self, current: SourceBound) -> Floats:
         """Return the derivative of the bound by φ: the mass of each stand-in less that of the images nearest to it."""
         count = len(self._chosen)
         out = np.zeros(len(self._dual.mass))
@@ -527,7 +526,7 @@ class SourceDual:
         out[self._chosen] = masses - np.bincount(current.nearest, self._dual.mass, count)
         return out
 
-    def smoothed(self, slope: Array) -> Array:
+    def smoothed(self, slope: Floats) -> Floats:
         """Return the change of φ that a slope asks for, the same for all points of a stand-in."""
         mass, count = self._dual.mass, len(self._chosen)
         means = np.bincount(self._of, mass * self._solver.solve(slope), count) / np.bincount(self._of, mass, count)

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.rings import is_bijective
 from omtwarp.geometry.axes import turned_about_pole
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import Surface
 from omtwarp.open_surfaces.symmetric import ACROSS, folded_map
 from omtwarp.options import Progress
 from omtwarp.topology.doubling import Double
 from omtwarp.untangling.untangle import RepairBudget, untangle
-
-Floats = NDArray[np.float64]
 
 ROUNDS = 4  # of repair after symmetrising; one was enough on every surface tried
 
@@ -98,12 +96,7 @@ def symmetric_map(
 
 
 def symmetric_start(
-    double: Double,
-    surface: Surface,
-    source: Floats,
-    *,
-    device: str | None = "auto",
-    progress: Progress | None = None,
+    double: Double, surface: Surface, source: Floats, *, device: str | None = "auto", progress: Progress | None = None
 ) -> Floats | None:
     """Make a symmetric map without flips from coarse to fine, turned about the axis of the mirror towards another map.
 

@@ -8,12 +8,9 @@ Two caps can cover the sphere, equal ones in great number at most 91 % of it (Fe
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from omtwarp.mesh.arrays import ROUND_OFF
-
-Floats = NDArray[np.float64]
+from omtwarp.mesh.arrays import ROUND_OFF, Floats
 
 GAP = 0.02  # radians between caps: a seam to be seen, and far above the errors that SETTLED leaves
 TRIES, FEW = 4, 50  # random arrangements at every share; for more than FEW caps one suffices

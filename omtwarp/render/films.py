@@ -30,13 +30,7 @@ from omtwarp.render import annotate, output
 from omtwarp.render.camera import Camera, Shot, as_light, as_view, camera_axes, frame
 from omtwarp.render.pictures import View, checked_rate, checked_size, render
 from omtwarp.render.scene import Part, RenderJob, SurfaceView, normalisation, smooth_parts, welded_normals
-from omtwarp.render.subject import (
-    FinishedMap,
-    Picture,
-    is_torus_map,
-    map_view,
-    torus_view,
-)
+from omtwarp.render.subject import FinishedMap, Picture, is_torus_map, map_view, torus_view
 from omtwarp.render.upright import posed
 from omtwarp.texturing.adaptive import rasterize
 from omtwarp.texturing.image import PictureLike

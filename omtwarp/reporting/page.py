@@ -326,13 +326,7 @@ PICTURES = (
 
 
 def _torus_page(
-    result: TorusMap,
-    title: str | None,
-    image: PictureLike | None,
-    pattern: str,
-    up: str | None,
-    size: int,
-    device: str,
+    result: TorusMap, title: str | None, image: PictureLike | None, pattern: str, up: str | None, size: int, device: str
 ) -> str:
     """Return the text of the page about a map to a torus; arguments as of :func:`omtwarp.write_report`."""
     pose = posed(SurfaceView(result.vertices, result.faces), up)

@@ -12,16 +12,12 @@ from collections.abc import Iterator, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from omtwarp.errors import OmtwarpError
 from omtwarp.location import Locator
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.read import read_mesh
 from omtwarp.options import Side
 from omtwarp.spheres import SphereGrid, mesh_grid, named_grid
-
-Floats = NDArray[np.float64]
 
 FOLDER = "OMTWARP_TEMPLATES"
 """The variable of the environment that names folders to look in first."""

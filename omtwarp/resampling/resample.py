@@ -21,7 +21,7 @@ from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.files.output import as_path, staged
 from omtwarp.location import Locator
 from omtwarp.maps.result import OF_MAPS, MapResult
-from omtwarp.mesh.arrays import real_numbers, whole_numbers
+from omtwarp.mesh.arrays import Floats, real_numbers, whole_numbers
 from omtwarp.mesh.checks import MeshLike
 from omtwarp.mesh.data import read_data
 from omtwarp.mesh.origins import Origins
@@ -52,7 +52,7 @@ def overlap_areas(target: SphereGrid, source: SphereGrid, *, device: str | None 
     where = resolve_device(device)
     (target_corners, target_owners), (source_corners, source_owners) = target.cells, source.cells
 
-    def send(corners: NDArray[np.float64]) -> tuple[wp.array, wp.array, wp.array]:
+    def send(corners: Floats) -> tuple[wp.array, wp.array, wp.array]:
         polygons = wp.array(np.ascontiguousarray(corners), dtype=wp.vec3d, device=where)
         lower, upper = (wp.empty(len(corners), dtype=wp.vec3, device=where) for _ in range(2))
         wp.launch(box_polygons, dim=len(corners), inputs=[polygons], outputs=[lower, upper], device=where)
@@ -91,9 +91,6 @@ def _owners(owners: NDArray[np.int32], count: int) -> sparse.csr_matrix:
     return sparse.csr_matrix((np.ones(cells), owners, np.arange(cells + 1)), shape=(cells, count))
 
 
-Floats = NDArray[np.float64]
-
-
 def barycentric(source: SphereGrid, target: SphereGrid, device: str | None = "auto") -> sparse.csr_matrix:
     """Return the matrix of linear interpolation in the flat triangle nearest to each target point, shape [T, S].
 
@@ -125,11 +122,7 @@ def nearest(source: SphereGrid, target: SphereGrid, device: str | None = "auto")
 
 
 def adaptive(
-    source: SphereGrid,
-    target: SphereGrid,
-    source_areas: Floats,
-    target_areas: Floats,
-    device: str | None = "auto",
+    source: SphereGrid, target: SphereGrid, source_areas: Floats, target_areas: Floats, device: str | None = "auto"
 ) -> sparse.csr_matrix:
     """Return barycentric weights in which every source point takes part, corrected for areas, shape [T, S].
 

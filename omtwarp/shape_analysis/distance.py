@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from omtwarp.alignment import align
 from omtwarp.errors import OmtwarpError
@@ -14,7 +13,7 @@ from omtwarp.geometry.axes import fitted_rotation
 from omtwarp.geometry.harmonics import check_degree
 from omtwarp.maps.result import MapResult
 from omtwarp.measures import TargetDensity
-from omtwarp.mesh.arrays import HasTriangles
+from omtwarp.mesh.arrays import Floats, HasTriangles
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.moser import moser_map
 from omtwarp.options import Progress
@@ -24,8 +23,6 @@ from omtwarp.spheres import mesh_grid, unit_sphere
 from omtwarp.texturing.density import vertex_density
 from omtwarp.transport.cost import transport_cost
 from omtwarp.transport.flow import optimal_transport
-
-Floats = NDArray[np.float64]
 
 DEGREE = 12  # 169 coefficients, which meshes of a few hundred vertices determine
 

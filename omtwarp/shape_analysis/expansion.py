@@ -15,10 +15,9 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import read_bytes
 from omtwarp.files.output import as_path, staged
 from omtwarp.geometry.harmonics import check_degree, degree_of, power_per_degree, real_harmonics
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.shapes import icosphere
 from omtwarp.mesh.surface import Surface, triangle_areas
-
-Floats = NDArray[np.float64]
 
 METHODS = ("least-squares", "quadrature")
 _AT_ONCE = 2**22  # harmonics at points that are held at once
@@ -90,12 +89,7 @@ class Expansion:
 
 
 def expand(
-    sphere: ArrayLike,
-    values: ArrayLike,
-    degree: int,
-    *,
-    faces: ArrayLike | None = None,
-    method: str = "least-squares",
+    sphere: ArrayLike, values: ArrayLike, degree: int, *, faces: ArrayLike | None = None, method: str = "least-squares"
 ) -> Expansion:
     """Expand data at points of the unit sphere in spherical harmonics.
 
@@ -235,7 +229,7 @@ def read_coef(path: str | os.PathLike[str]) -> Expansion:
     return Expansion(coefficients)
 
 
-def _order(degree: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def _order(degree: int) -> tuple[NDArray[np.int64], Floats]:
     """Return, for each row of the file, the package's row and the factor between the two."""
     rows, factors = [], []
     for n in range(degree + 1):

@@ -7,18 +7,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from omtwarp.alignment import GroupAlignment, procrustes_mean
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.maps.result import MapResult
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import Surface, vertex_normals
 from omtwarp.options import Progress
 from omtwarp.resampling import as_points
 from omtwarp.shape_analysis.distance import DEGREE, distance_matrix, transport_matrix
 from omtwarp.shape_analysis.linear_model import PERMUTATIONS, Effect, check_table, linear_effects
-
-Floats = NDArray[np.float64]
 
 GROUP = ("group",)  # the column of labels, whose numbers are names too
 

@@ -6,12 +6,11 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.stats import false_discovery_control
 
 from omtwarp.errors import OmtwarpError
-
-Floats = NDArray[np.float64]
+from omtwarp.mesh.arrays import Floats
 
 PERMUTATIONS = 999  # the smallest p value is then 0.001
 

@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.maps.result import MapResult
+from omtwarp.mesh.arrays import Floats
 from omtwarp.registration.register import Registration
 from omtwarp.registration.strain import strain_at_vertices
 from omtwarp.render import film, preview
 from omtwarp.reporting.markup import Markup, element, figure, pictures, table, write_plain_page
 from omtwarp.resampling import SpherePoints, resample
-
-Floats = NDArray[np.float64]
 
 VIEWS = ("left", "right")
 

@@ -17,14 +17,7 @@ from omtwarp.device.start import LARGE, wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.surface import Surface
-from omtwarp.start.decimation_kernels import (
-    MAX_VALENCE,
-    NO_KEY,
-    Vertex,
-    gather_rings,
-    propose_collapses,
-    select_minima,
-)
+from omtwarp.start.decimation_kernels import MAX_VALENCE, NO_KEY, Vertex, gather_rings, propose_collapses, select_minima
 
 
 @dataclass
@@ -242,14 +235,7 @@ def _rings(
     wp.launch(
         gather_rings,
         dim=len(removed),
-        inputs=[
-            integers(removed, device),
-            integers(targets, device),
-            *adjacency,
-            masses,
-            points,
-            even_share,
-        ],
+        inputs=[integers(removed, device), integers(targets, device), *adjacency, masses, points, even_share],
         outputs=[rings, fan_masses],
         device=device,
     )
@@ -268,11 +254,7 @@ def _without_repeated_diagonals(rings: NDArray[np.int32], valences: NDArray[np.i
 
 
 def _refan(
-    faces: NDArray[np.int32],
-    masses: NDArray[np.float64],
-    removal: Removal,
-    fan_masses: NDArray[np.float64],
-    count: int,
+    faces: NDArray[np.int32], masses: NDArray[np.float64], removal: Removal, fan_masses: NDArray[np.float64], count: int
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
     """Return the faces and masses after fans have replaced the stars of the removed vertices."""
     gone = np.zeros(count, dtype=bool)

@@ -16,6 +16,7 @@ from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import count_flips
 from omtwarp.geometry.axes import order_by_place
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.options import Progress
 from omtwarp.start.decimation import Level, Removal, integers, simplify
@@ -25,8 +26,6 @@ from omtwarp.start.hierarchical_kernels import insert_on_equator, relax_vertices
 from omtwarp.topology.kind import boundary_half_edges
 
 AREA_WEIGHT = 10.0  # of area distortion against angle distortion, as by default on the whole sphere
-
-Floats = NDArray[np.float64]
 
 
 def hemispherical_embedding(

@@ -153,7 +153,7 @@ def rasterize(
     *,
     supersample: int = 3,
     device: str | None = "auto",
-) -> NDArray[np.uint8]:
+) -> Bytes:
     """Draw a pattern as a supersampled picture of the whole sphere.
 
     Args:

@@ -347,7 +347,7 @@ def cast_open_rays(
 MOST_STRIPS = 100_000  # that slivers are cut in: a tree of them takes a tenth of a second
 
 
-def face_openness(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+def face_openness(vertices: Floats, faces: Ints) -> Floats:
     """Return the openness of every face, 0 (enclosed) to 1 (open in all directions), shape [F].
 
     Large meshes are sampled: a face without a sample takes the value of the face before it.
@@ -370,15 +370,15 @@ def face_openness(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> ND
 
 
 def open_shares(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    origins: NDArray[np.float64],
-    normals: NDArray[np.float64],
+    vertices: Floats,
+    faces: Ints,
+    origins: Floats,
+    normals: Floats,
     numbers: NDArray[np.integer],
     firsts: NDArray[np.floating],
     rays: int,
     where: wp.Device,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the shares of cosine-weighted rays from points that meet no triangle, shape [N].
 
     Args:
@@ -409,7 +409,7 @@ def open_shares(
     return out.numpy().astype(np.float64)
 
 
-def without_slivers(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def without_slivers(corners: Floats) -> Floats:
     """Cut triangles that are much longer than wide in strips: their boxes would overlap, and every ray would meet many.
 
     Args:

@@ -194,11 +194,7 @@ class Look:
 
 
 def fill(
-    texels: NDArray[np.int32],
-    samples: int,
-    channels: int,
-    evaluate: Callable[[wp.array, int, wp.array], None],
-    picture: wp.array,
+    texels: Ints, samples: int, channels: int, evaluate: Callable[[wp.array, int, wp.array], None], picture: wp.array
 ) -> None:
     """Write texels, some at a time, as the mean of their samples.
 
@@ -223,7 +219,7 @@ def fill(
         launch_parts(average, len(part), arguments, where)
 
 
-def _changing(picture: wp.array, width: int, height: int) -> NDArray[np.int32]:
+def _changing(picture: wp.array, width: int, height: int) -> Ints:
     """Return the texels that differ from one of their four neighbours; the first and the last column are neighbours."""
     # Neighbours that differ by more are worth more samples; a soft gradient is not.
     most = np.float32(6.0 / 255.0)
@@ -282,7 +278,7 @@ def in_texels(uv: Floats, width: float, height: float, where: wp.Device) -> wp.a
     return wp.array(np.ascontiguousarray(texels), dtype=wp.vec2d, device=where)
 
 
-def claimed(corners: wp.array, width: int, height: int, grow: float, where: wp.Device) -> NDArray[np.int32]:
+def claimed(corners: wp.array, width: int, height: int, grow: float, where: wp.Device) -> Ints:
     """Return the triangle that owns each texel of a picture, row by row, :data:`NOBODY` where there is none.
 
     Args:
@@ -295,10 +291,7 @@ def claimed(corners: wp.array, width: int, height: int, grow: float, where: wp.D
 
     def claim(rows: tuple[int, int]) -> None:
         wp.launch(
-            kernels.own_texels,
-            dim=len(corners),
-            inputs=[corners, width, wp.float64(grow), *rows, owner],
-            device=where,
+            kernels.own_texels, dim=len(corners), inputs=[corners, width, wp.float64(grow), *rows, owner], device=where
         )
 
     parts = launch_parts_of(where, height, core_count(), 1)
@@ -325,7 +318,7 @@ class Layout:
         self.owner = wp.array(owner, dtype=wp.int32, device=where)
         self.known = owner != NOBODY
 
-    def owned(self) -> NDArray[np.int32]:
+    def owned(self) -> Ints:
         return np.flatnonzero(self.known).astype(np.int32)
 
     def interpolate(self, values: wp.array, texels: wp.array, samples: int, out: wp.array) -> None:
@@ -585,13 +578,7 @@ def overlap(uv: Floats, width: int, height: int, where: wp.Device) -> float:
 
 
 def bake_corners(
-    uv: Floats,
-    values: Floats,
-    size: tuple[int, int],
-    *,
-    padding: int = PADDING,
-    samples: int = 2,
-    device: wp.Device,
+    uv: Floats, values: Floats, size: tuple[int, int], *, padding: int = PADDING, samples: int = 2, device: wp.Device
 ) -> Picture:
     """Bake values at corners, linear over every triangle, to a picture; texels outside of all triangles are 0.
 

@@ -174,11 +174,7 @@ class PaintedMesh:
         return replace(moved, vertex_colors=colors)
 
     def export(
-        self,
-        path: str | os.PathLike[str],
-        *,
-        keep: Iterable[Path | None] = (),
-        texture_format: str = TextureFormat.PNG,
+        self, path: str | os.PathLike[str], *, keep: Iterable[Path | None] = (), texture_format: str = TextureFormat.PNG
     ) -> list[Path]:
         """Write the mesh with its materials.
 

@@ -158,11 +158,7 @@ class TexturedSurface:
         )
 
     def export(
-        self,
-        path: str | os.PathLike[str],
-        *,
-        keep: Iterable[Path | None] = (),
-        texture_format: str = TextureFormat.PNG,
+        self, path: str | os.PathLike[str], *, keep: Iterable[Path | None] = (), texture_format: str = TextureFormat.PNG
     ) -> list[Path]:
         """Write the textured surface.
 

@@ -23,13 +23,11 @@ from scipy.sparse import csgraph
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.intrinsic import WeightedEdges, delaunay_edges
 from omtwarp.geometry.operators import corner_cotangents
-from omtwarp.mesh.arrays import ROUND_OFF, TINY, edge_keys
+from omtwarp.mesh.arrays import ROUND_OFF, TINY, Floats, edge_keys
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, plane_areas
 from omtwarp.solvers.cholesky import NotPositiveDefinite, dissect
 from omtwarp.solvers.mesh_factor import MeshFactor, mesh_factor, surface_factor
 from omtwarp.topology.handles import cut_handles
-
-Floats = NDArray[np.float64]
 
 # Coordinates are whole multiples of 2^-40, so that adding whole numbers to them is exact.
 QUANTUM = 2.0**-40

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.maps.result import StageReport
 from omtwarp.maps.torus_map import TorusMap
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.quarter import PARTS, QuarteredSurface, quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
@@ -20,15 +21,7 @@ from omtwarp.options import AreaMatch, Progress, Record, continued, parse_refine
 from omtwarp.refine.matching import not_matched
 from omtwarp.torus.harmonic import QUANTUM, FlatTorus, conformal_torus, embedded_torus, quantised
 from omtwarp.torus.optimality import torus_optimality
-from omtwarp.torus.transport import (
-    Report,
-    eased_on_torus,
-    exact_on_torus,
-    refine_on_torus,
-    transport_on_torus,
-)
-
-Floats = NDArray[np.float64]
+from omtwarp.torus.transport import Report, eased_on_torus, exact_on_torus, refine_on_torus, transport_on_torus
 
 WRONG_AREA = 1e-4  # largest relative error of an area around a vertex without a warning
 

@@ -17,15 +17,13 @@ from numpy.typing import NDArray
 
 from omtwarp.device.start import wp
 from omtwarp.device.threads import Arguments, blas_threads, launch_parts
-from omtwarp.mesh.arrays import TINY
+from omtwarp.mesh.arrays import TINY, Floats
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, plane_areas
 from omtwarp.metrics.ascent import ascend
 from omtwarp.metrics.optimality import ASCENT_STEPS, GOOD_ENOUGH
 from omtwarp.metrics.optimality_dual import TOLERANCE, leaf_count, missing_mass, order_by_halves
 from omtwarp.solvers.mesh_factor import MeshFactor, surface_factor
 from omtwarp.torus.optimality_kernels import best_images, build_plane_nodes, vec7d
-
-Floats = NDArray[np.float64]
 
 NARROWEST = 1e-3  # of an edge's lengths and of the median interval: turned triangles make empty ones
 # Relative: makes the Laplacian definite, whose kernel is the constants; a vertex that is held takes those out.

@@ -391,13 +391,7 @@ class _Flow:
         self.records = wp.empty((at_once, len(RECORD)), dtype=wp.float64, device=self.device)
         return graph
 
-    def run(
-        self,
-        iterations: Graph,
-        most: int,
-        tolerance: float,
-        progress: Progress | None = None,
-    ) -> str:
+    def run(self, iterations: Graph, most: int, tolerance: float, progress: Progress | None = None) -> str:
         """Iterate until the flow ends, and return the reason in words."""
         self.prepare(most, tolerance)
         while True:

@@ -122,10 +122,7 @@ def dense_product(
 
 @wp.func
 def find_triangle(
-    p: wp.vec3d,
-    nodes: wp.array[wp.vec3d],
-    faces: wp.array2d[wp.int32],
-    level_starts: wp.array[wp.int32],
+    p: wp.vec3d, nodes: wp.array[wp.vec3d], faces: wp.array2d[wp.int32], level_starts: wp.array[wp.int32]
 ):
     """Return the triangle of the finest level that holds p, as a row of ``faces``.
 
@@ -158,11 +155,7 @@ def find_triangle(
 
 @wp.func
 def triangle_near(
-    p: wp.vec3d,
-    hint: int,
-    nodes: wp.array[wp.vec3d],
-    faces: wp.array2d[wp.int32],
-    level_starts: wp.array[wp.int32],
+    p: wp.vec3d, hint: int, nodes: wp.array[wp.vec3d], faces: wp.array2d[wp.int32], level_starts: wp.array[wp.int32]
 ):
     """Return the triangle of the finest level that a point lies in, and unnormalised barycentric coordinates there.
 

@@ -241,12 +241,7 @@ class WaveletFilter:
     """
 
     def __init__(
-        self,
-        hierarchy: SphereHierarchy,
-        factors: NDArray[np.float64],
-        *,
-        butterfly: bool = False,
-        device: str = "auto",
+        self, hierarchy: SphereHierarchy, factors: NDArray[np.float64], *, butterfly: bool = False, device: str = "auto"
     ) -> None:
         self.wavelets = SphericalWavelets(hierarchy, butterfly=butterfly, device=device)
         self.device = self.wavelets.device
@@ -362,11 +357,7 @@ class WaveletPreconditioner:
         self.wavelets.synthesise_adjoint(values)
         inputs = [self._coarse_inverse, values]
         wp.launch(
-            kernels.dense_product,
-            dim=len(self._coarse),
-            inputs=inputs,
-            outputs=[self._coarse],
-            device=self.device,
+            kernels.dense_product, dim=len(self._coarse), inputs=inputs, outputs=[self._coarse], device=self.device
         )
         wp.launch(kernels.scale_values, dim=len(values), inputs=[self._factors, values], device=self.device)
         wp.copy(values, self._coarse, count=len(self._coarse))

@@ -76,10 +76,7 @@ class Pattern(ABC):
         inputs = self._inputs(device)
         reach = wp.empty(len(directions), dtype=wp.float64, device=device)
         launch_parts(
-            self._kernel,
-            len(directions),
-            lambda part: ([directions[part], *inputs], [out[part], reach[part]]),
-            device,
+            self._kernel, len(directions), lambda part: ([directions[part], *inputs], [out[part], reach[part]]), device
         )
         return reach
 
