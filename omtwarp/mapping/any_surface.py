@@ -400,6 +400,7 @@ def _on_torus(part: Part, progress: Progress | None, options: MapOptions) -> Tor
             optimality=options.optimality,
             strict=options.strict,
             progress=progress,
+            device=device,
         )
     return torus_in_input_order(result, ordered, part)
 

@@ -78,7 +78,7 @@ def exact_in_plane(points: Floats, mesh: Quartered) -> tuple[Floats, float]:
     """
     surface = mesh.as_surface()
     scale = float(np.sqrt(SPHERE_AREA / plane_areas(points[mesh.faces]).sum()))
-    plane = Plane(surface, np.zeros((len(mesh.faces), 3, 2)))
+    plane = Plane(surface, np.zeros((len(mesh.faces), 3, 2)), resolve_device("cpu"))
     cost, shape = PlaneCost(plane, scale * points), PlaneShape(plane)
     energy = HeldEnergy(plane, mesh.held, mesh.middles, cost, shape, SPHERE_AREA)
     found, error = _exact(energy, scale * points)

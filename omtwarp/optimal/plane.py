@@ -25,18 +25,31 @@ Floats = NDArray[np.float64]
 
 
 class Plane:
-    """The plane as the :class:`omtwarp.optimal.domain.Domain` of one surface's maps, on the host.
+    """The plane as the :class:`omtwarp.optimal.domain.Domain` of one surface's maps.
 
     Args:
         surface: V vertices and F faces; areas in the plane add up to 4π, as its own do.
         shift: of the corners of every triangle from where their vertices lie, across the seam of a torus's universal
             cover, shape [F, 3, 2].
+        device: a Warp device.
     """
 
-    def __init__(self, surface: Surface, shift: Floats):
-        self.surface, self.device = surface, wp.get_device("cpu")
-        self.mesh = surface.on(self.device)
-        self.shift = _kept(shift, wp.vec2d)
+    def __init__(self, surface: Surface, shift: Floats, device: wp.Device):
+        self.surface, self.device = surface, device
+        self.mesh = surface.on(device)
+        self.shift = self.kept(shift, wp.vec2d)
+
+    def kept(self, values: Floats, dtype: type) -> wp.array:
+        """Return a copy of numbers on the device."""
+        return wp.array(np.ascontiguousarray(values, dtype=np.float64), dtype=dtype, device=self.device)
+
+    def empty(self, dtype: type, *shape: int) -> wp.array:
+        """Return an array on the device with anything in it."""
+        return wp.empty(shape, dtype=dtype, device=self.device)
+
+    def at_vertices(self, kernel: wp.Kernel, inputs: list[object], outputs: list[wp.array]) -> None:
+        """Launch a kernel over all vertices."""
+        wp.launch(kernel, dim=self.surface.vertex_count, inputs=inputs, outputs=outputs, device=self.device)
 
     def launch(self, kernel: wp.Kernel, points: wp.array, inputs: list[object], outputs: list[wp.array]) -> None:
         """Launch a kernel over all triangles of a map."""
@@ -45,7 +58,7 @@ class Plane:
 
     def sent(self, values: Floats) -> wp.array:
         """Return points or vectors, shape [V, 2], as vec2d."""
-        return _kept(values, wp.vec2d)
+        return self.kept(values, wp.vec2d)
 
     def flipped(self, points: Floats) -> NDArray[np.bool_]:
         """Return a mask of the triangles that are turned over, shape [F]."""
@@ -53,23 +66,27 @@ class Plane:
 
     def areas(self, points: wp.array) -> wp.array:
         """Return the signed area of every triangle, float64, shape [F]."""
-        areas = wp.empty(self.surface.face_count, dtype=wp.float64, device=self.device)
+        areas = self.empty(wp.float64, self.surface.face_count)
         self.launch(kernels.plane_areas, points, [], [areas])
         return areas
 
     def area_slopes(self, points: wp.array) -> wp.array:
         """Return the derivatives of every area by its corners, vec2d, shape [F, 3]."""
-        slopes = wp.empty((self.surface.face_count, 3), dtype=wp.vec2d, device=self.device)
+        slopes = self.empty(wp.vec2d, self.surface.face_count, 3)
         self.launch(kernels.plane_area_slopes, points, [], [slopes])
         return slopes
 
     def coordinates(self, points: wp.array, vectors: wp.array) -> wp.array:
         """Return the vectors, float64, shape [V, 2]: in the plane all frames are the axes."""
-        return wp.array(vectors.numpy(), dtype=wp.float64, device=self.device, copy=False)
+        out = self.empty(wp.float64, len(vectors), 2)
+        self.at_vertices(kernels.taken_apart, [vectors], [out])
+        return out
 
     def vectors(self, points: wp.array, coordinates: wp.array) -> wp.array:
         """Return the coordinates as vec2d, shape [V]: in the plane all frames are the axes."""
-        return wp.array(coordinates.numpy().reshape(-1, 2), dtype=wp.vec2d, device=self.device, copy=False)
+        out = self.empty(wp.vec2d, len(coordinates))
+        self.at_vertices(kernels.put_together, [coordinates], [out])
+        return out
 
     def steps(self) -> FlipFreeSteps:
         """Return an object that moves maps along vectors without turning triangles over."""
@@ -94,16 +111,15 @@ class PlaneSteps(FlipFreeSteps):
         return None
 
     def _moved(self, points: wp.array, direction: wp.array, share: wp.array | None, length: float) -> wp.array:
-        shares = wp.full(len(points), 1.0, dtype=wp.float64, device="cpu") if share is None else share
-        moved = wp.empty(len(points), dtype=wp.vec2d, device="cpu")
-        inputs = [points, direction, shares, wp.float64(length)]
-        wp.launch(kernels.move_in_plane, dim=len(points), inputs=inputs, outputs=[moved], device="cpu")
+        whole = wp.full(len(points), 1.0, dtype=wp.float64, device=self._plane.device) if share is None else share
+        moved = self._plane.empty(wp.vec2d, len(points))
+        self._plane.at_vertices(kernels.move_in_plane, [points, direction, whole, wp.float64(length)], [moved])
         return moved
 
     def _marks(self, moved: wp.array, volume: wp.array) -> wp.array:
         areas = self._plane.areas(moved)
-        marks = wp.empty(len(areas), dtype=wp.float64, device="cpu")
-        wp.launch(kernels.plane_trouble, dim=len(areas), inputs=[areas, volume], outputs=[marks], device="cpu")
+        marks, device = self._plane.empty(wp.float64, len(areas)), self._plane.device
+        wp.launch(kernels.plane_trouble, dim=len(areas), inputs=[areas, volume], outputs=[marks], device=device)
         return marks
 
 
@@ -116,30 +132,30 @@ class PlaneCost:
     """
 
     def __init__(self, plane: Plane, start: Floats):
-        self._plane = plane
-        self._start = _kept(start, wp.vec2d)
+        self._plane, self._start = plane, plane.kept(start, wp.vec2d)
 
     def values(self, points: wp.array) -> wp.array:
         """Return |y_v - x_v|², shape [V]."""
-        return _kept(((points.numpy() - self._start.numpy()) ** 2).sum(axis=1), wp.float64)
+        costs = self._plane.empty(wp.float64, len(points))
+        self._plane.at_vertices(kernels.plane_costs, [self._start, points], [costs])
+        return costs
 
     def gradient(
         self, points: wp.array, masses: wp.array, potential: wp.array, further: wp.array, weight: float
     ) -> wp.array:
         """Return the gradient of Σ masses_v cost_v + Σ potential_f area_f and a further one, vec2d, shape [V]."""
-        gradient, plane = wp.empty(len(points), dtype=wp.vec2d, device="cpu"), self._plane
+        plane = self._plane
+        gradient = plane.empty(wp.vec2d, len(points))
         mesh = [self._start, points, plane.shift, plane.mesh.faces, masses, potential, *plane.mesh.vertex_corners]
-        inputs = [*mesh, further, wp.float64(weight)]
-        wp.launch(kernels.plane_transport_gradient, dim=len(points), inputs=inputs, outputs=[gradient], device="cpu")
+        plane.at_vertices(kernels.plane_transport_gradient, [*mesh, further, wp.float64(weight)], [gradient])
         return gradient
 
     def hessian(self, points: wp.array, masses: wp.array, least: float) -> wp.array:
         """Return the second derivative at the optimum, with raised eigenvalues, float64, shape [V, 4]."""
-        metric = wp.empty((len(points), 4), dtype=wp.float64, device="cpu")
-        mesh = self._plane.mesh
+        metric, mesh = self._plane.empty(wp.float64, len(points), 4), self._plane.mesh
         weights = [masses, *mesh.vertex_corners, wp.float64(least)]
         inputs = [self._start, points, self._plane.shift, mesh.faces, *weights]
-        wp.launch(kernels.plane_cost_metric, dim=len(points), inputs=inputs, outputs=[metric], device="cpu")
+        self._plane.at_vertices(kernels.plane_cost_metric, inputs, [metric])
         return metric
 
 
@@ -170,35 +186,28 @@ class PlaneShape:
 
     def __init__(self, plane: Plane):
         self._plane, surface = plane, plane.surface
-        self._frames = _kept(triangle_frames(surface), wp.vec3d)
-        self._weights = _kept(surface.face_areas / SPHERE_AREA, wp.float64)
+        self._frames = plane.kept(triangle_frames(surface), wp.vec3d)
+        self._weights = plane.kept(surface.face_areas / SPHERE_AREA, wp.float64)
 
     def begin(self, points: wp.array, reading: Reading) -> Callable[[Floats], PlaneTerms]:
         """Begin to measure the distortion of a map."""
-        areas, angle, area = (
-            wp.empty(self._plane.surface.face_count, dtype=wp.float64, device="cpu") for _ in range(3)
-        )
+        count = self._plane.surface.face_count
+        areas, angle, area = (self._plane.empty(wp.float64, count) for _ in range(3))
         self._plane.launch(kernels.plane_triangles, points, [self._frames], [areas, angle, area])
         mean_angle, mean_area = (reading.dot(self._weights, distortion) for distortion in (angle, area))
         return lambda numbers: PlaneTerms(float(numbers[mean_angle]), float(numbers[mean_area]), areas)
 
     def gradient(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
         """Return the gradient by the vertices, vec2d, shape [V]."""
-        out = wp.empty((self._plane.surface.face_count, 3), dtype=wp.vec2d, device="cpu")
-        self._plane.launch(kernels.plane_gradients, points, [self._frames, self._weights, wp.float64(weight)], [out])
-        sums = wp.empty(len(points), dtype=wp.vec2d, device="cpu")
-        inputs = [*self._plane.mesh.vertex_corners, out.flatten()]
-        wp.launch(kernels.sum_at_vertices, dim=len(points), inputs=inputs, outputs=[sums], device="cpu")
+        plane, weights = self._plane, [self._frames, self._weights, wp.float64(weight)]
+        out, sums = plane.empty(wp.vec2d, plane.surface.face_count, 3), plane.empty(wp.vec2d, len(points))
+        plane.launch(kernels.plane_gradients, points, weights, [out])
+        plane.at_vertices(kernels.sum_at_vertices, [*plane.mesh.vertex_corners, out.flatten()], [sums])
         return sums
 
     def hessian(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
         """Return every triangle's Hessian without the areas' own curvature, shape [F, 21]."""
-        hessians = wp.empty((self._plane.surface.face_count, 21), dtype=wp.float64, device="cpu")
-        self._plane.launch(
-            kernels.plane_hessians, points, [self._frames, self._weights, wp.float64(weight)], [hessians]
-        )
+        hessians = self._plane.empty(wp.float64, self._plane.surface.face_count, 21)
+        weights = [self._frames, self._weights, wp.float64(weight)]
+        self._plane.launch(kernels.plane_hessians, points, weights, [hessians])
         return hessians
-
-
-def _kept(values: NDArray, dtype: type) -> wp.array:
-    return wp.array(np.ascontiguousarray(values, dtype=np.float64), dtype=dtype, device="cpu")

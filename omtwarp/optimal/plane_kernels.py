@@ -235,6 +235,41 @@ def plane_transport_gradient(
 
 
 @wp.kernel
+def plane_costs(
+    start: wp.array[wp.vec2d],
+    points: wp.array[wp.vec2d],
+    # Data out:
+    costs: wp.array[wp.float64],
+):
+    """Compute the squared distance that every vertex moves, shape [V]."""
+    v = wp.tid()
+    costs[v] = wp.length_sq(points[v] - start[v])
+
+
+@wp.kernel
+def taken_apart(
+    vectors: wp.array[wp.vec2d],
+    # Data out:
+    numbers: wp.array2d[wp.float64],
+):
+    """Write the two coordinates of every vector, shape [V, 2]."""
+    v = wp.tid()
+    numbers[v, 0] = vectors[v][0]
+    numbers[v, 1] = vectors[v][1]
+
+
+@wp.kernel
+def put_together(
+    numbers: wp.array2d[wp.float64],
+    # Data out:
+    vectors: wp.array[wp.vec2d],
+):
+    """Make a vector of every two coordinates, shape [V]."""
+    v = wp.tid()
+    vectors[v] = wp.vec2d(numbers[v, 0], numbers[v, 1])
+
+
+@wp.kernel
 def move_in_plane(
     points: wp.array[wp.vec2d],
     direction: wp.array[wp.vec2d],

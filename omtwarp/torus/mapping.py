@@ -34,6 +34,7 @@ def map_to_torus(
     optimality: bool = True,
     strict: bool = False,
     progress: Progress | None = None,
+    device: str | None = "auto",
 ) -> TorusMap:
     """Map a closed surface of genus 1 to a flat torus, areas around vertices kept, by optimal transport.
 
@@ -44,11 +45,12 @@ def map_to_torus(
         optimality: whether the distance from the optimum is measured.
         strict: whether a map whose areas are wrong is an error, in place of a warning.
         progress: called as ``progress(stage, done, total, details)``.
+        device: where the minimisation is.
 
     Raises:
         OmtwarpError: the mesh is too coarse, or no map without flips was found.
     """
-    run = _Run(surface, progress)
+    run = _Run(surface, progress, device)
     run.optimal(optimality)
     if exact:
         run.keep_every_area()
@@ -60,8 +62,8 @@ def map_to_torus(
 class _Run:
     """The maps of one surface, stage by stage."""
 
-    def __init__(self, surface: Surface, progress: Progress | None):
-        self.surface, self.progress = surface, progress
+    def __init__(self, surface: Surface, progress: Progress | None, device: str | None):
+        self.surface, self.progress, self.device = surface, progress, device
         self.clock = self.begin = time.perf_counter()
         self.origins: Origins | None = None
         self.history: list[Record] = []
@@ -87,9 +89,11 @@ class _Run:
     def optimal(self, measure: bool) -> None:
         """Find the discrete optimal map."""
         lattice = self.conformal.lattice
-        eased = eased_on_torus(self.surface, self.conformal, self.torus) @ np.linalg.inv(lattice)
+        eased = eased_on_torus(self.surface, self.conformal, self.torus, device=self.device) @ np.linalg.inv(lattice)
         start = replace(self.torus, coordinates=eased)
-        found, self.shape_weight = transport_on_torus(self.surface, self.conformal, start, progress=self.notify("omt"))
+        found, self.shape_weight = transport_on_torus(
+            self.surface, self.conformal, start, progress=self.notify("omt"), device=self.device
+        )
         self.largest_ring_error = found.history[-1]["ring_largest"]
         self.take("omt", found, {"largest_ring_error": self.largest_ring_error})
         if measure:
@@ -105,14 +109,18 @@ class _Run:
         self.surface = quartered.surface
         self.origins = quartered.origins
         self.conformal, self.torus = FlatTorus(x, wraps, lattice), FlatTorus(y, wraps, lattice)
-        found = exact_on_torus(quartered, self.conformal, y @ lattice, self.shape_weight, progress=self.notify("exact"))
+        found = exact_on_torus(
+            quartered, self.conformal, y @ lattice, self.shape_weight, progress=self.notify("exact"), device=self.device
+        )
         self.measured = None  # that was of the map before
         self.take("exact", found, {"largest_area_error": found.history[-1]["ring_largest"]})
 
     def refine(self, weight: AreaMatch | str | float) -> None:
         """Reduce the distortion of shape, at a higher cost."""
         points = self.torus.coordinates @ self.torus.lattice
-        found, used = refine_on_torus(self.surface, self.conformal, points, weight, progress=self.notify("refine"))
+        found, used = refine_on_torus(
+            self.surface, self.conformal, points, weight, progress=self.notify("refine"), device=self.device
+        )
         self.measured, self.shape_weight = None, 1.0
         self.take("refine", found, {"weight": used})
         wanted = parse_refinement(weight)

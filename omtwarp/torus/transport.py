@@ -12,7 +12,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.device.start import wp
+from omtwarp.device.policy import resolve_device
 from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.cells import Cells, MeasuredRings, RingCells, TriangleCells
@@ -46,6 +46,7 @@ def energy_on_torus(
     cells: Cells | None = None,
     cost_weight: float = 1.0,
     area_weight: float = AREA_WEIGHT,
+    device: str | None = "auto",
 ) -> TransportEnergy:
     """Return the energy of maps of a surface to a torus.
 
@@ -55,15 +56,21 @@ def energy_on_torus(
         start: x in the plane, shape [V, 2].
         shape_weight, cost_weight, area_weight: as of :class:`omtwarp.optimal.energy.TransportEnergy`.
         cells: whose areas are kept; the triangles around vertices by default.
+        device: where the map is.
     """
-    plane = Plane(surface, torus.wraps @ torus.lattice)
+    plane = Plane(surface, torus.wraps @ torus.lattice, resolve_device(device))
     kept = RingCells(surface, plane.device) if cells is None else cells
     cost, shape = PlaneCost(plane, start), PlaneShape(plane)
     return TransportEnergy(plane, kept, cost, shape, shape_weight, cost_weight, area_weight)
 
 
 def transport_on_torus(
-    surface: Surface, torus: FlatTorus, start: FlatTorus | None = None, *, progress: Report | None = None
+    surface: Surface,
+    torus: FlatTorus,
+    start: FlatTorus | None = None,
+    *,
+    progress: Report | None = None,
+    device: str | None = "auto",
 ) -> tuple[OptimalMap, float]:
     """Find the optimal map of a surface to a flat torus.
 
@@ -72,6 +79,7 @@ def transport_on_torus(
         torus: the conformal map, from which distances are measured; triangles may be turned over there.
         start: a map without flips to begin with; the conformal map by default.
         progress: called as ``progress(done, most, record)``.
+        device: where the map is.
 
     Returns:
         The map, whose areas are restored as one more record of its history, and the weight of its shape term.
@@ -83,7 +91,7 @@ def transport_on_torus(
     y = x if start is None else start.coordinates @ start.lattice
     masses = surface.vertex_areas / SPHERE_AREA
     y = y - masses @ (y - x)
-    energy = energy_on_torus(surface, torus, x, 1.0)
+    energy = energy_on_torus(surface, torus, x, 1.0, device=device)
     terms = energy.terms(energy.domain.sent(y))
     term = shape_term_by_law(energy.cost(terms) / SPHERE_AREA, terms.shape.angle + 2.0)
     energy.shape_weight, energy.area_weight = term.weight, term.area
@@ -96,7 +104,7 @@ def transport_on_torus(
     return replace(found, points=points, history=(*found.history, last)), term.weight
 
 
-def eased_on_torus(surface: Surface, torus: FlatTorus, start: FlatTorus) -> Floats:
+def eased_on_torus(surface: Surface, torus: FlatTorus, start: FlatTorus, *, device: str | None = "auto") -> Floats:
     """Move an embedding whose areas are wrong to one of well-shaped triangles, where the optimal map is near.
 
     Limbs that the conformal map shrinks to nothing have long thin triangles of wrong areas in the embedding. From
@@ -107,15 +115,16 @@ def eased_on_torus(surface: Surface, torus: FlatTorus, start: FlatTorus) -> Floa
         surface: of genus 1.
         torus: its conformal map.
         start: a map without flips.
+        device: where the map is.
 
     Returns:
         Points in the plane, shape [V, 2]; those of the start where its areas are nearly right.
     """
     points = start.coordinates @ start.lattice
-    energy = energy_on_torus(surface, torus, torus.coordinates @ torus.lattice, 1.0)
+    energy = energy_on_torus(surface, torus, torus.coordinates @ torus.lattice, 1.0, device=device)
     if energy.area_errors(energy.terms(energy.domain.sent(points)))[0] > UNEVEN:
         for weight in EASING_WEIGHTS:
-            points = refine_on_torus(surface, torus, points, weight)[0].points
+            points = refine_on_torus(surface, torus, points, weight, device=device)[0].points
     return points
 
 
@@ -126,6 +135,7 @@ def exact_on_torus(
     shape_weight: float,
     *,
     progress: Report | None = None,
+    device: str | None = "auto",
 ) -> OptimalMap:
     """Find the optimal map of a quartered surface, in which every triangle of the mesh keeps its area.
 
@@ -135,9 +145,10 @@ def exact_on_torus(
         points: a map without flips to begin with, shape [V, 2].
         shape_weight: weight of the distortion of the parts.
         progress: called as ``progress(done, most, record)``.
+        device: where the map is.
     """
-    start, cells = torus.coordinates @ torus.lattice, TriangleCells(quartered, wp.get_device("cpu"))
-    energy = energy_on_torus(quartered.surface, torus, start, shape_weight, cells=cells)
+    start, cells = torus.coordinates @ torus.lattice, TriangleCells(quartered, resolve_device(device))
+    energy = energy_on_torus(quartered.surface, torus, start, shape_weight, cells=cells, device=device)
     return minimise_cells(energy, points, gain=CELL_GAIN, iterations=ITERATIONS, progress=_shown(progress))
 
 
@@ -148,6 +159,7 @@ def refine_on_torus(
     weight: AreaMatch | str | float,
     *,
     progress: Report | None = None,
+    device: str | None = "auto",
 ) -> tuple[OptimalMap, float]:
     """Move a map to a minimum of angle plus λ times area distortion: see :mod:`omtwarp.optimal.refinement`.
 
@@ -157,6 +169,7 @@ def refine_on_torus(
         points: a map without flips, shape [V, 2].
         weight: λ, a name of one, or an area distortion to match.
         progress: called as ``progress(done, most, record)``.
+        device: where the map is.
 
     Returns:
         The minimum, and λ.
@@ -164,8 +177,9 @@ def refine_on_torus(
 
     def energy_of(value: float) -> TransportEnergy:
         start, weight = torus.coordinates @ torus.lattice, min(value, TRIANGLE_WEIGHT)
-        cells = None if value > TRIANGLE_WEIGHT else MeasuredRings(surface, wp.get_device("cpu"))
-        return energy_on_torus(surface, torus, start, 1.0, cells=cells, cost_weight=0.0, area_weight=weight)
+        cells = None if value > TRIANGLE_WEIGHT else MeasuredRings(surface, resolve_device(device))
+        weights = {"cost_weight": 0.0, "area_weight": weight}
+        return energy_on_torus(surface, torus, start, 1.0, cells=cells, **weights, device=device)
 
     def run(at: Floats, value: float) -> OptimalMap:
         penalty = 2.0 * max(value - TRIANGLE_WEIGHT, 0.0)

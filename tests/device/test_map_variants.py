@@ -81,7 +81,9 @@ def test_maps_of_an_open_surface(fake, domain):
     np.testing.assert_allclose(other.sphere, one.sphere, rtol=0.0, atol=1e-10)
 
 
-def test_a_map_to_the_torus(fake):
-    surface = rings(1, cell=0.2)
-    one, other = (omtwarp.map_surface(surface, device=where) for where in ("cpu", "cuda:0"))
+@pytest.mark.parametrize("options", [{}, {"exact": True}, {"refine": 10.0}, {"refine": "match:2.05"}], ids=str)
+def test_a_map_to_the_torus(fake, options):
+    surface = rings(1, cell=0.25)
+    one, other = (omtwarp.map_surface(surface, device=where, **options) for where in ("cpu", "cuda:0"))
     np.testing.assert_allclose(other.coordinates, one.coordinates, rtol=0.0, atol=1e-10)
+    assert any(place.startswith("omtwarp.optimal.plane") for place in fake.uploads)
