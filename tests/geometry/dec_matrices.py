@@ -6,11 +6,11 @@ import numpy as np
 from scipy import sparse
 
 from omtwarp.geometry import circumcentric_coordinates, corner_cotangents
-from omtwarp.geometry.operators import Array, _corner_points
-from omtwarp.mesh.arrays import TINY
+from omtwarp.geometry.operators import _corner_points
+from omtwarp.mesh.arrays import TINY, Floats
 
 
-def face_normals(vertices: np.ndarray, faces: np.ndarray) -> Array:
+def face_normals(vertices: np.ndarray, faces: np.ndarray) -> Floats:
     """Return the unit normal of every triangle, shape [F, 3], outward where faces run counter-clockwise.
 
     It is zero for a triangle without area.
@@ -31,7 +31,7 @@ def rotation_matrix(vertices: np.ndarray, faces: np.ndarray) -> sparse.csr_matri
     return sparse.csr_matrix((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=(size, size))
 
 
-def rotate(field: np.ndarray, normals: np.ndarray) -> Array:
+def rotate(field: np.ndarray, normals: np.ndarray) -> Floats:
     """Apply J to vectors: turn each by +90 degrees about its unit normal, n × v, shape [n, 3].
 
     On the sphere the normal at x is x itself, so J v = x × v (section 2.5).
@@ -39,7 +39,7 @@ def rotate(field: np.ndarray, normals: np.ndarray) -> Array:
     return np.cross(np.asarray(normals, dtype=np.float64), np.asarray(field, dtype=np.float64))
 
 
-def dual_edge_lengths(vertices: np.ndarray, faces: np.ndarray) -> Array:
+def dual_edge_lengths(vertices: np.ndarray, faces: np.ndarray) -> Floats:
     """Return the signed length of each dual edge inside each triangle, shape [F, 3] (appendix B, before equation 24).
 
     Column ``k`` belongs to the edge opposite corner ``k``: l_c = (c / 2) cot(gamma), the distance from the edge to the
@@ -52,7 +52,7 @@ def dual_edge_lengths(vertices: np.ndarray, faces: np.ndarray) -> Array:
     return 0.5 * lengths * corner_cotangents(vertices, faces)
 
 
-def circumcentres(vertices: np.ndarray, faces: np.ndarray) -> Array:
+def circumcentres(vertices: np.ndarray, faces: np.ndarray) -> Floats:
     """Return the circumcentre of every triangle, in its plane, shape [F, 3].
 
     They are the vertices of the dual mesh (section 4.3).
@@ -62,7 +62,7 @@ def circumcentres(vertices: np.ndarray, faces: np.ndarray) -> Array:
     return sum((weights[:, k, None] * p[k] for k in range(3)), np.zeros_like(p[0]))
 
 
-def _hat_gradients(vertices: np.ndarray, faces: np.ndarray) -> Array:
+def _hat_gradients(vertices: np.ndarray, faces: np.ndarray) -> Floats:
     """Return the gradients of the three hat functions of each triangle, shape [F, 3 corners, 3]."""
     _, _, p = _corner_points(vertices, faces)
     n = np.cross(p[1] - p[0], p[2] - p[0])
