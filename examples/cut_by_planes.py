@@ -37,14 +37,14 @@ def above(vertices: np.ndarray, faces: np.ndarray, height: float) -> tuple[np.nd
     return largest.vertices, largest.faces
 
 
-def area_distortion(result: omtwarp.SurfaceMap, count: int) -> float:
+def area_distortion(result: omtwarp.SurfaceMap, image: np.ndarray, count: int) -> float:
     """Mean of r + 1/r over the area of a surface of so many triangles, r the share of the image over that of the area.
 
     Areas on the sphere are those of flat triangles; parts of one triangle are added up.
     """
     sizes = [
         np.bincount(result.face_origin, triangle_areas(points, result.faces), count)
-        for points in (result.vertices, result.sphere)
+        for points in (result.vertices, image)
     ]
     own, image = (size / size.sum() for size in sizes)
     return float((own * (image / own + own / image)).sum())
@@ -80,8 +80,11 @@ def main() -> int:
                 print(f"{row} refused: {error} |", flush=True)
                 continue
             seconds = time.process_time() - begun
-            measured, rim = result.distortion(), boundary_loops(result.faces, len(result.vertices))
-            area = area_distortion(result, len(piece[1]))
+            flat = options.domain == "disk"
+            measured = result.distortion("disk" if flat else "sphere")
+            rim = boundary_loops(result.faces, len(result.vertices))
+            image = np.pad(result.disk, ((0, 0), (0, 1))) if flat else result.sphere
+            area = area_distortion(result, image, len(piece[1]))
             off_circle = min(np.ptp(result.sphere[loop, 2]) for loop in rim)  # smaller holes are filled
             wrong = measured.flips or not result.certificate.bijective or off_circle > ON_CIRCLE
             failed += bool(wrong)
