@@ -28,8 +28,6 @@ TOLERANCE = 1e-13  # on the length of the mean of the points: some hundred times
 MAXIMUM_STEPS = 100  # at most; Newton's method needs few where there is a centre
 # With 0.5 and 0.9 the map of a creature has the same bits.
 MAX_CENTRE = 0.7  # of the ball's radius: Newton's centre can lie outside the ball, where there is no transformation
-MIN_CENTRE = 1e-16  # a step halved to less than this moves nothing in float64
-FULL_STEP_MEAN = 1e-10  # below this size of the mean the decrease is lost in round-off: full steps are taken
 
 
 @wp.func
@@ -214,10 +212,11 @@ def centre_points(
         while True:
             wp.launch(apply_ball_inversion, dim=len(points), inputs=[points, wp.vec3d(*centre), moved], device=where)
             new_mean = means.of(moved)
-            if np.linalg.norm(new_mean) < size or size < FULL_STEP_MEAN:
+            # Of a smaller mean the decrease is lost in round-off: full steps are taken.
+            if np.linalg.norm(new_mean) < size or size < 1e-10:
                 break
             centre *= 0.5
-            if np.linalg.norm(centre) < MIN_CENTRE:
+            if np.linalg.norm(centre) < 1e-16:  # which moves nothing in float64
                 raise OmtwarpError("Möbius centring stalled: the conformal map crowds half of the surface into a point")
         if np.linalg.norm(new_mean) >= size:
             return points.numpy().copy(), step  # at round-off

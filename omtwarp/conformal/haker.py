@@ -24,8 +24,6 @@ from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.options import Progress, Record
 from omtwarp.solvers.poisson import EdgeLaplacianSolver, PoissonSolver, cotangent_solver, solve_arrays
 
-EQUAL_REGULARITY = 1e-9  # relative: faces that differ by less are equally regular but for rounding
-
 
 @dataclass(frozen=True)
 class ConformalMap:
@@ -134,7 +132,8 @@ def most_regular_face(points: NDArray[np.float64], faces: NDArray[np.int32]) -> 
     p0, p1, p2 = (points[faces[:, k]] for k in range(3))
     squares = ((p1 - p0) ** 2).sum(1) + ((p2 - p1) ** 2).sum(1) + ((p0 - p2) ** 2).sum(1)
     regularity = triangle_areas(points, faces) / squares
-    best = np.flatnonzero(regularity >= (1.0 - EQUAL_REGULARITY) * regularity.max())
+    # Faces that differ by less are equally regular but for rounding.
+    best = np.flatnonzero(regularity >= (1.0 - 1e-9) * regularity.max())
     return int(best[np.argmax((p0 + p1 + p2)[best] @ OBLIQUE)])
 
 

@@ -37,7 +37,6 @@ from omtwarp.options import Progress, Record
 from omtwarp.solvers.poisson import PoissonSolver, edge_laplacian
 
 STEPS = 60  # most steps
-SHORTEST = 2.0**-10  # share of a step below which none lowers the energy
 GAIN = 1e-13  # relative to the energy: a step that is expected to gain less is not taken
 
 
@@ -111,7 +110,7 @@ def harmonic_points(
             direction = conjugate if float((conjugate * slope).sum()) < 0.0 else direction
         curvature = energy.curvature(sphere, pull, direction)
         length = -float((direction * slope).sum()) / curvature if curvature > 0.0 else 1.0
-        shortest, moved = SHORTEST * length, None
+        shortest, moved = 2.0**-10 * length, None  # below this share of a step none lowers the energy
         while length >= shortest:
             moved = _centred(normalised(sphere + length * direction), masses, device)
             if moved is not None and (lower := energy.value(moved)) < value:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from enum import IntEnum
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,14 @@ from omtwarp.mesh.arrays import single_precision
 from omtwarp.mesh.neuro import FREESURFER_SUFFIXES, write_freesurfer_surface, write_gifti_surface
 from omtwarp.mesh.vtk import write_vtk
 
-ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963  # targets of glTF 2.0, by OpenGL's numbers
+
+class Target(IntEnum):
+    """What a view of a buffer is for in glTF 2.0, by OpenGL's numbers."""
+
+    ARRAY_BUFFER = 34962
+    ELEMENT_ARRAY_BUFFER = 34963
+
+
 SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb", ".gii", ".vtk", *FREESURFER_SUFFIXES)
 
 
@@ -94,8 +102,8 @@ def _name_targets(document: dict) -> None:
     """Add to a glTF file of trimesh's what its views of the buffer are for, which readers would otherwise infer."""
     for mesh in document["meshes"]:
         for primitive in mesh["primitives"]:
-            uses = [(number, ARRAY_BUFFER) for number in primitive["attributes"].values()]
-            for number, target in [*uses, (primitive["indices"], ELEMENT_ARRAY_BUFFER)]:
+            uses = [(number, Target.ARRAY_BUFFER) for number in primitive["attributes"].values()]
+            for number, target in [*uses, (primitive["indices"], Target.ELEMENT_ARRAY_BUFFER)]:
                 document["bufferViews"][document["accessors"][number]["bufferView"]]["target"] = target
 
 

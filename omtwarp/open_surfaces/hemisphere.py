@@ -14,8 +14,6 @@ from omtwarp.options import Progress
 from omtwarp.topology.doubling import Double
 from omtwarp.untangling.untangle import RepairBudget, untangle
 
-ROUNDS = 4  # of repair after symmetrising; one was enough on every surface tried
-
 
 def mirror_frame(double: Double, sphere: Floats, masses: Floats) -> Floats:
     """Find the rotation that brings a nearly symmetric map's plane of symmetry to the equator, the surface north of it.
@@ -84,7 +82,7 @@ def symmetric_map(
     if not repair:
         return None
     image = symmetrised(double, sphere)
-    for _ in range(ROUNDS):
+    for _ in range(4):  # rounds of repair; one was enough on every surface tried
         untangled = untangle(surface, image, budget=budget, device=device).sphere
         if not is_bijective(untangled, surface.faces, device=device):
             return None

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.output import as_path, companion, staged
 from omtwarp.mesh.arrays import Bytes, Floats, Ints, single_precision
-from omtwarp.mesh.write import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER
+from omtwarp.mesh.write import Target
 from omtwarp.options import TextureFormat
 from omtwarp.texturing.image import png_bytes, webp_bytes
 from omtwarp.texturing.materials import Material, linear
@@ -194,7 +194,9 @@ class GltfFile:
         indices = array.dtype == np.uint32
         unsigned_int, floats = 5125, 5126  # numbers of OpenGL
         entry: dict[str, object] = {
-            "bufferView": self._view(array.tobytes(), target=ELEMENT_ARRAY_BUFFER if indices else ARRAY_BUFFER),
+            "bufferView": self._view(
+                array.tobytes(), target=Target.ELEMENT_ARRAY_BUFFER if indices else Target.ARRAY_BUFFER
+            ),
             "componentType": unsigned_int if indices else floats,
             "count": len(array),
             "type": KINDS[1 if array.ndim == 1 else array.shape[1]],

@@ -26,8 +26,6 @@ from omtwarp.solvers.mesh_factor import MeshFactor, surface_factor
 from omtwarp.torus.optimality_kernels import best_images, build_plane_nodes, vec7d
 
 NARROWEST = 1e-3  # of an edge's lengths and of the median interval: turned triangles make empty ones
-# Relative: makes the Laplacian definite, whose kernel is the constants; a vertex that is held takes those out.
-REGULARISATION = 1e-12
 
 
 @dataclass(frozen=True)
@@ -94,8 +92,8 @@ def _edge_ends(surface: Surface, shift: Floats) -> tuple[NDArray[np.int64], NDAr
 
 
 def _factorise(factor: MeshFactor, diagonal: Floats, off_diagonal: Floats) -> None:
-    """Factorise a graph Laplacian with one vertex fixed."""
-    held = diagonal * (1.0 + REGULARISATION)
+    """Factorise a graph Laplacian with one vertex fixed, which takes the constants out, and made definite."""
+    held = diagonal * (1.0 + 1e-12)
     held[0] *= 2.0
     factor.factorise(held, off_diagonal)
 

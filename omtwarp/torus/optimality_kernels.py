@@ -13,7 +13,6 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 # Of a node: a slope, the least value of U less the slope, and the least and the largest coordinate along both axes.
 vec7d = wp.types.vector(length=7, dtype=wp.float64)
-SLACK = wp.constant(wp.float64(1.0e-14))  # that rounding may add to a bound
 
 
 @wp.func
@@ -114,7 +113,7 @@ def best_images(
                 bound = own + model[2] + wp.min(dx * model[3], dx * model[4]) + wp.min(dy * model[5], dy * model[6])
                 inside = bound < best - tolerance
                 if not inside:
-                    relied = wp.min(relied, bound - SLACK)
+                    relied = wp.min(relied, bound - wp.float64(1.0e-14))  # that rounding may add
             if inside and node < leaf_count:
                 node = 2 * node
             else:

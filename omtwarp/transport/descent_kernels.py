@@ -8,9 +8,6 @@ from omtwarp.geometry.spherical import TINY
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-SUFFICIENT_DECREASE = wp.constant(wp.float64(0.1))  # share of the gain by the slope that a step has to reach (Armijo)
-AREA_HALVINGS = wp.constant(3)  # of a step that loses too much area, at most
-
 
 class Ending(IntEnum):
     """Why a descent ended; 0 while it goes on."""
@@ -182,12 +179,13 @@ def judge_step(
         best = -s.slope / (TWO * bend)
     s.trials = s.trials + 1
     over = int(0)
-    if cost <= s.cost + SUFFICIENT_DECREASE * s.slope * s.step:
+    # A step has to reach this share of the gain by the slope (Armijo).
+    if cost <= s.cost + wp.float64(0.1) * s.slope * s.step:
         s.area_error = column_sum(measured, 1) / total_area
         if s.area_error <= s.largest_error + s.area_price * (ONE - cost / s.first_cost):
             s.accepted = 1
             over = 1
-        elif s.shortened == AREA_HALVINGS:
+        elif s.shortened == 3:  # steps that lose too much area are halved so often
             over = 1
         else:
             # The area error of a step grows with the square of its length, the gain with the length.
