@@ -5,18 +5,23 @@ from __future__ import annotations
 import atexit
 import gc
 import os
+import re
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import AbstractContextManager
+from functools import partial
+from pathlib import Path
+from typing import Protocol, cast
 
 import typer
 
 import omtwarp
 from omtwarp.commands import function_of
-from omtwarp.commands._command import Command, Group
-from omtwarp.commands._options import as_command, sections
+from omtwarp.commands._options import OUTPUTS, as_command, sections
 from omtwarp.commands._streams import say, standard_streams, warnings_as_lines
 from omtwarp.errors import INTERRUPTED, OmtwarpError, unexpected
 from omtwarp.files.interruptions import LINE, ending_the_process
+from omtwarp.files.output import keeping
 
 SUMMARIES = {
     "map": "Map surfaces to the sphere, with their areas preserved.",
@@ -38,6 +43,191 @@ SUMMARIES = {
     "benchmark": "Time every stage and its memory on meshes of several sizes.",
 }
 """One line about every command, short enough for a terminal of 80 columns; each is ``run`` in a module of its name."""
+
+GROUPS = {
+    "Input": (
+        "finished", "map_of_source", "map_of_target", "surface", "to_surface", "data", "labels", "feature",
+        "to_feature", "landmarks", "sizes", "shapes", "subdivisions", "faces", "smoothing", "covariate",
+    ),
+    "Output": (
+        "output", "report", "json_output", "as_json", "quiet", "verbose", "title", "beside", "radius", "sphere",
+        "matrix", "reconstruction", "strain", "force", "before", "film",
+    ),
+    "Map": (
+        "method", "until", "cost", "scheme", "refine", "exact", "weights", "weights_at", "density", "target_floor",
+        "optimality",
+    ),
+    "Holes, handles, parts": (
+        "hemisphere", "disk", "cap", "fill_area", "components", "together", "cut", "cut_along", "torus",
+    ),
+    "Method": (
+        "to", "by", "aligned", "mirror", "grid", "degree", "scale", "fit", "permutations", "seed", "transport",
+        "resample method", "group components", "stiffness", "max_strain", "feature_weight", "keep_areas",
+        "group", "sequence", "rounds", "register",
+    ),
+    "Texture": (
+        "image", "pattern", "projection", "atlas", "rotate", "seam", "uv", "keep_materials", "opacity", "bake",
+        "detail", "aspect", "margin", "texture_format", "texture size", "transfer size",
+    ),
+    "View": (
+        "size", "view", "zoom", "field_of_view", "up", "front", "light", "background", "transparent", "wireframe",
+        "frames", "fps", "seconds", "captions", "backend", "preview projection",
+    ),
+    "Computation": (
+        "device", "devices", "solver", "repair", "strict", "executor", "workers", "shard", "time_limit", "memory_limit",
+        "retry", "collect", "repeats", "kernels", "cold",
+    ),
+}  # fmt: skip
+"""Options by the heading that help shows them under; others are shown last."""
+
+_USUAL = object()  # in place of a value that typer is to read
+
+
+class Formatter(Protocol):
+    """A writer of help: click's ``HelpFormatter``, of which typer has a copy of its own in some versions."""
+
+    current_indent: int
+
+    def section(self, name: str) -> AbstractContextManager[None]:
+        """Begin a section."""
+
+    def write_dl(self, rows: Sequence[tuple[str, str]]) -> None:
+        """Write names and their descriptions."""
+
+    def write(self, string: str) -> None:
+        """Write a text."""
+
+
+class Parameter(Protocol):
+    """An option or argument of a command, as newer versions of typer have them."""
+
+    default: object
+    required: bool
+    multiple: bool
+    nargs: int
+    callback: Callable[[object, Parameter, object], object] | None
+
+    def process_value(self, ctx: object, value: object) -> object:
+        """Convert a value, check it and call the parameter's callback."""
+
+
+class Group(typer.core.TyperGroup):
+    """The commands, whose common options are read as those of :class:`Command`."""
+
+    def parse_args(self, ctx: object, args: list[str]) -> list[str]:
+        """Read the arguments; return those of the command."""
+        _read_plainly(self.get_params(cast(typer.Context, ctx)))
+        return super().parse_args(cast(typer.Context, ctx), args)
+
+
+class Command(typer.core.TyperCommand):
+    """A command whose help has groups of options, and whose epilog is examples, one a line."""
+
+    def format_options(self, ctx: object, formatter: Formatter) -> None:
+        """Write arguments, then the groups of options."""
+        context = cast(typer.Context, ctx)
+        rows: dict[str, list[tuple[str, str]]] = {}
+        for parameter in self.get_params(context):
+            record = parameter.get_help_record(context)
+            if record is not None:
+                record = _plain(record[0]), record[1]
+                heading = heading_of(str(self.name), str(parameter.name))
+                rows.setdefault("Arguments" if parameter.param_type_name == "argument" else heading, []).append(record)
+        for heading in ("Arguments", *GROUPS, "Other"):
+            if heading in rows:
+                with formatter.section(heading):
+                    formatter.write_dl(rows[heading])
+
+    def parse_args(self, ctx: object, args: list[str]) -> list[str]:
+        """Read the arguments; an error says what is wrong, without the name of a Python exception."""
+        _read_plainly(self.get_params(cast(typer.Context, ctx)))
+        try:
+            return super().parse_args(cast(typer.Context, ctx), args)
+        except typer.BadParameter as error:
+            error.message = error.message.removeprefix("Value error, ")
+            raise
+
+    def invoke(self, ctx: object) -> object:
+        """Run the command, which replaces nothing that it reads."""
+        given = cast(typer.Context, ctx).params
+        inputs = (path for name, value in given.items() if name not in OUTPUTS for path in _named_files(value))
+        with keeping(inputs, force=bool(given.get("force"))):
+            return super().invoke(cast(typer.Context, ctx))
+
+    def collect_usage_pieces(self, ctx: object) -> list[str]:
+        """Return the words of the usage line; names of arguments that are needed stand without braces."""
+        pieces = super().collect_usage_pieces(cast(typer.Context, ctx))
+        return [re.sub(r"^\{(.*)\}(\.*)$", r"\1\2", piece) for piece in pieces]
+
+    def format_epilog(self, ctx: object, formatter: Formatter) -> None:
+        """Write the examples."""
+        if self.epilog:
+            with formatter.section("Examples"):
+                for line in self.epilog.splitlines():
+                    formatter.write(f"{'':{formatter.current_indent}}{line}\n")
+
+
+def _named_files(value: object) -> list[Path]:
+    """Return the files that an option or argument names."""
+    values = value if isinstance(value, list | tuple) else [value]
+    paths = [Path(one) for one in values if isinstance(one, str | Path) and "\0" not in str(one)]
+    return [path for path in paths if _is_file(path)]
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # a text that is too long for a name
+        return False
+
+
+def _read_plainly(parameters: Sequence[object]) -> None:
+    """Read values that need no check without typer's checkers of types.
+
+    For these it imports pydantic and builds one for every option: a tenth of a second at the start of each command.
+    """
+    for parameter in cast(Sequence[Parameter], parameters):
+        if not isinstance(vars(parameter).get("process_value"), partial):
+            vars(parameter)["process_value"] = partial(_processed, parameter, parameter.process_value)
+
+
+def _processed(parameter: Parameter, usual: Callable[[object, object], object], ctx: object, value: object) -> object:
+    """Return a parameter's value: defaults as they are, paths and texts at once, and others as typer reads them."""
+    kind = getattr(getattr(parameter, "type_descriptor", None), "annotation", None)
+    options = getattr(getattr(parameter, "type_descriptor", None), "parameter_info", None)
+    missing = parameter.required and value in (None, (), [])
+    if kind is None or missing or getattr(options, "exists", True):
+        return usual(ctx, value)
+    many, parser = parameter.multiple or parameter.nargs == -1, getattr(options, "parser", None)
+    readings: list[tuple[bool, Callable[[], object]]] = [
+        (value is None, lambda: () if many else None),
+        (value is parameter.default, lambda: value),
+        (parser is not None, lambda: _USUAL),
+        (kind is Path and isinstance(value, str), lambda: Path(str(value))),
+        (kind == list[Path] and many, lambda: [Path(str(one)) for one in cast(Sequence[str], value)]),
+        (kind is str and isinstance(value, str), lambda: value),
+    ]
+    known = next((read() for fits, read in readings if fits), _USUAL)
+    if known is _USUAL:
+        return usual(ctx, value)
+    return known if parameter.callback is None else parameter.callback(ctx, parameter, known)
+
+
+def heading_of(command: str, option: str) -> str:
+    """Return the heading of an option of a command: the command's own, or the one it has everywhere."""
+    for name in (f"{command} {option}", option):
+        for heading, members in GROUPS.items():
+            if name in members:
+                return heading
+    return "Other"
+
+
+def _plain(usage: str) -> str:
+    """Replace Python's names of types in an option's help: choices by their values, others by NUMBER and TEXT."""
+    usage = re.sub(r"(?<=[A-Z.\]]) <[^<>]*>$", "", usage)  # of an argument, which has its name
+    usage = re.sub(r"<(?:float|int)(?: range)?>$", "NUMBER", usage)
+    usage = re.sub(r"<(?:str|text)>$", "TEXT", usage)
+    return re.sub(r"<([^<>]*\|[^<>]*)>$", r"\1", usage)
 
 
 def _show_version(wanted: bool) -> None:

@@ -15,12 +15,14 @@ from typing import Annotated, TypeVar, cast, get_args, get_origin, get_type_hint
 import typer
 from typer.models import OptionInfo, ParameterInfo
 
-from omtwarp.commands._command import OUTPUTS
 from omtwarp.commands._streams import input_file, output_file
 from omtwarp.errors import Kind, OmtwarpError, choose
 from omtwarp.options import MapOptions, Option, PatternName
 
 Value = TypeVar("Value")
+
+OUTPUTS = ("output", "report", "sphere", "matrix", "reconstruction", "strain", "json_output", "title")
+"""Options that name no input; a title may be the name of a file."""
 
 
 def usage(parse: Callable[[str], Value]) -> Callable[[str], Value]:
@@ -144,9 +146,9 @@ def as_command(run: Callable[..., None]) -> Callable[..., None]:
     return command
 
 
-def picture_size(text: str) -> str:
-    """Check the value of --size: WIDTHxHEIGHT, or one number for both; return it unchanged."""
-    if not re.fullmatch(r"0*[1-9][0-9]{0,5}(x0*[1-9][0-9]{0,5})?", text.lower(), flags=re.ASCII):
+def picture_size(text: str | None) -> str | None:
+    """Check the value of --size: WIDTHxHEIGHT, or one number for both, where it is given; return it unchanged."""
+    if text is not None and not re.fullmatch(r"0*[1-9][0-9]{0,5}(x0*[1-9][0-9]{0,5})?", text.lower(), flags=re.ASCII):
         raise typer.BadParameter(f"'{text}' is not a size: use WIDTHxHEIGHT, such as 1024x768, or one number")
     return text
 

@@ -311,9 +311,8 @@ def _bars(quiet: bool) -> Iterator[Progress | None]:
         def report(stage: str, done: int, total: int, info: Record) -> None:
             if stage not in tasks:
                 tasks[stage] = bars.add_task(stage, total=total or None, words="")
-            words = " ".join(
-                _word(name, info[name]) for name in ("cost", "flips", "area", "angle", "gap") if name in info
-            )
+            shown = {name: info[name] for name in ("cost", "flips", "area", "angle", "gap") if name in info}
+            words = " ".join(f"{k} {v:.5g}" if isinstance(v, float) else f"{k} {v}" for k, v in shown.items())
             bars.update(tasks[stage], completed=done, total=total or None, words=words)
 
         yield report
@@ -327,7 +326,3 @@ def steps(progress: Progress | None, stage: str, total: int) -> Callable[[int], 
             progress(stage, done, total, {})
 
     return notify
-
-
-def _word(name: str, value: object) -> str:
-    return f"{name} {value:.5g}" if isinstance(value, float) else f"{name} {value}"

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Protocol, cast, runtime_checkable
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
@@ -369,19 +369,11 @@ def report_text(report: object) -> str:
             return {str(name): plain(entry) for name, entry in value.items()}
         if isinstance(value, list | tuple):
             return [plain(entry) for entry in value]
-        if isinstance(value, HasList):
+        if hasattr(value, "tolist"):  # an array or number of NumPy
             return plain(value.tolist())
         return None if isinstance(value, float) and not math.isfinite(value) else value
 
     return json.dumps(plain(report), indent=1, allow_nan=False) + "\n"
-
-
-@runtime_checkable
-class HasList(Protocol):
-    """An array or number of NumPy, which has the method ``tolist``."""
-
-    def tolist(self) -> object:
-        """Return the values as Python's own numbers and lists."""
 
 
 def make_map(

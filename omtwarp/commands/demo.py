@@ -48,9 +48,10 @@ def run(
 
 def _make(output: Path, faces: int, device: str, printing: Printing) -> None:
     """Make the files of the demo; arguments are those of the command."""
-    picture_width = 2048  # texels around the sphere, as textures have by default
     from omtwarp.mesh.shapes import demo_shape
     from omtwarp.mesh.write import write_mesh
+    from omtwarp.render import comparison, preview
+    from omtwarp.texturing import rasterize, texture
 
     files = [check_output(output / name) for name in NAMES]
     mesh_file, map_file, report_file, model_file, globe_file, circles_file, comparison_file = files
@@ -59,9 +60,6 @@ def _make(output: Path, faces: int, device: str, printing: Printing) -> None:
     def notify(text: str) -> None:
         if not printing.quiet and not printing.as_json:
             print(f"{time.perf_counter() - start:6.1f} s  {text}", flush=True)
-
-    from omtwarp.render import comparison, preview
-    from omtwarp.texturing import rasterize, texture
 
     surface = demo_shape(faces)
     write_mesh(mesh_file, surface.vertices, surface.faces)
@@ -82,7 +80,7 @@ def _make(output: Path, faces: int, device: str, printing: Printing) -> None:
     for file_to_be, textured in ((globe_file, globe), (circles_file, circles)):
         preview(textured.trimesh(), file_to_be, up=UP, front=FRONT, views=VIEW, device=device)
         notify(f"{file_to_be}")
-    circles_picture = rasterize("circles", picture_width, device=device)
+    circles_picture = rasterize("circles", 2048, device=device)
     comparison(result, comparison_file, image=circles_picture, up=UP, front=FRONT, views=VIEW, device=device)
     notify(f"{comparison_file}: the conformal and the area-preserving map")
     if printing.as_json:

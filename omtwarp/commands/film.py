@@ -17,11 +17,6 @@ from omtwarp.options import Backend, MapOptions
 FILMS = (".mp4", ".gif", ".webp")
 
 
-def film_size(text: str | None) -> str | None:
-    """Check the value of --size where one is given; return it unchanged."""
-    return None if text is None else picture_size(text)
-
-
 @dataclass(frozen=True)
 class Look:
     """How a film shows a map: options of :func:`omtwarp.film`, by their names there.
@@ -52,7 +47,7 @@ def run(
     output: Annotated[Path, output_option(".gif")],
     source: Source,
     shown: Shown,
-    size: Annotated[str | None, typer.Option(metavar="WIDTHxHEIGHT", callback=film_size)] = None,
+    size: Annotated[str | None, typer.Option(metavar="WIDTHxHEIGHT", callback=picture_size)] = None,
     look: Look,
     mapping: Annotated[MapOptions, Only(name for name in ROUTE if name != "until")],
     printing: Printing,

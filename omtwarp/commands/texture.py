@@ -293,10 +293,9 @@ def _pictures(made: PaintedMesh) -> list[dict[str, str | int]]:
     """List the pictures of a mesh's materials: the material, what the picture shows, and its size."""
     pictures: list[dict[str, str | int]] = []
     for material in made.materials:
-        for slot in ("picture", "occlusion_picture", "normal_picture"):
-            picture = getattr(material, slot)
+        shown = (material.picture, material.occlusion_picture, material.normal_picture)
+        for name, picture in zip(("colour", "occlusion", "normals"), shown, strict=True):
             if picture is not None:
-                name = {"picture": "colour", "occlusion_picture": "occlusion", "normal_picture": "normals"}[slot]
                 height, width = picture.shape[:2]
                 pictures.append({"material": material.name, "what": name, "width": width, "height": height})
     return pictures

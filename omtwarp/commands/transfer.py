@@ -71,6 +71,4 @@ def run(
     files = made.export(output, keep=(source, target, map_of_source, map_of_target))
     facts: dict[str, object] = {"output": str(output), "files": [str(file) for file in files], "from": str(source)}
     facts |= {"vertices": len(other.vertices), "faces": len(other.faces)}
-    line = f"{output}: {sizes(other)}, with the texture of {source}"
-    line += with_files(files)
-    show_facts(facts, line, printing)
+    show_facts(facts, f"{output}: {sizes(other)}, with the texture of {source}{with_files(files)}", printing)

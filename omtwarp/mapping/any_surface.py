@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.policy import resolve_device, solving_with
 from omtwarp.errors import OmtwarpError
-from omtwarp.geometry.lambert import disk_to_cap, from_gnomonic, hemisphere_to_disk, to_gnomonic
 from omtwarp.geometry.space_order import in_space_order
 from omtwarp.mapping.joined import in_input_order, joined, torus_in_input_order
 from omtwarp.mapping.pipeline import map_double, map_to_sphere
@@ -27,9 +26,9 @@ from omtwarp.mesh.quarter import PARTS, quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.mesh.validate import unit_coordinates
 from omtwarp.metrics.distortion import measure_triangles
+from omtwarp.open_surfaces.caps import disk_to_cap, from_gnomonic, hemisphere_to_disk, pack_caps, to_gnomonic
 from omtwarp.open_surfaces.exact_areas import Quartered, exact_in_plane, exact_on_cap, shares_of_polygons
 from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetric_map
-from omtwarp.open_surfaces.packing import pack_caps
 from omtwarp.open_surfaces.planar import match_in_plane, untangle_in_plane, untangle_on_sphere, untangle_patches_on_cap
 from omtwarp.optimal.refinement import refinement_weight
 from omtwarp.options import (

@@ -21,9 +21,9 @@ from scipy.optimize import brentq
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError
-from omtwarp.geometry.lambert import disk_to_cap
 from omtwarp.mesh.quarter import PARTS
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, plane_areas
+from omtwarp.open_surfaces.caps import disk_to_cap
 from omtwarp.optimal.held import HeldEnergy, HeldSphere
 from omtwarp.optimal.plane import Plane, PlaneCost, PlaneShape
 from omtwarp.optimal.restoration import restore_areas

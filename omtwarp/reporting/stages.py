@@ -9,11 +9,11 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.geometry.lambert import disk_to_cap
 from omtwarp.maps.result import MapReport, MapResult, StageReport
 from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.metrics.distortion import Distortion
+from omtwarp.open_surfaces.caps import disk_to_cap
 from omtwarp.options import Domain, Record
 from omtwarp.render.camera import Camera, camera_axes
 from omtwarp.render.films import domain_name, domains_of, fits_of, placed_on

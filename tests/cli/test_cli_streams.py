@@ -16,8 +16,7 @@ import trimesh
 import typer
 
 from omtwarp.commands import function_of
-from omtwarp.commands._cli import SUMMARIES, app_of, main
-from omtwarp.commands._command import heading_of
+from omtwarp.commands._cli import SUMMARIES, app_of, heading_of, main
 from omtwarp.commands._options import sections
 from omtwarp.files.output import PREFIX
 from omtwarp.maps.result import MapResult
@@ -311,7 +310,7 @@ def test_values_are_those_that_typer_reads(folder, monkeypatch):
         parent = group.make_context("omtwarp", [], resilient_parsing=True)
         words = [shlex.split(line)[1:] for line in lines if line.split()[0] == "omtwarp"]
         found.append([parsed(group, parent, some) for some in words])
-        monkeypatch.setattr("omtwarp.commands._command._read_plainly", lambda parameters: None)
+        monkeypatch.setattr("omtwarp.commands._cli._read_plainly", lambda parameters: None)
     assert found[0] == found[1] and len(found[0]) > 40
 
 

@@ -8,8 +8,8 @@ from plane_truths import round_disk
 
 import omtwarp
 from omtwarp.flips.predicates import flipped_faces
-from omtwarp.geometry.lambert import disk_to_cap
 from omtwarp.mesh.surface import plane_areas
+from omtwarp.open_surfaces.caps import disk_to_cap
 from omtwarp.open_surfaces.exact_areas import Quartered, exact_in_plane, exact_on_cap
 from omtwarp.open_surfaces.planar import flipped_in_plane
 from omtwarp.spheres import triangle_solid_angles

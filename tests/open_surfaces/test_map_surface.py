@@ -8,10 +8,16 @@ from plane_truths import round_disk
 
 import omtwarp
 from omtwarp.flips.predicates import count_flips, flipped_faces
-from omtwarp.geometry.lambert import disk_to_cap, from_gnomonic, hemisphere_to_disk, to_gnomonic
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import Surface, plane_areas, triangle_areas
-from omtwarp.open_surfaces.packing import cap_radius, pack_caps
+from omtwarp.open_surfaces.caps import (
+    cap_radius,
+    disk_to_cap,
+    from_gnomonic,
+    hemisphere_to_disk,
+    pack_caps,
+    to_gnomonic,
+)
 from omtwarp.open_surfaces.planar import flipped_in_plane, untangle_in_plane, untangle_on_sphere
 from omtwarp.topology.kind import boundary_half_edges, boundary_loops, parts_of
 
