@@ -12,11 +12,10 @@ geodesic cost from the same map:
   more: farther from optimal, where multiresolution can make a difference.
 
 The three are ``plain`` (equation 12: H is the curl itself, in the space the mesh resolves), ``paper`` (Algorithms 1 and
-2 with the V-cycle 1, 2, 3, 4, 5, 4, 3, 2, 1) and ``default`` (the curl preconditioned in the wavelet basis, conjugate
-directions, and the last rounds on the image mesh). Every flow ends where areas would no longer be kept. "Within 1 %" is
+2 with the V-cycle 1, 2, 3, 4, 5, 4, 3, 2, 1) and ``default`` (the curl preconditioned in the wavelet basis, and
+conjugate directions). Every flow ends where areas would no longer be kept. "Within 1 %" is
 given twice: of the final cost itself, which Moser's map often reaches at the start, and of the possible gain. The
-final cost is that of the default, whose maps are within a few parts in ten thousand of a lower bound where the mesh
-allows (``paper_tables.py --optimality``); a flow that ends below it has lost area.
+final cost is that of the default flow; one that ends below it has lost area.
 """
 
 from __future__ import annotations
@@ -34,7 +33,6 @@ from omtwarp.flips.predicates import count_flips
 from omtwarp.metrics import distortion
 from omtwarp.transport.flow import optimal_transport
 from omtwarp.transport.paper import paper_flow
-from omtwarp.transport.polish import polish_transport
 
 SCHEMES = ("plain", "paper", "default")
 COLORS = {"plain": "#2f5d73", "paper": "#d6a037", "default": "#c2183a"}
@@ -119,12 +117,8 @@ def run(
         moved = optimal_transport(
             surface, initial, start=start, scheme=scheme, iterations=limit, device=device, progress=tick
         )
-        history, sphere = moved.history, moved.sphere
-        if scheme == "default":
-            polished = polish_transport(surface, sphere, start=start, device=device, progress=tick)
-            history, sphere = history + polished.history[1:], polished.sphere
-            del clock[len(moved.history)]  # the state between the two, recorded twice
-        costs, seconds = np.array([entry["cost"] for entry in history]), np.array(clock) - begun
+        sphere = moved.sphere
+        costs, seconds = np.array([entry["cost"] for entry in moved.history]), np.array(clock) - begun
     before, after = (distortion(surface, y).area["sphere"] for y in (initial, sphere))
     print(f"  {label}, {scheme}: {len(costs) - 1} iterations, cost {costs[0]:.6g} -> {costs[-1]:.6g}", flush=True)
     out = {"mesh": name, "vertices": surface.vertex_count, "start": label, "scheme": scheme}

@@ -44,7 +44,6 @@ HEAVY_ROOMS = {
         "omtwarp.moser",
         "omtwarp.transport.flow",
         "omtwarp.transport.paper",
-        "omtwarp.transport.polish",
     },
     "omtwarp.optimal": {"omtwarp.start.hierarchical"},
     "omtwarp.start": {"omtwarp.start.hierarchical"},

@@ -10,7 +10,6 @@ import trimesh
 import omtwarp
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.shapes import blob, icosphere
-from omtwarp.transport.polish import polish_transport
 
 SURFACE = blob(seed=2, amplitude=0.1, sphere=320)
 START = SURFACE.vertices / np.linalg.norm(SURFACE.vertices, axis=1, keepdims=True)
@@ -25,7 +24,6 @@ FROM_MAP = {
     "moser_map": omtwarp.moser_map,
     "optimal_map": lambda *args, **kw: omtwarp.optimal_map(*args, start=START, iterations=2, **kw),
     "optimal_transport": lambda *args, **kw: omtwarp.optimal_transport(*args, start=START, iterations=2, **kw),
-    "polish_transport": lambda *args, **kw: polish_transport(*args, start=START, rounds=2, **kw),
     "paper_flow": lambda *args, **kw: omtwarp.paper_flow(*args, start=START, cycles=1, **kw),
     "refine_map": lambda *args, **kw: omtwarp.refine_map(*args, iterations=3, **kw),
     "untangle": omtwarp.untangle,
@@ -46,7 +44,7 @@ def run(name, surface=SURFACE, sphere=START, **options):
 
 @pytest.mark.parametrize("name", sorted({*STAGES, *MEASURES}))
 def test_the_surface_and_the_map_come_first_and_options_by_name(name):
-    function = polish_transport if name == "polish_transport" else getattr(omtwarp, name)
+    function = getattr(omtwarp, name)
     parameters = list(inspect.signature(function).parameters.values())
     by_place = [parameter.name for parameter in parameters if parameter.kind is not parameter.KEYWORD_ONLY]
     assert by_place == (["surface"] if name in FROM_SURFACE else ["surface", "sphere"])
@@ -57,7 +55,7 @@ def test_every_public_stage_and_measure_is_held_to_this():
     """A function is one of them where it takes a surface first, which the weighting of a surface does without a map."""
     functions = {name: getattr(omtwarp, name) for name in omtwarp.__all__ if inspect.isfunction(getattr(omtwarp, name))}
     takes = {name for name, call in functions.items() if next(iter(inspect.signature(call).parameters)) == "surface"}
-    assert takes - {"weighted_surface"} == {*STAGES, *MEASURES} - {"polish_transport"}
+    assert takes - {"weighted_surface"} == {*STAGES, *MEASURES}
     for name in sorted(STAGES.keys() & functions.keys()):
         by_name = list(inspect.signature(functions[name]).parameters)
         assert {"device", "progress"} <= set(by_name), name

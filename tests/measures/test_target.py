@@ -1,5 +1,7 @@
 """A density on the sphere as the goal: monotone rearrangement in closed form, mass, and input that is no density."""
 
+import warnings
+
 import numpy as np
 import pytest
 from sphere_truths import mean_edge, pushed_north, random_rotation, rms, turned, twisted
@@ -9,6 +11,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.measures import TargetDensity, mass_distortion
 from omtwarp.mesh.shapes import blob, icosphere
 from omtwarp.mesh.surface import SPHERE_AREA
+from omtwarp.optimal.density import map_to_density
 from omtwarp.texturing.density import as_target, image_density, vertex_density
 from omtwarp.texturing.image import direction_from_angles
 
@@ -63,6 +66,31 @@ def test_transport_to_an_axisymmetric_density_ends_at_the_monotone_rearrangement
     assert kept < 2.01
     uniform = omtwarp.optimal_transport(surface, initial, start=surface.vertices, device=device).sphere
     assert mass_distortion(PUSHED.goal(surface, uniform), uniform)["mean"] - 2.0 > 3.0 * (kept - 2.0)
+
+
+def test_newton_steps_from_a_twist_end_at_the_monotone_rearrangement_too():
+    surface = turned(icosphere(12))
+    points, truth, initial = surface.vertices, pushed_north(surface.vertices, AMOUNT), from_a_twist(surface)
+    found = map_to_density(surface, initial, PUSHED, omtwarp.optimal_map, start=points, device="cpu")
+    before, after = (rms(np.linalg.norm(there - truth, axis=1)) for there in (initial, found.sphere))
+    assert found.converged
+    assert before > 0.2
+    assert after < 0.03 * before
+    assert mass_distortion(PUSHED.goal(surface, found.sphere), found.sphere)["mean"] < 2.001
+
+
+@pytest.mark.parametrize(("edges", "mass", "gap"), [(False, 2.001, 5e-4), (True, 2.04, 4e-3)])
+def test_densities_of_high_contrast_and_with_edges_are_reached_by_optimal_maps(edges, mass, gap):
+    def density(points):
+        return 1.0 + 4.0 * (np.sin(4.0 * points[:, 0]) * np.sin(4.0 * points[:, 1]) > 0.0)
+
+    target = density if edges else lambda points: np.exp(1.5 * points[:, 2])  # twenty times as much at one pole
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", omtwarp.OmtwarpWarning)  # edges cross triangles
+        result = omtwarp.map_to_sphere(blob(3, amplitude=0.3, sphere=5120), target=target, device="cpu")
+    assert result.bijective
+    assert result.report["mass"]["mean"] < mass
+    assert result.report["optimality"]["gap"] < gap
 
 
 def test_the_cost_between_the_uniform_density_and_exp_z_is_that_of_the_closed_form():

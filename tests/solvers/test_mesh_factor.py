@@ -20,7 +20,6 @@ from omtwarp.solvers.mesh_factor import (
 )
 from omtwarp.solvers.saddle_matrix import SaddleMatrix
 from omtwarp.solvers.triangle_newton.newton import PatchMatrix
-from omtwarp.transport.polish import polish_transport
 
 SURFACE = blob(seed=3, amplitude=0.3, sphere=1280)
 EVERY = (Solver.SCIPY, Solver.CHOLESKY)
@@ -105,7 +104,6 @@ def stages(solver: Solver, moser: np.ndarray, start: np.ndarray) -> dict[str, np
         return {
             "conformal": omtwarp.conformal_map(SURFACE, device="cpu").sphere,
             "moser": omtwarp.moser_map(SURFACE, start, device="cpu").sphere,
-            "polish": polish_transport(SURFACE, moser, start=start, rounds=1, device="cpu").sphere,
             "untangle": omtwarp.untangle(SURFACE, tangled, device="cpu").sphere,
             "refine": omtwarp.refine_map(SURFACE, moser, iterations=3, device="cpu").sphere,
             "optimal": omtwarp.optimal_map(SURFACE, moser, start=start, iterations=3, device="cpu").sphere,
