@@ -18,7 +18,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import TINY, Floats
 from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.surface import Surface, triangle_areas
-from omtwarp.options import Progress
+from omtwarp.options import Progress, tell
 from omtwarp.solvers.poisson import Factorization, LaplacianSolver
 
 Weights = Literal["tutte", "mean-value"]
@@ -113,8 +113,7 @@ def barycentric_map(
 
     def report(stage: str, step: int, residual: float) -> None:
         history.append({"iteration": len(history), "stage": stage, "residual": residual})
-        if progress is not None:
-            progress(stage, step, MOST_STEPS[stage], {"residual": residual})
+        tell(progress, stage, step, MOST_STEPS[stage], {"residual": residual})
 
     sphere = _relax(springs, start, masses, report)
     relaxation_steps = len(history)

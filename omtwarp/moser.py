@@ -17,7 +17,7 @@ from omtwarp.location import walk
 from omtwarp.measures import TargetDensity
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA
-from omtwarp.options import Progress, Record
+from omtwarp.options import Progress, Record, tell
 from omtwarp.solvers.poisson import PoissonSolver, cotangent_solver, solve_arrays
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -285,16 +285,14 @@ def moser_map(
     parts = 4  # of the work in progress reports: half is the factorisation
     surface = as_surface(surface)
     where = resolve_device(device)
-    if progress is not None:
-        progress("moser", 0, parts, {})
+    tell(progress, "moser", 0, parts, {})
     vertices, triangles = surface.vertex_count, surface.face_count
     points = vectors(as_sphere(sphere, surface), where)
     mesh = surface.on(where)
     faces, rows = mesh.faces, mesh.vertex_corners
     if solver is None:
         solver = cotangent_solver(surface, points)
-    if progress is not None:
-        progress("moser", 2, parts, {})
+    tell(progress, "moser", 2, parts, {})
     areas = wp.empty(triangles, dtype=wp.float64, device=where)
     total = wp.empty(1, dtype=wp.float64, device=where)
     sources, mu, excess = (wp.empty(vertices, dtype=wp.float64, device=where) for _ in range(3))
@@ -309,8 +307,7 @@ def moser_map(
     inputs = [areas, total, wanted, wanted_total, wp.float64(SPHERE_AREA), mesh.vertex_areas, *rows]
     wp.launch(sources_and_density, dim=vertices, inputs=inputs, outputs=[sources, mu, excess], device=where)
     (potential,) = solve_arrays(solver, [sources])
-    if progress is not None:
-        progress("moser", 3, parts, {})
+    tell(progress, "moser", 3, parts, {})
 
     field = wp.empty(vertices, dtype=wp.vec3d, device=where)
     sizes = wp.empty(vertices, dtype=wp.float64, device=where)
@@ -332,6 +329,5 @@ def moser_map(
 
     launch_parts(integrate_particles, vertices, arguments, where)
     longest = int(steps.numpy().max())
-    if progress is not None:
-        progress("moser", parts, parts, {"steps": longest})
+    tell(progress, "moser", parts, parts, {"steps": longest})
     return MoserMap(moved.numpy(), potential.numpy(), longest)

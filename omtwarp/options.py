@@ -38,6 +38,12 @@ Progress: TypeAlias = Callable[[str, int, int, Record], None]
 """How long work reports on itself: ``progress(stage, done, total, details)``."""
 
 
+def tell(progress: Progress | None, stage: str, done: int, total: int, details: Record) -> None:
+    """Report on work to whoever asked for it."""
+    if progress is not None:
+        progress(stage, done, total, details)
+
+
 class Method(StrEnum):
     """How a surface is mapped: the whole pipeline, or a system that the paper compares with."""
 

@@ -13,7 +13,7 @@ from omtwarp.alignment.rotation_search import Complex, best_rotation, complex_co
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.axes import fitted_rotation
 from omtwarp.mesh.arrays import Floats
-from omtwarp.options import Progress
+from omtwarp.options import Progress, tell
 from omtwarp.resampling import SpherePoints, as_points, resample
 from omtwarp.resampling.resample import PointsLike
 
@@ -99,8 +99,7 @@ def procrustes_mean(
         other = best_rotation(_coefficients(image, own_features(image), names, degree), coefficients[0]).score
         unchanged = best_rotation(coefficients[k], coefficients[0]).score
         mirrored[k] = other >= alike and other > unchanged + mirrored_margin
-        if progress is not None:
-            progress("align", k + 1, len(members), {})
+        tell(progress, "align", k + 1, len(members), {})
     rotations = np.tile(np.eye(3), (len(members), 1, 1))
     mean, rounds = coefficients[0], 0
     for rounds in range(1, ROUNDS + 1):  # noqa: B007
@@ -113,8 +112,7 @@ def procrustes_mean(
     for k, (one, turn) in enumerate(zip(members, rotations, strict=True)):
         turned = replace(one.grid, points=one.grid.points @ turn.T)
         surfaces.append(resample(SpherePoints(turned, one.vertices).closed(), common, device=device).surface())
-        if progress is not None:
-            progress("resample", k + 1, len(members), {})
+        tell(progress, "resample", k + 1, len(members), {})
     posed, average, scales, poses = superpose(np.stack(surfaces), common.grid.areas, scale)
     return GroupAlignment(rotations, posed, average, common.grid.faces, scales, (rounds, poses), mirrored)
 

@@ -17,7 +17,7 @@ from omtwarp.cohort.table import GROUP, ORDER, REGISTERED, REGISTERED_MAPS, writ
 from omtwarp.device.names import core_count
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.output import digest_of, folder_of_results, require_own
-from omtwarp.options import AreaMatch, FillArea, MapKeywords, MapOptions, Progress, Record
+from omtwarp.options import AreaMatch, FillArea, MapKeywords, MapOptions, Progress, Record, tell
 
 RESULTS = ("table.parquet", "table.csv", "report.html")
 
@@ -206,8 +206,7 @@ def _follow(records: Generator[Row, None, None], done: int, total: int, progress
             for record in records:
                 done += 1
                 failed += record["status"] != OK
-                if progress is not None:
-                    progress("cohort", done, total, {"failed": failed})
+                tell(progress, "cohort", done, total, {"failed": failed})
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"{done} of {total} items done; run again to continue") from None
 
@@ -221,8 +220,7 @@ def _register_all(rows: list[Row], folder: Path, progress: Progress | None) -> N
         return
 
     def notify(stage: str, step: int, steps: int, info: Record) -> None:
-        if progress is not None:
-            progress("register", step, steps, {"failed": len(rows) - len(done)})
+        tell(progress, "register", step, steps, {"failed": len(rows) - len(done)})
 
     maps = [folder / "maps" / f"{row['id']}.npz" for row in done]
     table = register_group(maps, folder / REGISTERED_MAPS, progress=notify).table

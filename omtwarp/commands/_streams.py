@@ -20,7 +20,7 @@ from typing import TextIO, cast
 from omtwarp.errors import OmtwarpError, OmtwarpWarning, one_line, with_options
 from omtwarp.files.limits import LARGEST_MESH_FILE, amount
 from omtwarp.files.output import scratch
-from omtwarp.options import Progress, Record
+from omtwarp.options import Progress, Record, tell
 
 STREAM = Path("-")
 _HEADS = (
@@ -272,8 +272,7 @@ def step_times(verbose: bool) -> Iterator[Callable[[str], None]]:
     with progress_bar(quiet=True, verbose=verbose) as progress:
 
         def done(step: str) -> None:
-            if progress is not None:
-                progress(step, 1, 1, {})
+            tell(progress, step, 1, 1, {})
 
         yield done
 
@@ -322,7 +321,6 @@ def steps(progress: Progress | None, stage: str, total: int) -> Callable[[int], 
     """Make a function that shows how many of a command's steps are done, if progress is shown at all."""
 
     def notify(done: int) -> None:
-        if progress is not None:
-            progress(stage, done, total, {})
+        tell(progress, stage, done, total, {})
 
     return notify

@@ -20,7 +20,7 @@ from omtwarp.device.sums import GROUP, LANES, RowSums, first_row, partial_count
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import real_numbers
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface, as_unit_vectors
-from omtwarp.options import Progress, Record
+from omtwarp.options import Progress, Record, tell
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -153,8 +153,7 @@ def mobius_centring(
 
     def report(mean: float) -> None:
         history.append({"iteration": len(history), "mean": mean})
-        if progress is not None:
-            progress("centring", len(history) - 1, MAXIMUM_STEPS, {"mean": mean})
+        tell(progress, "centring", len(history) - 1, MAXIMUM_STEPS, {"mean": mean})
 
     moved, _ = centre_points(as_sphere(sphere, surface), weights, device=device, report=report)
     return CentredMap(moved, history)

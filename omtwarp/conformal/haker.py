@@ -21,7 +21,7 @@ from omtwarp.geometry.axes import OBLIQUE, principal_axes
 from omtwarp.geometry.intrinsic import intrinsic_edges
 from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
-from omtwarp.options import Progress, Record
+from omtwarp.options import Progress, Record, tell
 from omtwarp.solvers.poisson import EdgeLaplacianSolver, PoissonSolver, cotangent_solver, solve_arrays
 
 
@@ -82,8 +82,7 @@ def conformal_map(
         True
     """
     surface = as_surface(surface)
-    if progress is not None:
-        progress("conformal", 0, 4, {})
+    tell(progress, "conformal", 0, 4, {})
     points = surface.scaled_vertices
     face = most_regular_face(points @ principal_axes(surface).frame.T, surface.faces)
     pinned = int(surface.faces[face, 0])
@@ -92,17 +91,14 @@ def conformal_map(
         solver = intrinsic_solver(surface, pinned)
     else:
         solver = cotangent_solver(surface, points, pinned)
-    if progress is not None:
-        progress("conformal", 2, 4, {})
+    tell(progress, "conformal", 2, 4, {})
     where = resolve_device(device)
     dipole = _dipole(points, surface.faces[face])
     rights = [wp.array(np.ascontiguousarray(part), dtype=wp.float64, device=where) for part in dipole.T]
     plane = solve_arrays(solver, rights)
-    if progress is not None:
-        progress("conformal", 3, 4, {})
+    tell(progress, "conformal", 3, 4, {})
     sphere, steps = centre_points(_to_sphere(plane, surface.vertex_areas), surface.vertex_areas, device=device)
-    if progress is not None:
-        progress("conformal", 4, 4, {})
+    tell(progress, "conformal", 4, 4, {})
     return ConformalMap(sphere, face, steps, solver)
 
 

@@ -33,7 +33,7 @@ from omtwarp.geometry.intrinsic import intrinsic_edges
 from omtwarp.mesh.arrays import Floats, normalised
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import Surface
-from omtwarp.options import Progress, Record
+from omtwarp.options import Progress, Record, tell
 from omtwarp.solvers.poisson import PoissonSolver, edge_laplacian
 
 STEPS = 60  # most steps
@@ -94,8 +94,7 @@ def harmonic_points(
     before: tuple[Floats, Floats, float] | None = None  # direction, slope and gain of the step before
     converged = False
     for number in range(1, STEPS + 1):
-        if progress is not None:
-            progress("conformal", number - 1, STEPS, history[-1])
+        tell(progress, "conformal", number - 1, STEPS, history[-1])
         pull = energy.pull(sphere)
         slope = _tangent(sphere, pull)
         steepest = energy.preconditioned(sphere, slope)
@@ -121,8 +120,7 @@ def harmonic_points(
         before = direction, slope, gain
         sphere, value = moved, lower
         history.append({"iteration": number, "energy": value, "length": length})
-    if progress is not None:
-        progress("conformal", STEPS, STEPS, history[-1])
+    tell(progress, "conformal", STEPS, STEPS, history[-1])
     return HarmonicMap(sphere, history, converged)
 
 

@@ -57,6 +57,7 @@ from omtwarp.options import (
     WeightsAt,
     WeightsAtLike,
     continued,
+    tell,
 )
 from omtwarp.solvers.mesh_factor import begin_saddle_order
 from omtwarp.start.choice import bijective_start
@@ -272,8 +273,7 @@ class MapComputation:
         return self.first
 
     def notify(self, stage: str, done: int, total: int, details: Record) -> None:
-        if self.progress is not None:
-            self.progress(str(stage), done, total, details)
+        tell(self.progress, str(stage), done, total, details)
 
     def points(self, sphere: NDArray[np.float64]) -> wp.array:
         """Return a map as an array on the device; the one asked for last is kept there."""

@@ -187,9 +187,7 @@ def _array(accessor: Document, buffers: _Buffers) -> Numbers:
         start = accessor.get("byteOffset", 0)
         size = stride or width * kind.itemsize
         row = np.dtype({"names": ["row"], "formats": [(kind, (width,))], "itemsize": size})
-        content = (
-            content[start:].ljust(count * size, b"\0") if stride else content[start:]
-        )  # the last row may end early
+        content = content[start:].ljust(count * size * bool(stride), b"\0")  # the last row may end early
         array[:] = np.frombuffer(content, dtype=row, count=count)["row"]
     sparse = accessor.get("sparse")
     if sparse is None:
@@ -331,7 +329,10 @@ def gltf_pictures(data: bytes, file: Path, suffix: str) -> list[dict[str, bytes]
         pictures.append({})
         for role in ROLES:
             used = uses.get(role)
-            number = _image_of(document, used["index"]) if isinstance(used, dict) and "index" in used else None
+            if not isinstance(used, dict) or "index" not in used:
+                continue
+            entry = document["textures"][used["index"]]  # as WebP where it has it so
+            number = entry.get("extensions", {}).get("EXT_texture_webp", entry).get("source")
             if number is None:
                 continue
             if number not in known:
@@ -343,12 +344,6 @@ def gltf_pictures(data: bytes, file: Path, suffix: str) -> list[dict[str, bytes]
             if content:
                 pictures[-1][role] = content
     return pictures
-
-
-def _image_of(document: Document, texture: int) -> int | None:
-    """Return the number of a texture's picture, as WebP where it has it so; None where it has none."""
-    entry = document["textures"][texture]
-    return entry.get("extensions", {}).get("EXT_texture_webp", entry).get("source")
 
 
 def gltf_header(data: bytes, suffix: str) -> Document:

@@ -57,7 +57,7 @@ from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics import optimality_kernels as kernels
 from omtwarp.metrics.ascent import ascend
 from omtwarp.metrics.optimality_dual import Bound, SourceBound, SourceDual, TransportDual
-from omtwarp.options import Cost, Progress, Record
+from omtwarp.options import Cost, Progress, Record, tell
 from omtwarp.solvers.poisson import cotangent_solver
 
 ASCENT_STEPS = 3  # by default, as each costs as much as the bound itself
@@ -261,8 +261,7 @@ def _measure(
     total = STEPS_BEFORE + ascent_steps + 1  # the bounds of the whole sphere at the end are a step too
 
     def notify(step: int, details: Record) -> None:
-        if progress is not None:
-            progress("optimality", step, total, details)
+        tell(progress, "optimality", step, total, details)
 
     notify(0, {})
     dual = TransportDual(surface, x, y, mass, device)

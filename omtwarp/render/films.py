@@ -25,7 +25,7 @@ from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.limits import MOST_FILM_PIXELS, MOST_FRAMES
 from omtwarp.mesh.arrays import Floats, Ints
 from omtwarp.mesh.surface import SPHERE_AREA, triangle_areas
-from omtwarp.options import Backend, BackendLike, PatternLike, Progress
+from omtwarp.options import Backend, BackendLike, PatternLike, Progress, tell
 from omtwarp.render import annotate, output
 from omtwarp.render.camera import Camera, Shot, as_light, as_view, camera_axes, frame
 from omtwarp.render.pictures import View, checked_rate, checked_size, render
@@ -243,8 +243,7 @@ class _Studio:
 
         look([float(time) for time in np.linspace(first, last, 9)])
         for level in range(most_halvings):
-            if progress is not None:
-                progress("motion", level, most_halvings, {})
+            tell(progress, "motion", level, most_halvings, {})
             times = sorted(seen)
             wide = [(a, b) for a, b in itertools.pairwise(times) if swept(a, b) > step]
             if not wide or len(times) > most:
@@ -281,8 +280,7 @@ class _Studio:
                 for _ in range(repeats[moment]):
                     yield image
                 done += repeats[moment]
-            if progress is not None:
-                progress("film", done, len(times), {})
+            tell(progress, "film", done, len(times), {})
 
 
 def _eased(x: Floats) -> Floats:

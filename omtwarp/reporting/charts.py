@@ -106,14 +106,11 @@ def power_name(exponent: float) -> str:
     value = 2.0**exponent
     decimal = math.log10(value)
     if abs(decimal - round(decimal)) < ROUND and abs(decimal) > 2.5:
-        return f"10{_superscript(round(decimal))}"
+        power = str(round(decimal)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+        return f"10{power}"
     if exponent < 0:
         return f"1/{power_name(-exponent)}"
     return f"{value:.0f}" if abs(value - round(value)) < ROUND else f"{value:.1f}"
-
-
-def _superscript(number: int) -> str:
-    return str(number).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def curve(

@@ -16,7 +16,7 @@ from omtwarp.measures import TargetDensity
 from omtwarp.mesh.arrays import Floats, HasTriangles
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.moser import moser_map
-from omtwarp.options import Progress
+from omtwarp.options import Progress, tell
 from omtwarp.resampling import SpherePoints
 from omtwarp.shape_analysis.expansion import expand
 from omtwarp.spheres import mesh_grid, unit_sphere
@@ -104,11 +104,9 @@ def shape_distance(
     apart = coefficient_distance(*coefficients)
     ways = []
     for done, ends in enumerate(((first, second), (second, first)), 1):
-        if progress is not None:
-            progress("distance", done, 3, {})
+        tell(progress, "distance", done, 3, {})
         ways.append(transport_distance(*ends, device=device))
-    if progress is not None:
-        progress("distance", 3, 3, {})
+    tell(progress, "distance", 3, 3, {})
     there, back = ways
     return ShapeDistance(apart, (there + back) / 2.0, there, back, alignment.score)
 
@@ -219,6 +217,5 @@ def transport_matrix(
             out[i, j] = out[j, i] = (there + back) / 2.0
         except OmtwarpError as error:
             raise OmtwarpError(f"maps {j + 1} and {i + 1}: {error}") from None
-        if progress is not None:
-            progress("transport", done, len(pairs), {})
+        tell(progress, "transport", done, len(pairs), {})
     return out

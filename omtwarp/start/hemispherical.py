@@ -18,7 +18,7 @@ from omtwarp.flips.predicates import count_flips
 from omtwarp.geometry.axes import order_by_place
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import Surface, triangle_areas
-from omtwarp.options import Progress
+from omtwarp.options import Progress, tell
 from omtwarp.start.decimation import Level, Removal, integers, simplify
 from omtwarp.start.decimation_kernels import Vertex
 from omtwarp.start.hierarchical import Embedding, renumbered, sweeps
@@ -72,8 +72,7 @@ def hemispherical_embedding(
         surface, hierarchy.levels[-1], hierarchy.coarsest, AREA_WEIGHT, where, kinds=kinds[order]
     )
     for placed in embedding.refined(hierarchy, *sweeps(thorough=True)):
-        if progress is not None:
-            progress("start", placed, surface.vertex_count, {})
+        tell(progress, "start", placed, surface.vertex_count, {})
     sphere = np.empty((count + 1, 3))
     sphere[order] = embedding.sphere.numpy()
     flips = count_flips(sphere, faces)

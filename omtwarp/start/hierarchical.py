@@ -23,7 +23,7 @@ from omtwarp.geometry.axes import order_by_place
 from omtwarp.mesh.arrays import real_number
 from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.surface import Surface
-from omtwarp.options import Progress
+from omtwarp.options import Progress, tell
 from omtwarp.start.decimation import Hierarchy, Level, Removal, integers, simplify
 from omtwarp.start.decimation_kernels import MAX_VALENCE
 from omtwarp.start.hierarchical_kernels import insert_vertices, relax_vertices, triangle_coefficients
@@ -97,8 +97,7 @@ def hierarchical_embedding(
     embedding = Embedding(surface, hierarchy.levels[-1], hierarchy.coarsest, area_weight, where)
     for placed in embedding.refined(hierarchy, *sweeps(thorough, by_distance)):
         history.append({"iteration": len(history), "vertices": placed})
-        if progress is not None:
-            progress("start", placed, surface.vertex_count, {})
+        tell(progress, "start", placed, surface.vertex_count, {})
     sphere = np.empty((surface.vertex_count, 3))
     sphere[order] = embedding.sphere.numpy()
     flips = count_flips(sphere, given.faces)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.names import core_count
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, brief
 from omtwarp.files.inputs import open_input
 from omtwarp.files.limits import LARGEST_PICTURE_FILE, LONGEST_SIDE, MOST_TEXELS
 from omtwarp.files.pictures import FORMATS, open_picture
@@ -83,7 +83,7 @@ def decoded(stream: BinaryIO, name: str) -> NDArray[np.generic]:
     except pil.UnidentifiedImageError:
         raise OmtwarpError(f"{name}: not a picture in a format that can be read ({', '.join(FORMATS)})") from None
     except Exception as error:  # damaged files end in many kinds of error inside the decoders
-        raise OmtwarpError(f"{name}: cannot be read as a picture: {_first_line(error)}") from None
+        raise OmtwarpError(f"{name}: cannot be read as a picture: {brief(error)}") from None
 
 
 def _from_pil(image: Image, name: str) -> NDArray[np.generic]:
@@ -137,11 +137,8 @@ def _from_array(source: ArrayLike) -> NDArray[np.generic]:
 
 def as_floats(image: NDArray[np.generic]) -> NDArray[np.float32]:
     """Convert a picture to float32 from 0 to 1."""
-    return (
-        image.astype(np.float32) / np.float32(255.0)
-        if image.dtype == np.uint8
-        else image.astype(np.float32, copy=False)
-    )
+    values = image.astype(np.float32, copy=False)
+    return values / np.float32(255.0) if image.dtype == np.uint8 else values
 
 
 def as_bytes(image: NDArray[np.generic]) -> NDArray[np.uint8]:
@@ -316,7 +313,3 @@ def _turn(axis: int, angle: float) -> Floats:
     matrix[a, a] = matrix[b, b] = c
     matrix[a, b], matrix[b, a] = -s, s
     return matrix
-
-
-def _first_line(error: BaseException) -> str:
-    return (str(error).strip() or type(error).__name__).splitlines()[0]

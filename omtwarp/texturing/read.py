@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.colors import to_linear, to_srgb
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, brief
 from omtwarp.files.inputs import file_beside, read_bytes
 from omtwarp.files.limits import LARGEST_MESH_FILE, MOST_FACES
 from omtwarp.mesh.arrays import Bytes, Floats, Ints, whole_numbers
@@ -120,21 +120,16 @@ def read_mtl(text: str, picture: Callable[[str], Bytes | None]) -> dict[str, Mat
         if key == "newmtl":
             name = " ".join(values)
             materials[name] = Material(name=name)
-            continue
-        if name not in materials:
-            continue
-        materials[name] = _with(materials[name], key, values, picture)
+        elif name in materials:
+            materials[name] = _with(materials[name], key, values, picture)
     return materials
 
 
 def _with(material: Material, key: str, values: list[str], picture: Callable[[str], Bytes | None]) -> Material:
     """Apply one statement of a library to a material."""
-    if key == "map_kd":
-        return replace(material, picture=picture(_picture_name(values)))
-    if key == "norm":
-        return replace(material, normal_picture=picture(_picture_name(values)))
-    if key == "map_ke":
-        return replace(material, emission_picture=picture(_picture_name(values)))
+    slot = {"map_kd": "picture", "norm": "normal_picture", "map_ke": "emission_picture"}.get(key)
+    if slot is not None:
+        return replace(material, **{slot: picture(_picture_name(values))})  # type: ignore[arg-type]
     try:
         numbers = [float(word) for word in values]
     except ValueError:
@@ -218,8 +213,7 @@ def read_painted_mesh(path: str | os.PathLike[str]) -> PaintedMesh:
     except MemoryError:
         raise
     except Exception as error:  # whatever a parser trips over, the file is not what its suffix says
-        detail = " ".join(str(error).split())[:160] or type(error).__name__
-        raise OmtwarpError(f"{file}: cannot be read as {suffix}: {detail}") from None
+        raise OmtwarpError(f"{file}: cannot be read as {suffix}: {brief(error)}") from None
     if len(painted.faces) > MOST_FACES:
         raise OmtwarpError(f"{file}: {len(painted.faces):,} triangles, and {MOST_FACES:,} is the most")
     return replace(painted, source_files=(file, *painted.source_files))
@@ -277,15 +271,7 @@ def _from_obj(data: bytes, file: Path) -> PaintedMesh:
     statements = _statements(utf8(data))
     corners, uv, face, notes = _obj_corners(statements)
     named: list[Path] = []
-
-    def picture(name: str) -> Bytes | None:
-        there = file_beside(file, name)
-        if there is None:
-            notes.append(f"the picture '{name}' is not there")
-            return None
-        named.append(there)
-        return as_bytes(read_image(there))
-
+    picture = _pictures_beside(file, named, notes)
     known: dict[str, Material] = {}
     for library in statements.libraries:
         there = file_beside(file, library)
@@ -317,6 +303,20 @@ def _from_obj(data: bytes, file: Path) -> PaintedMesh:
     )
 
 
+def _pictures_beside(file: Path, named: list[Path], notes: list[str]) -> Callable[[str], Bytes | None]:
+    """Return a function that reads a picture named in a file, None where there is none; both lists are added to."""
+
+    def picture(name: str) -> Bytes | None:
+        there = file_beside(file, name)
+        if there is None:
+            notes.append(f"the picture '{name}' is not there")
+            return None
+        named.append(there)
+        return as_bytes(read_image(there))
+
+    return picture
+
+
 def _from_ply(data: bytes, file: Path) -> PaintedMesh:
     columns, decided = ply_columns(utf8(data))
     points, corners, sizes = polygons_of(columns)
@@ -346,20 +346,11 @@ def _from_ply(data: bytes, file: Path) -> PaintedMesh:
 
 def _ply_pictures(data: bytes, file: Path) -> tuple[list[Bytes | None], list[Path], list[str]]:
     """Return the pictures that a PLY file's header names, None for missing ones, their files, and notes."""
-    pictures: list[Bytes | None] = []
     named: list[Path] = []
     notes: list[str] = []
-    for line in data[: data.find(b"end_header")].decode("utf-8", "replace").splitlines():
-        words = line.strip().split(None, 2)
-        if len(words) == 3 and words[:2] == ["comment", "TextureFile"]:
-            there = file_beside(file, words[2])
-            if there is None:
-                notes.append(f"the picture '{words[2]}' is not there")
-                pictures.append(None)
-            else:
-                named.append(there)
-                pictures.append(as_bytes(read_image(there)))
-    return pictures, named, notes
+    header = data[: data.find(b"end_header")].decode("utf-8", "replace")
+    names = re.findall(r"^[ \t]*comment[ \t]+TextureFile[ \t]+(\S.*?)\s*$", header, re.MULTILINE)
+    return list(map(_pictures_beside(file, named, notes), names)), named, notes
 
 
 def _ply_coordinates(
@@ -433,10 +424,8 @@ def _from_scene(scene: trimesh.Scene, looks: list[GltfLook] | None) -> PaintedMe
     uv_all = np.concatenate(uvs)
     all_colors = None
     if any(color is not None for color in colors):
-        plain = [np.full((len(points), 4), 255, np.uint8) for points in vertices]
-        all_colors = np.concatenate(
-            [one if one is not None else white for one, white in zip(colors, plain, strict=True)]
-        )
+        pairs = zip(colors, vertices, strict=True)
+        all_colors = np.concatenate([np.full((len(v), 4), 255, np.uint8) if c is None else c for c, v in pairs])
     mesh = PaintedMesh(
         np.concatenate(vertices),
         np.concatenate(faces),

@@ -27,7 +27,7 @@ from omtwarp.mesh.arrays import real_number, whole_number
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.metrics.optimality import relative_curl
-from omtwarp.options import Cost, Progress, Record, Scheme
+from omtwarp.options import Cost, Progress, Record, Scheme, tell
 from omtwarp.transport.cost import LARGEST_ERROR
 from omtwarp.transport.descent_kernels import (
     Ending,
@@ -402,8 +402,7 @@ class _Flow:
                 numbers = dict(zip(RECORD, rows[iteration % len(rows)].tolist(), strict=True))
                 record = {"iteration": iteration} | numbers | {"held": int(numbers["held"])}
                 self.history.append(record)
-                if progress is not None:
-                    progress("omt", iteration, most, record)
+                tell(progress, "omt", iteration, most, record)
             if state["finished"]:
                 return ENDINGS[Ending(int(state["ended"]))]
 

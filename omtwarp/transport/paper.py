@@ -47,7 +47,7 @@ from omtwarp.geometry import DifferentialOperators, circumcentric_coordinates
 from omtwarp.mesh.arrays import TINY, real_number, whole_number, whole_numbers
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import Surface, triangle_areas
-from omtwarp.options import Cost, Progress, Record
+from omtwarp.options import Cost, Progress, Record, tell
 from omtwarp.transport import paper_kernels as kernels
 from omtwarp.wavelets import SphereSampler, SphericalWavelets, level_for, sphere_hierarchy
 
@@ -398,8 +398,7 @@ class _Descent:
             self._steps[resolution] = (growth if accepted else 0.5) * step
             tried, taken = tried + 1, taken + accepted
             self._record(number, resolution, step, accepted)
-            if progress is not None:
-                progress("omt", len(self.history) - 1, most, {"cost": self._cost})
+            tell(progress, "omt", len(self.history) - 1, most, {"cost": self._cost})
         # Refused steps are about to be retried smaller: a cycle of them says nothing about convergence.
         settled = 2 * taken >= tried and before - self._cost <= tolerance * abs(self._cost)
         return "cost" if settled else ""

@@ -27,7 +27,7 @@ from omtwarp.flips.rings import examine
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
-from omtwarp.options import Progress
+from omtwarp.options import Progress, tell
 from omtwarp.solvers.triangle_newton.frames import triangle_frames
 from omtwarp.solvers.triangle_newton.line_search import search_patches
 from omtwarp.solvers.triangle_newton.newton import PatchMatrix
@@ -189,8 +189,7 @@ def untangle(
         seeds = _of_small_patches(faces, tangled, schedule)
         if not seeds.any():
             continue
-        if progress is not None:
-            progress("untangle", attempt, len(schedules), {"tangled": int(tangled.sum())})
+        tell(progress, "untangle", attempt, len(schedules), {"tangled": int(tangled.sum())})
         untangling = _Untangling(surface, points, seeds, schedule, where)
         points, done = untangling.solve(budget)
         examined = examine(points, faces)
