@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import sparse
 
 from omtwarp.device.arrays import triangles, vectors
@@ -14,7 +14,7 @@ from omtwarp.device.start import KERNEL_OPTIONS, LARGE, ONE, THREE, ZERO, wp
 from omtwarp.device.threads import Arguments, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.spherical import TINY
-from omtwarp.mesh.arrays import normalised
+from omtwarp.mesh.arrays import Floats, Ints, normalised
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -232,10 +232,10 @@ class Found:
         coordinates: barycentric coordinates there, not negative, sum 1, float64, shape [P, 3].
     """
 
-    faces: NDArray[np.int32]
-    coordinates: NDArray[np.float64]
+    faces: Ints
+    coordinates: Floats
 
-    def matrix(self, faces: NDArray[np.int32], vertex_count: int) -> sparse.csr_matrix:
+    def matrix(self, faces: Ints, vertex_count: int) -> sparse.csr_matrix:
         """Return the matrix of linear interpolation from the triangulation's vertices to the points, shape [P, V].
 
         Args:
@@ -249,7 +249,7 @@ class Found:
         matrix.eliminate_zeros()
         return matrix
 
-    def on_sphere(self, faces: NDArray[np.int32], sphere: NDArray[np.float64]) -> NDArray[np.float64]:
+    def on_sphere(self, faces: Ints, sphere: Floats) -> Floats:
         """Return where a map of the triangulation to the sphere takes the points, linearly, shape [P, 3].
 
         Args:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.geometry.sphere_hierarchy import sphere_hierarchy
-from omtwarp.mesh.arrays import real_numbers
+from omtwarp.mesh.arrays import Floats, Ints, real_numbers
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.options import WeightsAt
 
@@ -39,7 +39,7 @@ class TargetDensity:
         [1.5, 0.5]
     """
 
-    def __init__(self, density: Callable[[NDArray[np.float64]], ArrayLike], floor: float = 0.0):
+    def __init__(self, density: Callable[[Floats], ArrayLike], floor: float = 0.0):
         if not 0.0 <= floor < 1.0:
             raise OmtwarpError(
                 f"the floor of the target density is {floor:g}: give a share of its mean from 0 to below 1"
@@ -58,19 +58,19 @@ class TargetDensity:
         if not (np.isfinite(self.mass) and self.mass > 0.0):
             raise OmtwarpError(f"the target density has the total mass {self.mass:g}: it must be positive and finite")
 
-    def at(self, points: ArrayLike) -> NDArray[np.float64]:
+    def at(self, points: ArrayLike) -> Floats:
         """Evaluate the density, mean 1 over the sphere, at unit vectors, shape [N, 3]; returns shape [N]."""
         values = self._values(np.asarray(points, dtype=np.float64), positive=self._lowest == 0.0)
         return np.maximum(values, self._lowest) * (SPHERE_AREA / self.mass)
 
-    def on_triangles(self, sphere: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+    def on_triangles(self, sphere: Floats, faces: Ints) -> Floats:
         """Return the mean density over every spherical triangle, shape [F], exact for plane quadratics."""
         corners = sphere[faces]
         centres = corners.sum(axis=1)
         centres /= np.maximum(np.linalg.norm(centres, axis=1, keepdims=True), np.finfo(float).tiny)
         return 3.0 / 4.0 * self.at(centres) + self.at(sphere)[faces].sum(axis=1) / 12.0
 
-    def goal(self, surface: Surface, sphere: NDArray[np.float64]) -> Surface:
+    def goal(self, surface: Surface, sphere: Floats) -> Surface:
         """Give every triangle the area m / ρ that it is to cover where it is now; stages then treat ρ as uniform.
 
         Args:
@@ -79,7 +79,7 @@ class TargetDensity:
         """
         return surface.with_areas(surface.face_areas / self.on_triangles(sphere, surface.faces))
 
-    def _values(self, points: NDArray[np.float64], positive: bool) -> NDArray[np.float64]:
+    def _values(self, points: Floats, positive: bool) -> Floats:
         try:
             values = real_numbers(self._density(points), "values", None, finite=False)
         except (TypeError, ValueError) as error:
@@ -98,7 +98,7 @@ class TargetDensity:
         return values
 
 
-def mass_distortion(goal: Surface, sphere: NDArray[np.float64]) -> dict[str, float]:
+def mass_distortion(goal: Surface, sphere: Floats) -> dict[str, float]:
     """Measure how well images keep the mass asked for: r + 1/r, r the area of an image over the area wanted.
 
     Args:
@@ -146,7 +146,7 @@ def weighted_surface(surface: Surface, weights: ArrayLike | None, at: str = Weig
     return surface.with_areas(surface.face_areas * face_weights(weights, surface.faces, surface.vertex_count, at))
 
 
-def face_weights(weights: ArrayLike, corners: NDArray, vertices: int, at: str = WeightsAt.AUTO) -> NDArray[np.float64]:
+def face_weights(weights: ArrayLike, corners: NDArray, vertices: int, at: str = WeightsAt.AUTO) -> Floats:
     """Convert weights of vertices or triangles to weights of triangles, the largest being 1, shape [F].
 
     Args:

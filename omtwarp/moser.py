@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
@@ -15,6 +14,7 @@ from omtwarp.device.threads import Arguments, blas_threads, launch_parts
 from omtwarp.geometry.spherical import TINY
 from omtwarp.location import walk
 from omtwarp.measures import TargetDensity
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.options import Progress, Record, tell
@@ -231,8 +231,8 @@ class MoserMap:
         converged: True: every particle ends at t = 1.
     """
 
-    sphere: NDArray[np.float64]
-    potential: NDArray[np.float64]
+    sphere: Floats
+    potential: Floats
     steps: int
     history: tuple[Record, ...] = ()
     converged: bool = True

@@ -12,7 +12,7 @@ from omtwarp.alignment.align import DEGREE, feature_coefficients, mirror_image, 
 from omtwarp.alignment.rotation_search import Complex, best_rotation, complex_coefficients, rotated
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.axes import fitted_rotation
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Floats, Ints
 from omtwarp.options import Progress, tell
 from omtwarp.resampling import SpherePoints, as_points, resample
 from omtwarp.resampling.resample import PointsLike
@@ -43,7 +43,7 @@ class GroupAlignment:
     rotations: Floats
     surfaces: Floats
     mean: Floats
-    faces: NDArray[np.int32]
+    faces: Ints
     scales: Floats
     rounds: tuple[int, int]
     mirrored: Bools

@@ -13,14 +13,13 @@ import time
 from pathlib import Path
 from typing import TypeAlias
 
-import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from omtwarp.device.start import wp
 from omtwarp.device.threads import core_count
 from omtwarp.files.interruptions import interpreter
 from omtwarp.mapping.pipeline import versions
+from omtwarp.mesh.arrays import Floats
 
 
 class Clock:
@@ -66,7 +65,7 @@ def _resident(field: str) -> int | None:
     return None
 
 
-def splu_reference(laplacian: sparse.csc_matrix, right: NDArray[np.float64]) -> tuple[float, float]:
+def splu_reference(laplacian: sparse.csc_matrix, right: Floats) -> tuple[float, float]:
     """Return the wall and processor seconds of one default ``scipy.sparse.linalg.splu`` and one solve.
 
     Args:

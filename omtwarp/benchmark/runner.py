@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from omtwarp.benchmark.measure import Clock, Facts, PeakMemory, first_use, machine, splu_reference
@@ -20,6 +19,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import cotangent_laplacian
 from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mesh import shapes
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.quarter import quarter
 from omtwarp.mesh.read import read_mesh
@@ -271,7 +271,7 @@ def most_used(device: wp.Device) -> int:
     return int(wp.get_mempool_used_mem_high(device)) if pooled else 0
 
 
-def reference_system(surface: Surface) -> tuple[sparse.csc_matrix, NDArray[np.float64]]:
+def reference_system(surface: Surface) -> tuple[sparse.csc_matrix, Floats]:
     """Return the cotangent Laplacian without its first vertex, and a right-hand side."""
     matrix = cotangent_laplacian(surface.scaled_vertices, surface.faces).tocsc()[1:, 1:]
     return matrix, np.random.default_rng(0).normal(size=matrix.shape[0])

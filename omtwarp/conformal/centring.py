@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import is_cuda, resolve_device
 from omtwarp.device.start import KERNEL_OPTIONS, ONE, TWO, wp
 from omtwarp.device.sums import GROUP, LANES, RowSums, first_row, partial_count
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import real_numbers
+from omtwarp.mesh.arrays import Floats, real_numbers
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface, as_unit_vectors
 from omtwarp.options import Progress, Record, tell
 
@@ -106,7 +106,7 @@ class CentredMap:
         converged: True, as there is an error where the centre cannot be reached.
     """
 
-    sphere: NDArray[np.float64]
+    sphere: Floats
     history: list[Record]
     converged: bool = True
 
@@ -160,12 +160,12 @@ def mobius_centring(
 
 
 def centre_points(
-    sphere: NDArray[np.float64] | wp.array,
-    masses: NDArray[np.float64],
+    sphere: Floats | wp.array,
+    masses: Floats,
     *,
     device: str | None = "auto",
     report: Callable[[float], None] | None = None,
-) -> tuple[NDArray[np.float64], int]:
+) -> tuple[Floats, int]:
     """Apply the Möbius transformation that brings the mass-weighted mean of points to the origin.
 
     Args:
@@ -227,43 +227,43 @@ def centre_points(
 class _Moments(Protocol):
     """Weighted moments of points, weights of sum one."""
 
-    def of(self, points: wp.array) -> NDArray[np.float64]:
+    def of(self, points: wp.array) -> Floats:
         """Return the weighted mean of points, vec3d, shape [V]."""
 
-    def square(self) -> NDArray[np.float64]:
+    def square(self) -> Floats:
         """Return the weighted mean of p pᵀ over the points last given to :meth:`of`, shape [3, 3]."""
 
 
 class _HostMoments:
     """Moments by NumPy, in its order of summation."""
 
-    def __init__(self, weights: NDArray[np.float64], device: wp.Device):
+    def __init__(self, weights: Floats, device: wp.Device):
         self._weights = weights
 
-    def of(self, points: wp.array) -> NDArray[np.float64]:
-        self._values: NDArray[np.float64] = points.numpy()
+    def of(self, points: wp.array) -> Floats:
+        self._values: Floats = points.numpy()
         return np.asarray(self._weights @ self._values)
 
-    def square(self) -> NDArray[np.float64]:
+    def square(self) -> Floats:
         return np.asarray(np.einsum("v,vi,vj->ij", self._weights, self._values, self._values))
 
 
 class _DeviceMoments:
     """Moments by a kernel; a few rows of partial sums are copied to the host."""
 
-    def __init__(self, weights: NDArray[np.float64], device: wp.Device):
+    def __init__(self, weights: Floats, device: wp.Device):
         rows = partial_count(len(weights))
         self._weights = wp.array(weights, dtype=wp.float64, device=device)
         self._partial = wp.empty((rows, 12), dtype=wp.float64, device=device)
         self._sums = RowSums(rows, 12, device)
 
-    def of(self, points: wp.array) -> NDArray[np.float64]:
+    def of(self, points: wp.array) -> Floats:
         inputs = [points, self._weights]
         wp.launch(
             weighted_moments, dim=self._partial.shape, inputs=inputs, outputs=[self._partial], device=points.device
         )
-        self._numbers: NDArray[np.float64] = self._sums(self._partial).numpy().sum(axis=0)
+        self._numbers: Floats = self._sums(self._partial).numpy().sum(axis=0)
         return self._numbers[:3]
 
-    def square(self) -> NDArray[np.float64]:
+    def square(self) -> Floats:
         return self._numbers[3:].reshape(3, 3)

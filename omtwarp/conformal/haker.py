@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from omtwarp.conformal.centring import centre_points, project_to_sphere
 from omtwarp.device.policy import resolve_device
@@ -19,6 +18,7 @@ from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.axes import OBLIQUE, principal_axes
 from omtwarp.geometry.intrinsic import intrinsic_edges
+from omtwarp.mesh.arrays import Floats, Ints
 from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.options import Progress, Record, tell
@@ -39,7 +39,7 @@ class ConformalMap:
         converged: True, for the same reason; centring that fails is an error.
     """
 
-    sphere: NDArray[np.float64]
+    sphere: Floats
     removed_face: int
     centring_steps: int
     solver: PoissonSolver
@@ -102,7 +102,7 @@ def conformal_map(
     return ConformalMap(sphere, face, steps, solver)
 
 
-def density(surface: Surface, sphere: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def density(surface: Surface, sphere: Floats) -> tuple[Floats, Floats]:
     """Return the density μ of a map: area on the surface over area on the sphere (section 4.1).
 
     Args:
@@ -119,7 +119,7 @@ def density(surface: Surface, sphere: NDArray[np.float64]) -> tuple[NDArray[np.f
         return surface.face_areas / image, surface.vertex_areas / (surface.sum_to_vertices(image) / 3.0)
 
 
-def most_regular_face(points: NDArray[np.float64], faces: NDArray[np.int32]) -> int:
+def most_regular_face(points: Floats, faces: Ints) -> int:
     """Return the face nearest to equilateral: largest area over summed squared edge lengths.
 
     Of equals, as on symmetric shapes, the one that lies farthest in a direction along none of the axes: the order of
@@ -139,7 +139,7 @@ def intrinsic_solver(surface: Surface, pinned: int = 0) -> EdgeLaplacianSolver:
     return EdgeLaplacianSolver(surface, weights, pinned, edges=edges)
 
 
-def _dipole(points: NDArray[np.float64], face: NDArray[np.int32]) -> NDArray[np.float64]:
+def _dipole(points: Floats, face: Ints) -> Floats:
     """Return the right-hand sides a and b of section 4.1, whose solutions are x and y, as columns, shape [V, 2]."""
     a, b, c = (points[k] for k in face)
     ab = b - a
@@ -154,7 +154,7 @@ def _dipole(points: NDArray[np.float64], face: NDArray[np.int32]) -> NDArray[np.
     return right
 
 
-def _to_sphere(plane: list[wp.array], masses: NDArray[np.float64]) -> wp.array:
+def _to_sphere(plane: list[wp.array], masses: Floats) -> wp.array:
     """Shift and scale the plane so that half of the area falls in the unit disc, and project it to the sphere.
 
     Args:
@@ -181,7 +181,7 @@ def _to_sphere(plane: list[wp.array], masses: NDArray[np.float64]) -> wp.array:
     return sphere
 
 
-def _median(values: NDArray[np.float64], masses: NDArray[np.float64], half: float) -> float:
+def _median(values: Floats, masses: Floats, half: float) -> float:
     """Return the weighted median: the value below which half of the mass lies."""
     order = np.argsort(values)
     return float(values[order[np.searchsorted(np.cumsum(masses[order]), half)]])

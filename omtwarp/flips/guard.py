@@ -9,12 +9,12 @@ from __future__ import annotations
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import list_threads, resolve_device
 from omtwarp.device.start import KERNEL_OPTIONS, ZERO, wp
 from omtwarp.flips.rings import is_bijective
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import Surface
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -273,13 +273,7 @@ class StepGuard:
         return int(self.held.numpy()[0])
 
 
-def hold_back(
-    surface: Surface,
-    before: NDArray[np.float64],
-    after: NDArray[np.float64],
-    *,
-    device: str | wp.Device | None = "auto",
-) -> NDArray[np.float64]:
+def hold_back(surface: Surface, before: Floats, after: Floats, *, device: str | wp.Device | None = "auto") -> Floats:
     """Move a bijection towards another map as far as it stays a bijection.
 
     The guard's map has no flips, but large steps can carry a triangle over the far side of the sphere, so that rings

@@ -14,6 +14,7 @@ from omtwarp.device.arrays import triangles, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import KERNEL_OPTIONS, ZERO, wp
 from omtwarp.device.threads import Arguments, cut, launch_parts
+from omtwarp.mesh.arrays import Floats
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -98,7 +99,7 @@ def count_flips(
     return int(flipped_faces(sphere, faces, device=device).sum())
 
 
-def exact_signs(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]) -> NDArray[np.int8]:
+def exact_signs(a: Floats, b: Floats, c: Floats) -> NDArray[np.int8]:
     """Return the signs of the determinants of finite points, shape [n, 3] each, in integer arithmetic."""
     if len(a) == 0:
         return np.zeros(0, dtype=np.int8)
@@ -111,7 +112,7 @@ def exact_signs(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.fl
     return (value > 0).astype(np.int8) - (value < 0).astype(np.int8)
 
 
-def _common_integers(points: NDArray[np.float64]) -> NDArray[np.object_]:
+def _common_integers(points: Floats) -> NDArray[np.object_]:
     """Scale every point by its own power of two to integer coordinates, as Python integers."""
     mantissa, exponent = np.frexp(points)
     exponent = np.where(points == 0.0, exponent.max(initial=0), exponent)

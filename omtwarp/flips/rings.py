@@ -19,6 +19,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import KERNEL_OPTIONS, ONE, ZERO, wp
 from omtwarp.device.threads import cut, load, parts_of, run_all
 from omtwarp.flips.predicates import exact_signs, orientation_signs
+from omtwarp.mesh.arrays import Floats, Ints
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -79,7 +80,7 @@ def ring_turns(
     *,
     signs: NDArray[np.int8] | None = None,
     device: str | wp.Device | None = "cpu",
-) -> NDArray[np.int32]:
+) -> Ints:
     """Return how often the ring of every vertex goes around it on the sphere, decided exactly.
 
     Args:
@@ -117,7 +118,7 @@ def ring_turns(
     angles, errors = np.sum(run_all(added, parts_of(len(corners), where)), axis=0)
     total, error = angles / (2.0 * np.pi * float(SCALE)), errors / float(SCALE)
     certain = error < _CERTAIN
-    turns: NDArray[np.int32] = np.rint(np.where(certain, total, 0.0)).astype(np.int32)
+    turns: Ints = np.rint(np.where(certain, total, 0.0)).astype(np.int32)
     if not certain.all():
         _turn_exactly(points.numpy(), corners.numpy(), signs, ~certain, turns)
     return turns
@@ -139,7 +140,7 @@ class Examined:
     signs: NDArray[np.int8]
 
     @cached_property
-    def turns(self) -> NDArray[np.int32]:
+    def turns(self) -> Ints:
         return ring_turns(self.sphere, self.faces, signs=self.signs, device=self.device)
 
     @property
@@ -210,13 +211,7 @@ def is_bijective(
     return not tangled_faces(sphere, faces, device=device).any()
 
 
-def _turn_exactly(
-    points: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    signs: NDArray[np.int8],
-    asked: NDArray[np.bool_],
-    turns: NDArray[np.int32],
-) -> None:
+def _turn_exactly(points: Floats, faces: Ints, signs: NDArray[np.int8], asked: NDArray[np.bool_], turns: Ints) -> None:
     """Fill in the turns of the vertices asked for, by counting how often their rings cross one of their spokes.
 
     A triangle's side crosses the spoke towards r where its ends lie on both sides of the great circle through the

@@ -14,6 +14,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import Surface
 
 # Where second moments, relative to the largest, differ by less than this, rounding decides the axes; where third
@@ -31,7 +32,7 @@ class Axes:
         note: empty where the shape determines the axes, else what replaces them.
     """
 
-    frame: NDArray[np.float64]
+    frame: Floats
     note: str
 
 
@@ -83,7 +84,7 @@ def principal_axes(surface: Surface) -> Axes:
     return Axes(frame, note)
 
 
-def towards_coordinates(frame: NDArray[np.float64]) -> NDArray[np.float64]:
+def towards_coordinates(frame: Floats) -> Floats:
     """Reverse axes, two at a time, so that the last and then the first point along coordinates and not against them.
 
     Args:
@@ -97,9 +98,7 @@ def towards_coordinates(frame: NDArray[np.float64]) -> NDArray[np.float64]:
     return frame * signs[:, None]
 
 
-def rotation_onto_axes(
-    surface: Surface, sphere: NDArray[np.float64], axes: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], bool]:
+def rotation_onto_axes(surface: Surface, sphere: Floats, axes: Floats) -> tuple[Floats, bool]:
     """Find the rotation of the sphere that brings points nearest to their directions in a frame of the surface.
 
     Args:
@@ -120,7 +119,7 @@ def rotation_onto_axes(
     return left @ right, bool(sizes[1] + sign * sizes[2] > SMALLEST_DIFFERENCE * sizes[0])
 
 
-def fitted_rotation(products: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+def fitted_rotation(products: Floats) -> tuple[Floats, float]:
     """Return the rotation R that brings points p nearest to others q, and the largest Σ q·Rp, from Σ p qᵀ [3, 3]."""
     left, values, right = np.linalg.svd(products)
     sign = np.sign(np.linalg.det(left @ right))
@@ -137,9 +136,7 @@ def order_by_place(surface: Surface) -> NDArray[np.intp]:
     return np.argsort(surface.scaled_vertices @ (OBLIQUE @ principal_axes(surface).frame), kind="stable")
 
 
-def turned_towards(
-    sphere: NDArray[np.float64], target: NDArray[np.float64], weights: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def turned_towards(sphere: Floats, target: Floats, weights: Floats) -> Floats:
     """Turn points on the sphere to agree best with others, in the least squares of their distances (Kabsch 1976).
 
     Args:
@@ -155,9 +152,7 @@ def turned_towards(
     return np.ascontiguousarray(sphere @ (left @ right).T)
 
 
-def turned_about_pole(
-    sphere: NDArray[np.float64], target: NDArray[np.float64], weights: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def turned_about_pole(sphere: Floats, target: Floats, weights: Floats) -> Floats:
     """Turn points about the z axis to agree best with others; arguments as of :func:`turned_towards`."""
     here, there = (points[:, 0] + 1j * points[:, 1] for points in (sphere, target))
     agreement = complex((weights * there * here.conj()).sum())
@@ -165,7 +160,7 @@ def turned_about_pole(
     return np.stack([turned.real, turned.imag, sphere[:, 2]], axis=1)
 
 
-def _around(axis: NDArray[np.float64], first: bool) -> NDArray[np.float64]:
+def _around(axis: Floats, first: bool) -> Floats:
     """Return a right-handed frame with an axis first or last; the coordinate axis farthest from it gives another."""
     towards = np.eye(3)[int(np.argmin(np.abs(axis)))]
     other = towards - (towards @ axis) * axis

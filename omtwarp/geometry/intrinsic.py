@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, TWO, ZERO, wp
+from omtwarp.mesh.arrays import Floats, Ints
 from omtwarp.mesh.surface import Surface
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -120,7 +121,7 @@ class WeightedEdges:
     """
 
     ends: NDArray[np.int64]
-    weights: NDArray[np.float64]
+    weights: Floats
     steps: NDArray[np.int64]
     flips: int
 
@@ -171,7 +172,7 @@ def delaunay_edges(surface: Surface, jumps: NDArray[np.int64] | None = None) -> 
     )
 
 
-def intrinsic_edges(surface: Surface) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+def intrinsic_edges(surface: Surface) -> tuple[Ints, Floats]:
     """Return the pairs of vertices that intrinsic Delaunay edges join, and their weights; the surface keeps them.
 
     Edges that join the same two vertices are one pair, whose weight is their sum; one from a vertex to itself is none.
@@ -180,7 +181,7 @@ def intrinsic_edges(surface: Surface) -> tuple[NDArray[np.int32], NDArray[np.flo
         The pairs (i, j), i < j, in order, shape [E, 2], and the weights, shape [E].
     """
 
-    def pairs() -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    def pairs() -> tuple[Ints, Floats]:
         edges, count = delaunay_edges(surface), surface.vertex_count
         low, high = np.minimum(*edges.ends.T), np.maximum(*edges.ends.T)
         apart = low != high
@@ -191,9 +192,7 @@ def intrinsic_edges(surface: Surface) -> tuple[NDArray[np.int32], NDArray[np.flo
     return surface.cached("intrinsic Delaunay edges", pairs)
 
 
-def _opposite_cotangents(
-    side: NDArray[np.float64], one: NDArray[np.float64], other: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _opposite_cotangents(side: Floats, one: Floats, other: Floats) -> Floats:
     """Return the cotangent of the angle opposite to a side, from the lengths of the three sides."""
     product = (side + one + other) * (one + other - side) * (side - one + other) * (side + one - other)
     doubled = 0.5 * np.sqrt(np.maximum(product, np.finfo(float).eps ** 2 * (side * side + one * one) ** 2))

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import Surface
 
 
@@ -78,7 +79,5 @@ def thinnest_ring(surface: Surface) -> Ring | None:
     )
 
 
-def _graph(
-    weights: NDArray[np.float64], start: NDArray[np.int64], end: NDArray[np.int64], count: int
-) -> sparse.csr_matrix:
+def _graph(weights: Floats, start: NDArray[np.int64], end: NDArray[np.int64], count: int) -> sparse.csr_matrix:
     return sparse.csr_matrix((weights, (start, end)), shape=(count, count))

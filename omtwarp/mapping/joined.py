@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 
 from omtwarp.maps.result import SEVERAL, MapReport, MapResult
 from omtwarp.maps.torus_map import TorusMap
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.quarter import PARTS
 from omtwarp.topology.kind import Part
 
 
-def joined(
-    maps: list[MapResult], vertex_count: int, caps: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
-) -> MapResult:
+def joined(maps: list[MapResult], vertex_count: int, caps: tuple[Floats, Floats] | None = None) -> MapResult:
     """Join the maps of all parts, each on a sphere of its own; ``part`` says which part a face belongs to.
 
     The input's vertices and faces keep their order. Vertices that split edges, and copies made by cuts, follow.

@@ -11,7 +11,7 @@ from functools import partial
 
 import numpy as np
 import scipy
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from omtwarp.conformal import density
 from omtwarp.device.arrays import give_back, vectors
@@ -26,7 +26,7 @@ from omtwarp.geometry.space_order import OrderedSurface, in_space_order
 from omtwarp.mapping.verdict import judge, refusal
 from omtwarp.maps.result import MapReport, MapResult, StageRecord, renumbered
 from omtwarp.measures import TargetDensity, mass_distortion, weighted_surface
-from omtwarp.mesh.arrays import TINY, normalised
+from omtwarp.mesh.arrays import TINY, Floats, normalised
 from omtwarp.mesh.checks import MeshLike, as_surface, as_unit_vectors
 from omtwarp.mesh.quarter import quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
@@ -238,7 +238,7 @@ class MapComputation:
         progress: Progress | None,
         target: TargetDensity | None = None,
         mirror: Double | None = None,
-        begun: tuple[NDArray[np.float64], NDArray[np.float64] | None] | None = None,
+        begun: tuple[Floats, Floats | None] | None = None,
     ):
         self.given = None if begun is None else begun[0]
         self.given_map = None if begun is None else begun[1]
@@ -249,20 +249,20 @@ class MapComputation:
         self.device = device
         self.progress = progress
         self.records: list[StageRecord] = []
-        self.maps: dict[str, NDArray[np.float64]] = {}
+        self.maps: dict[str, Floats] = {}
         self.history: list[Record] = []
         self.given_up = ""  # what the current stage could not do
         self.repair_given_up = False  # after the work that it may take
         self.origin: dict[str, str] = {}  # of the first map: the route that led to it, and why that one
         self.first: wp.array | None = None
-        self.source: NDArray[np.float64] | None = None
+        self.source: Floats | None = None
         self.measured: Optimality | None = None  # of the map by Newton's method
-        self.uploaded: tuple[NDArray[np.float64], wp.array] | None = None
-        self.known: tuple[NDArray[np.float64], Examined] | None = None
+        self.uploaded: tuple[Floats, wp.array] | None = None
+        self.known: tuple[Floats, Examined] | None = None
         self.begun = self.stage_begun = time.perf_counter()
 
     @property
-    def sphere(self) -> NDArray[np.float64]:
+    def sphere(self) -> Floats:
         """The map of the latest stage."""
         return next(reversed(self.maps.values()))
 
@@ -275,27 +275,27 @@ class MapComputation:
     def notify(self, stage: str, done: int, total: int, details: Record) -> None:
         tell(self.progress, str(stage), done, total, details)
 
-    def points(self, sphere: NDArray[np.float64]) -> wp.array:
+    def points(self, sphere: Floats) -> wp.array:
         """Return a map as an array on the device; the one asked for last is kept there."""
         if self.uploaded is None or self.uploaded[0] is not sphere:
             self.uploaded = sphere, vectors(sphere, resolve_device(self.device))
         return self.uploaded[1]
 
-    def examine(self, sphere: NDArray[np.float64]) -> Examined:
+    def examine(self, sphere: Floats) -> Examined:
         """Return what decides whether a map is one to one; of the one asked for last it is known already."""
         if self.known is None or self.known[0] is not sphere:
             self.known = sphere, examine(self.points(sphere), self.surface.on(self.device).faces, device=self.device)
         return self.known[1]
 
-    def goal(self, sphere: NDArray[np.float64]) -> Surface:
+    def goal(self, sphere: Floats) -> Surface:
         """Return the surface with the areas that its triangles should cover at their present places on the sphere."""
         return self.surface if self.target is None else self.target.goal(self.surface, sphere)
 
-    def area_error(self, sphere: NDArray[np.float64]) -> float:
+    def area_error(self, sphere: Floats) -> float:
         """Return the area error of a map: how far areas on the sphere are from those of the goal."""
         return AreaMonitor(self.goal(sphere), resolve_device(self.device)).error(self.points(sphere))
 
-    def finish(self, name: str, sphere: NDArray[np.float64], iterations: int, **details: str | float | None) -> None:
+    def finish(self, name: str, sphere: Floats, iterations: int, **details: str | float | None) -> None:
         """End a stage: keep its map, and record its time and the quality of the map."""
         seconds = time.perf_counter() - self.stage_begun
         if self.first is None:
@@ -393,7 +393,7 @@ class MapComputation:
                 sphere = sphere if coarse is None else coarse
         self.finish(Stage.CONFORMAL, sphere, 1, **self.origin, repaired=repaired)
 
-    def orient(self, sphere: NDArray[np.float64]) -> NDArray[np.float64]:
+    def orient(self, sphere: Floats) -> Floats:
         """Turn the first map, and the points that transport starts from, by the surface's own axes."""
         axes = principal_axes(self.surface)
         if axes.note:
@@ -413,19 +413,19 @@ class MapComputation:
             self.source = turned if self.source is sphere else normalised(self.source @ rotation.T)
         return turned
 
-    def lay_symmetric(self, mirror: Double, sphere: NDArray[np.float64]) -> NDArray[np.float64]:
+    def lay_symmetric(self, mirror: Double, sphere: Floats) -> Floats:
         """Turn the first map, and the points that transport starts from, to be symmetric about the equator."""
         given = sphere if self.source is None else self.source
         frame = mirror_frame(mirror, given, self.surface.vertex_areas)
         self.source = symmetrised(mirror, given @ frame)
         return self.symmetric(sphere @ frame)
 
-    def coarse_start(self, mirror: Double) -> NDArray[np.float64] | None:
+    def coarse_start(self, mirror: Double) -> Floats | None:
         """Return a symmetric map without flips that was made from coarse to fine; None where there is none."""
         assert self.source is not None
         return symmetric_start(mirror, self.surface, self.source, device=self.device, progress=self.progress)
 
-    def symmetric(self, sphere: NDArray[np.float64], repair: bool = False) -> NDArray[np.float64]:
+    def symmetric(self, sphere: Floats, repair: bool = False) -> Floats:
         """Make the map of a double symmetric where that flips nothing; otherwise return it unchanged."""
         if self.mirror is None:
             return sphere
@@ -547,7 +547,7 @@ class MapComputation:
         details: dict[str, str | float | None] = {"converged": found.converged, "ended": found.ended}
         self.finish(Stage.OMT, sphere, len(self.history) - 1, repaired=repaired, **details)
 
-    def nearby_map(self) -> tuple[NDArray[np.float64], str]:
+    def nearby_map(self) -> tuple[Floats, str]:
         """Return the map that the minimisation begins with, and which it is: ``given``, ``nested`` or ``embedded``."""
         assert self.source is not None
         if self.given_map is not None:
@@ -592,7 +592,7 @@ class MapComputation:
         self.remember(optimal.history)
         self.give_up(optimal.gave_up)
 
-    def bounded(self, sphere: NDArray[np.float64], improve: bool = True) -> Optimality:
+    def bounded(self, sphere: Floats, improve: bool = True) -> Optimality:
         """Measure how far a map is from optimal, and improve the bound of an optimal one where the gap is too large."""
         assert self.source is not None
         steps = GAP_ASCENT_STEPS[self.surface.vertex_count <= GAP_ASCENT_VERTICES] if improve else 0
@@ -703,7 +703,7 @@ class MapComputation:
         record = {"weight": self.options.to_dict()["refine"], "converged": refined.converged, "repaired": repaired}
         self.finish(Stage.REFINE, sphere, len(refined.history), **record)
 
-    def least_distorted(self, weight: float) -> NDArray[np.float64]:
+    def least_distorted(self, weight: float) -> Floats:
         """Return the map made so far with the least angle + weight * area distortion, which is what refinement lowers.
 
         With a small weight that may be the first map: from the last one refinement would have to return to it along
@@ -781,7 +781,7 @@ class MapComputation:
         if what and what not in self.given_up.split("; "):
             self.given_up = "; ".join([*filter(None, [self.given_up]), what])
 
-    def untangle(self, before: NDArray[np.float64], after: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
+    def untangle(self, before: Floats, after: Floats) -> tuple[Floats, int]:
         """Make a stage's map one to one by repair, or by holding it back towards the map before it.
 
         Repair may end with all triangles positive and the sphere covered twice: such maps are rejected too.
@@ -841,9 +841,7 @@ class MapComputation:
         return certificate
 
 
-def _begun(
-    start: ArrayLike | MapResult, surface: Surface, ordered: OrderedSurface
-) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+def _begun(start: ArrayLike | MapResult, surface: Surface, ordered: OrderedSurface) -> tuple[Floats, Floats | None]:
     """Return a user's points x, and a map to begin with where one was given, in the order that the surface is solved.
 
     Raises:

@@ -6,13 +6,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.limbs import thinnest_ring, vertices_needed
 from omtwarp.maps.result import StageRecord, Warned
 from omtwarp.measures import mass_distortion
-from omtwarp.mesh.arrays import TINY
+from omtwarp.mesh.arrays import TINY, Floats
 from omtwarp.mesh.origins import named_face, named_vertex
 from omtwarp.mesh.quarter import PARTS
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
@@ -109,7 +108,7 @@ def foretell(surface: Surface) -> list[Finding]:
     return findings + _coarse_findings(surface, long)
 
 
-def _coarse_findings(surface: Surface, long: NDArray[np.float64]) -> list[Finding]:
+def _coarse_findings(surface: Surface, long: Floats) -> list[Finding]:
     """Find triangles that are large for how the surface bends or how thick it is; ``long`` is their elongation."""
     # Triangles count as folded where a neighbour turns away by more degrees than this. Bodies with limbs that were
     # decimated to 80 to 300 faces reach 2.05 where 0.19 of the area is folded, and 2.1 to 2.3 at 0.3 to 0.5; on scans
@@ -157,7 +156,7 @@ def _coarse_findings(surface: Surface, long: NDArray[np.float64]) -> list[Findin
     return findings
 
 
-def elongation(surface: Surface) -> NDArray[np.float64]:
+def elongation(surface: Surface) -> Floats:
     """Return the ratio of every triangle's longest edge to the height above it, shape [F]; 1.15 if equilateral."""
     corners = surface.scaled_vertices[surface.faces]
     edges = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
@@ -165,12 +164,7 @@ def elongation(surface: Surface) -> NDArray[np.float64]:
 
 
 def judge(
-    goal: Surface,
-    sphere: NDArray[np.float64],
-    records: Iterable[StageRecord],
-    options: MapOptions,
-    *,
-    uniform: bool = True,
+    goal: Surface, sphere: Floats, records: Iterable[StageRecord], options: MapOptions, *, uniform: bool = True
 ) -> list[Finding]:
     """List the warnings about a map; those about areas only where the options ask for a map that keeps them, or some.
 
@@ -223,7 +217,7 @@ def refusal(findings: Sequence[Finding]) -> OmtwarpError:
     return OmtwarpError(f"not accepted with --strict: {findings[0]}" + (f" (also: {others})" if others else ""))
 
 
-def _area_findings(goal: Surface, sphere: NDArray[np.float64], uniform: bool, parts: int = 1) -> list[Finding]:
+def _area_findings(goal: Surface, sphere: Floats, uniform: bool, parts: int = 1) -> list[Finding]:
     """Find warnings about the areas around vertices, which a map promises, and those of triangles.
 
     A triangle is made of so many faces in a row, its ``parts``; areas around vertices are judged where it is one.
@@ -264,5 +258,5 @@ def _place_of_face(surface: Surface, face: int) -> str:
     return _place(surface.vertices[surface.faces[face]].mean(axis=0))
 
 
-def _place(point: NDArray[np.float64]) -> str:
+def _place(point: Floats) -> str:
     return f"at ({', '.join(f'{coordinate:.4g}' for coordinate in point)})"

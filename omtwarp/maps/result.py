@@ -18,7 +18,16 @@ from omtwarp.files.inputs import open_input, read_arrays, write_arrays
 from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.files.output import as_path
 from omtwarp.maps.display import Displayable
-from omtwarp.mesh.arrays import Floats, Layout, fitting_arrays, owned, real_numbers, require_unit_length, whole_numbers
+from omtwarp.mesh.arrays import (
+    Floats,
+    Ints,
+    Layout,
+    fitting_arrays,
+    owned,
+    real_numbers,
+    require_unit_length,
+    whole_numbers,
+)
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics.certificate import Certificate, certify_triangles
@@ -351,7 +360,7 @@ class MapResult(StoredMap):
     """
 
     vertices: Floats = field(metadata=stored(np.float64, "V", 3))
-    faces: NDArray[np.int32] = field(metadata=stored(np.int32, "F", 3))
+    faces: Ints = field(metadata=stored(np.int32, "F", 3))
     sphere: Floats = field(metadata=stored(np.float64, "V", 3))
     conformal: Floats = field(metadata=stored(np.float64, "V", 3))
     density: Floats = field(metadata=stored(np.float64, "V"))
@@ -544,7 +553,7 @@ def renumbered(result: MapResult, numbers: Mapping[str, NDArray[np.int64]], arra
     return result.with_arrays(result.rows({k: np.argsort(new) for k, new in numbers.items()}) | dict(arrays))
 
 
-def _certified(faces: NDArray[np.int32], points: Floats) -> Certificate:
+def _certified(faces: Ints, points: Floats) -> Certificate:
     """Return the certificate of one part, its vertices numbered anew and its boundary closed."""
     used, own = np.unique(faces, return_inverse=True)
     own, places = own.reshape(-1, 3).astype(np.int32), points[used]

@@ -22,7 +22,7 @@ from omtwarp.maps.result import (
     read_map_arrays,
     stored,
 )
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Floats, Ints
 from omtwarp.mesh.surface import SPHERE_AREA, plane_areas, triangle_areas
 from omtwarp.metrics.distortion import Distortion, summarize
 from omtwarp.options import Record
@@ -99,7 +99,7 @@ class TorusMap(StoredMap):
     """
 
     vertices: Floats = field(metadata=stored(np.float64, "V", 3))
-    faces: NDArray[np.int32] = field(metadata=stored(np.int32, "F", 3))
+    faces: Ints = field(metadata=stored(np.int32, "F", 3))
     coordinates: Floats = field(metadata=stored(np.float64, "V", 2))
     wraps: NDArray[np.int64] = field(metadata=stored(np.int64, "F", 3, 2))
     lattice: Floats = field(metadata=stored(np.float64, 2, 2))

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import ROUND_OFF, real_numbers, require_unit_length, whole_numbers
+from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints, real_numbers, require_unit_length, whole_numbers
 from omtwarp.mesh.surface import Surface
 from omtwarp.mesh.validate import MeshLike, mesh_arrays, require_valid
 
@@ -34,7 +34,7 @@ def as_surface(mesh: MeshLike) -> Surface:
     return surface
 
 
-def as_triangles(mesh: MeshLike) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def as_triangles(mesh: MeshLike) -> tuple[Floats, Ints]:
     """Return the vertices and faces of a mesh in any of the accepted forms, whether it can be mapped or not.
 
     Args:
@@ -51,7 +51,7 @@ def as_triangles(mesh: MeshLike) -> tuple[NDArray[np.float64], NDArray[np.int32]
     return positions, as_faces(faces, len(positions))
 
 
-def as_sphere(sphere: ArrayLike | wp.array, surface: Surface, name: str = "map") -> NDArray[np.float64] | wp.array:
+def as_sphere(sphere: ArrayLike | wp.array, surface: Surface, name: str = "map") -> Floats | wp.array:
     """Check that the images of a surface's vertices lie on the unit sphere, and normalise them to round-off.
 
     Args:
@@ -72,7 +72,7 @@ def as_sphere(sphere: ArrayLike | wp.array, surface: Surface, name: str = "map")
     return as_unit_vectors(sphere, surface.vertex_count, name)
 
 
-def as_unit_vectors(points: ArrayLike, count: int | None = None, name: str = "map") -> NDArray[np.float64]:
+def as_unit_vectors(points: ArrayLike, count: int | None = None, name: str = "map") -> Floats:
     """Check that points lie on the unit sphere, and normalise them to round-off.
 
     Args:
@@ -94,7 +94,7 @@ def as_unit_vectors(points: ArrayLike, count: int | None = None, name: str = "ma
     return given
 
 
-def as_faces(faces: ArrayLike, count: int) -> NDArray[np.int32]:
+def as_faces(faces: ArrayLike, count: int) -> Ints:
     """Check triangles whose corners are among a number of vertices.
 
     Args:

@@ -31,7 +31,7 @@ from omtwarp.errors import OmtwarpError, brief
 from omtwarp.files.inputs import array_of, read_bytes, reading
 from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.files.output import staged
-from omtwarp.mesh.arrays import single_precision
+from omtwarp.mesh.arrays import Floats, Ints, single_precision
 from omtwarp.mesh.neuro import load_gifti, nibabel_module, structure_of
 from omtwarp.mesh.ply import ply_columns
 from omtwarp.mesh.write import ply_bytes
@@ -265,7 +265,7 @@ def _read_ply(data: bytes) -> VertexData:
     return VertexData(np.stack([np.asarray(vertex[name], dtype=np.float64) for name in names], axis=1), tuple(names))
 
 
-def write_data(path: Path, data: VertexData, mesh: tuple[NDArray[np.float64], NDArray[np.int32]] | None = None) -> None:
+def write_data(path: Path, data: VertexData, mesh: tuple[Floats, Ints] | None = None) -> None:
     """Write per-vertex data; an older file is as it was if anything is wrong.
 
     Args:

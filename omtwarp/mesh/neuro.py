@@ -14,12 +14,11 @@ from typing import TYPE_CHECKING
 from xml.parsers.expat import ParserCreate
 
 import numpy as np
-from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import file_beside, open_input, read_arrays, read_bytes, reading
 from omtwarp.files.limits import LARGEST_MESH_FILE
-from omtwarp.mesh.arrays import single_precision
+from omtwarp.mesh.arrays import Floats, Ints, single_precision
 
 if TYPE_CHECKING:
     from nibabel.gifti import GiftiImage
@@ -131,9 +130,7 @@ def require_same_structure(one: Path | None, other: Path | None) -> None:
         raise OmtwarpError(f"'{one}' is {ours} and '{other}' is {theirs}: take the template of the same hemisphere")
 
 
-def write_gifti_surface(
-    file: Path, points: NDArray[np.float64], faces: NDArray[np.int32], spherical: bool, like: Path | None
-) -> None:
+def write_gifti_surface(file: Path, points: Floats, faces: Ints, spherical: bool, like: Path | None) -> None:
     """Write a GIFTI surface (single precision, as its readers expect).
 
     Metadata and coordinate system are those of the file that it is like; otherwise the structure follows from the
@@ -168,9 +165,7 @@ def write_gifti_surface(
     nibabel.save(gifti.GiftiImage(darrays=arrays, meta=gifti.GiftiMetaData(whole)), file)
 
 
-def write_freesurfer_surface(
-    file: Path, points: NDArray[np.float64], faces: NDArray[np.int32], like: Path | None
-) -> None:
+def write_freesurfer_surface(file: Path, points: Floats, faces: Ints, like: Path | None) -> None:
     """Write a surface in FreeSurfer's binary format, with the volume geometry of the file that it is like."""
     io = nibabel_module().freesurfer.io
     volume = None

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import scratch
-from omtwarp.mesh.arrays import whole_numbers
+from omtwarp.mesh.arrays import Floats, whole_numbers
 from omtwarp.mesh.polygons import Polygons
 
 Triangles = tuple[NDArray[np.generic], NDArray[np.generic], list[str]]
@@ -180,7 +180,7 @@ class _Numbers:
     def __init__(self, text: bytes):
         self.words, self.place = text.split(), 0
 
-    def take(self, count: int) -> NDArray[np.float64]:
+    def take(self, count: int) -> Floats:
         """Return the next numbers.
 
         Raises:

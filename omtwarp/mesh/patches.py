@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.mesh.arrays import Floats, Ints
 from omtwarp.mesh.validate import components_of
 
 
-def grow(faces: NDArray[np.int32], seed: NDArray[np.bool_], rings: int) -> NDArray[np.bool_]:
+def grow(faces: Ints, seed: NDArray[np.bool_], rings: int) -> NDArray[np.bool_]:
     """Return a mask, shape [V], of the vertices within ``rings`` edges of the seed vertices."""
     mask = seed.copy()
     for _ in range(rings):
@@ -22,14 +23,14 @@ def grow(faces: NDArray[np.int32], seed: NDArray[np.bool_], rings: int) -> NDArr
     return mask
 
 
-def touching(faces: NDArray[np.int32], chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def touching(faces: Ints, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return a mask, shape [F], of the triangles with a corner among the chosen vertices."""
     corners = chosen.take(faces)
     touched: NDArray[np.bool_] = corners[:, 0] | corners[:, 1] | corners[:, 2]  # NumPy reduces rows of three slowly
     return touched
 
 
-def sides_of(faces: NDArray[np.int32]) -> NDArray[np.int32]:
+def sides_of(faces: Ints) -> Ints:
     """Return the pairs of corners along the sides of triangles [T, 3], shape [3 T, 2]."""
     return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
 
@@ -51,13 +52,13 @@ class Patches:
     vertices: NDArray[np.intp]
     free: int
     triangles: NDArray[np.intp]
-    faces: NDArray[np.int32]
+    faces: Ints
     vertex_patch: NDArray[np.intp]
     face_patch: NDArray[np.intp]
     count: int
 
     @classmethod
-    def of_vertices(cls, faces: NDArray[np.int32], freed: NDArray[np.bool_]) -> Patches:
+    def of_vertices(cls, faces: Ints, freed: NDArray[np.bool_]) -> Patches:
         """Return the patches of all freed vertices.
 
         Args:
@@ -84,15 +85,15 @@ class Patches:
         face_patch = np.maximum(np.maximum(first, second), third)
         return cls(vertices, free, triangles, own, of_corner[:free], face_patch, count)
 
-    def sum_of_vertices(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def sum_of_vertices(self, values: Floats) -> Floats:
         """Sum values at the freed vertices, shape [free], over every piece; returns shape [count]."""
         return np.bincount(self.vertex_patch, values, minlength=self.count).astype(np.float64, copy=False)
 
-    def sum_of_faces(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def sum_of_faces(self, values: Floats) -> Floats:
         """Sum values on the triangles, shape [T], over every piece; returns shape [count]."""
         return np.bincount(self.face_patch, values, minlength=self.count).astype(np.float64, copy=False)
 
-    def longest(self, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    def longest(self, vectors: Floats) -> Floats:
         """Return the largest length of the freed vertices' vectors [free, ...] in every piece, shape [count]."""
         lengths = np.zeros(self.count)
         np.maximum.at(lengths, self.vertex_patch, np.linalg.norm(vectors, axis=1))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import whole_numbers
+from omtwarp.mesh.arrays import Floats, whole_numbers
 from omtwarp.mesh.polygons import parts_of_strips, triangles_of_strips
 
 _TYPES = {
@@ -46,7 +46,7 @@ class _Element:
     properties: tuple[_Property, ...]
 
 
-def read_ply(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.generic], NDArray[np.int64], list[str]]:
+def read_ply(data: bytes) -> tuple[Floats, NDArray[np.generic], NDArray[np.int64], list[str]]:
     """Read the vertices and polygons of a PLY file, in the file's order.
 
     Returns:
@@ -84,7 +84,7 @@ def ply_columns(data: bytes) -> tuple[dict[str, dict[str, Column]], list[str]]:
         return _text_columns(announced, elements), [note]
 
 
-def polygons_of(columns: dict[str, dict[str, Column]]) -> tuple[NDArray[np.float64], NDArray, NDArray]:
+def polygons_of(columns: dict[str, dict[str, Column]]) -> tuple[Floats, NDArray, NDArray]:
     """Take vertices, the corners of all polygons and their numbers from columns, as :func:`read_ply` returns them.
 
     Raises:

@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from omtwarp.mesh.arrays import Floats, Ints
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.surface import Surface
 
@@ -31,11 +31,11 @@ class QuarteredSurface:
     """
 
     surface: Surface
-    ends: NDArray[np.int32]
-    middles: NDArray[np.int32]
+    ends: Ints
+    middles: Ints
 
     @property
-    def parents(self) -> NDArray[np.int32]:
+    def parents(self) -> Ints:
         """The triangle that every part belongs to, shape [4 F]."""
         return np.repeat(np.arange(len(self.middles), dtype=np.int32), PARTS)
 
@@ -46,7 +46,7 @@ class QuarteredSurface:
         number = np.r_[np.arange(count), np.full(len(self.ends), -1)]
         return Origins(number, self.parents.astype(np.int64), split_edges=self.ends.astype(np.int64), given=count)
 
-    def on_sphere(self, sphere: NDArray[np.float64]) -> NDArray[np.float64]:
+    def on_sphere(self, sphere: Floats) -> Floats:
         """Extend a map: new vertices go to the midpoints of the images of their edges.
 
         If the map flips no triangle, neither does this: each spherical triangle is cut into four along great circles.
@@ -63,7 +63,7 @@ class QuarteredSurface:
         middle = np.where(length > 0.0, middle / np.where(length > 0.0, length, 1.0), one)
         return np.concatenate([sphere, middle])
 
-    def sum_of_parts(self, per_part: NDArray[np.float64]) -> NDArray[np.float64]:
+    def sum_of_parts(self, per_part: Floats) -> Floats:
         """Sum numbers on the parts, shape [4 F], over every original triangle; returns shape [F]."""
         return per_part.reshape(-1, PARTS).sum(axis=1)
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import TINY, WELD, edge_keys
+from omtwarp.mesh.arrays import TINY, WELD, Floats, edge_keys
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.validate import (
     MeshLike,
@@ -41,7 +41,7 @@ class Repaired(NamedTuple):
         loss: share of the input's area that is gone; where more than :data:`NOTED_LOSS`, the last action says it.
     """
 
-    vertices: NDArray[np.float64]
+    vertices: Floats
     faces: NDArray[np.int64]
     actions: list[str]
     vertex_origin: NDArray[np.int64]
@@ -91,20 +91,15 @@ def repair(mesh: MeshLike | ArrayLike, faces: ArrayLike | None = None, *, whole:
     work = _Work(points, triangles)
     if check(points, triangles):
         _require_counted_from_zero(triangles, len(points))
-        work.drop_impossible_faces()
-        work.merge_coincident_vertices()
-        work.drop_repeated_faces()
-        work.flip_flat_faces()
-        work.drop_fins()
-        work.split_touching_vertices()
-        if whole:
-            work.keep_largest_component()
-        else:
-            work.drop_crumbs()
-        work.turn_to_agree()
-        if whole:
-            work.fill_holes()
-            work.turn_outward()
+        steps = [
+            work.drop_impossible_faces, work.merge_coincident_vertices, work.drop_repeated_faces, work.flip_flat_faces,
+            work.drop_fins, work.split_touching_vertices,
+            work.keep_largest_component if whole else work.drop_crumbs,
+            work.turn_to_agree, *([work.fill_holes, work.turn_outward] if whole else []),
+        ]  # fmt: skip
+        for step in steps:
+            if len(work.faces):
+                step()
         work.drop_unused_vertices()
         work.measure_loss(points, triangles)
     return Repaired(work.points, work.faces, work.actions, work.vertex_origin, work.face_origin, work.loss)
@@ -129,7 +124,7 @@ def _require_counted_from_zero(faces: NDArray[np.int64], count: int) -> None:
 class _Work:
     """A mesh under repair; every method repairs one kind of defect and notes what it did."""
 
-    def __init__(self, points: NDArray[np.float64], faces: NDArray[np.int64]):
+    def __init__(self, points: Floats, faces: NDArray[np.int64]):
         self.points, self.faces = points, faces.copy()
         self.vertex_origin, self.face_origin = np.arange(len(points)), np.arange(len(faces))
         self.actions: list[str] = []
@@ -151,8 +146,6 @@ class _Work:
 
     def merge_coincident_vertices(self) -> None:
         """Merge vertices at one place where that can repair a defect; elsewhere two may share a position."""
-        if not len(self.faces):
-            return
         topology = Topology(self.faces, len(self.points))
         candidate = np.zeros(len(self.points), dtype=bool)
         candidate[topology.edges[topology.edge_face_count == 1]] = True
@@ -191,8 +184,6 @@ class _Work:
         # Rounds of exchanged edges, so that they end: each round repairs one triangle of every row of flat ones.
         for _ in range(1000):
             used = np.unique(self.faces)
-            if not len(used):
-                break
             unit = np.zeros_like(self.points)
             unit[used] = unit_coordinates(self.points[used])
             flat = np.flatnonzero(zero_area_faces(unit, self.faces))
@@ -202,7 +193,7 @@ class _Work:
         if flipped:
             self.actions.append(f"flipped the longest edge of {number(flipped, 'face')} of zero area")
 
-    def _flip(self, unit: NDArray[np.float64], face: int) -> bool:
+    def _flip(self, unit: Floats, face: int) -> bool:
         corners = unit[self.faces[face]]
         k = int(np.argmax(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)))
         a, b, c = (int(self.faces[face, (k + j) % 3]) for j in range(3))
@@ -218,8 +209,6 @@ class _Work:
         return True
 
     def keep_largest_component(self) -> None:
-        if not len(self.faces):
-            return
         pieces, labels = Topology(self.faces, len(self.points)).components
         if pieces > 1:
             largest = np.argmax(np.bincount(labels))
@@ -246,16 +235,12 @@ class _Work:
     def drop_crumbs(self) -> None:
         # Parts of at most so many faces are dropped from a surface that may have several: artefacts of scanners.
         crumbs = 8
-        if not len(self.faces):
-            return
         _, labels = Topology(self.faces, len(self.points)).components
         sizes = np.bincount(labels)
         self.keep((sizes[labels] > crumbs) | (sizes[labels] == sizes.max()), "in tiny components")
 
     def split_touching_vertices(self) -> None:
         """Give every fan of faces around a vertex a vertex of its own."""
-        if not len(self.faces):
-            return
         topology = Topology(self.faces, len(self.points))
         _, first, fan = np.unique(topology.fan_of_corner, return_index=True, return_inverse=True)
         owner = self.faces.ravel()[first]  # the vertex of every fan, which the first of its fans keeps
@@ -273,8 +258,6 @@ class _Work:
         )
 
     def turn_to_agree(self) -> None:
-        if not len(self.faces):
-            return
         topology = Topology(self.faces, len(self.points))
         orientable, turn = topology.orientation
         if orientable and turn.any():
@@ -285,8 +268,6 @@ class _Work:
 
     def fill_holes(self) -> None:
         """Fill one hole after the other where that keeps the surface manifold."""
-        if not len(self.faces):
-            return
         topology = Topology(self.faces, len(self.points))
         lone = topology.edge_face_count == 1
         if not lone.any() or topology.clashing_edges.any():
@@ -312,11 +293,11 @@ class _Work:
             self.faces = self.faces[:, ::-1].copy()
             self.actions.append("turned all faces outward")
 
-    def _compact(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    def _compact(self) -> tuple[Floats, NDArray[np.int64]]:
         used, faces = np.unique(self.faces, return_inverse=True)
         return self.points[used], faces.reshape(-1, 3)
 
-    def measure_loss(self, points: NDArray[np.float64], faces: NDArray[np.int64]) -> None:
+    def measure_loss(self, points: Floats, faces: NDArray[np.int64]) -> None:
         """Measure which share of the input's area is gone, and say it where it is not small.
 
         Of faces that are there twice, one counts.
@@ -344,7 +325,7 @@ class _Work:
             self.actions.append(f"dropped {number(dropped, 'unused vertex', 'unused vertices')}")
 
 
-def _first_at_place(unit: NDArray[np.float64], edges: NDArray[np.int64], among: NDArray[np.int64]) -> NDArray[np.int64]:
+def _first_at_place(unit: Floats, edges: NDArray[np.int64], among: NDArray[np.int64]) -> NDArray[np.int64]:
     """Find vertices that lie at one place: nearer than a share of the mean length of their edges, or equal.
 
     Args:
@@ -398,9 +379,7 @@ def _loops(half_edges: NDArray[np.int64]) -> list[list[int]]:
     return loops
 
 
-def _patch(
-    points: NDArray[np.float64], loop: list[int], known: set[tuple[int, int]]
-) -> list[tuple[int, int, int]] | None:
+def _patch(points: Floats, loop: list[int], known: set[tuple[int, int]]) -> list[tuple[int, int, int]] | None:
     """Find the triangulation of a loop with the least area whose inner edges are all new; None where there is none.
 
     Source: G. Barequet and M. Sharir, Filling gaps in the boundary of a polyhedron, CAGD 12 (1995).

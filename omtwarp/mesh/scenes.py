@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import file_beside, read_bytes
 from omtwarp.files.limits import LARGEST_MESH_FILE, amount, memory_for_file
-from omtwarp.mesh.arrays import whole_numbers
+from omtwarp.mesh.arrays import Floats, whole_numbers
 
 if TYPE_CHECKING:
     import trimesh
@@ -381,7 +381,7 @@ def _require_read(header: Document, read: tuple[str, ...]) -> None:
         raise OmtwarpError(f"needs {unknown[0]}, which is not read: save it without compression and extensions")
 
 
-def placed_meshes(scene: trimesh.Scene) -> list[tuple[str, trimesh.Trimesh, NDArray[np.float64], NDArray[np.int64]]]:
+def placed_meshes(scene: trimesh.Scene) -> list[tuple[str, trimesh.Trimesh, Floats, NDArray[np.int64]]]:
     """Return the meshes of a scene in the file's order, each with its name, and moved to where the scene puts it.
 
     Returns:

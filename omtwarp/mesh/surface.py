@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import in_range, real_numbers, whole_numbers
+from omtwarp.mesh.arrays import Floats, Ints, in_range, real_numbers, whole_numbers
 from omtwarp.mesh.origins import Origins
 
 Kind = TypeVar("Kind")
@@ -55,9 +55,9 @@ class Surface:
     """
 
     def __init__(self, vertices: ArrayLike, faces: ArrayLike, areas: ArrayLike | None = None):
-        self.vertices: NDArray[np.float64] = np.array(real_numbers(vertices, "vertices", (None, 3), finite=False))
+        self.vertices: Floats = np.array(real_numbers(vertices, "vertices", (None, 3), finite=False))
         corners = whole_numbers(faces, "faces", (None, 3), below=len(self.vertices))
-        self.faces: NDArray[np.int32] = corners.astype(np.int32)
+        self.faces: Ints = corners.astype(np.int32)
         self.vertices.flags.writeable = self.faces.flags.writeable = False
         self.checked = False
         self.origins: Origins | None = None
@@ -106,12 +106,12 @@ class Surface:
         return len(self.faces)
 
     @property
-    def moderate_vertices(self) -> NDArray[np.float64]:
+    def moderate_vertices(self) -> Floats:
         """The vertices, times a power of two where squares of their coordinates would overflow or vanish, [V, 3]."""
         return in_range(self.vertices)
 
     @cached_property
-    def scaled_vertices(self) -> NDArray[np.float64]:
+    def scaled_vertices(self) -> Floats:
         """Vertices moved to their bounding box's centre and scaled so that the surface's area is 4π, shape [V, 3]."""
         low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
         # Dividing by the extent first keeps the squares below in range at any scale of the input.
@@ -120,28 +120,28 @@ class Surface:
         return unit * np.sqrt(SPHERE_AREA / area)
 
     @cached_property
-    def own_areas(self) -> NDArray[np.float64]:
+    def own_areas(self) -> Floats:
         """Area of every triangle of the scaled surface, shape [F]; the sum is 4π."""
         return triangle_areas(self.scaled_vertices, self.faces)
 
     @cached_property
-    def face_areas(self) -> NDArray[np.float64]:
+    def face_areas(self) -> Floats:
         """Measure of every triangle, shape [F]; the sum is 4π. Its own area unless another measure was given."""
         return self.own_areas if self._given_areas is None else self._given_areas
 
     @cached_property
-    def vertex_areas(self) -> NDArray[np.float64]:
+    def vertex_areas(self) -> Floats:
         """A third of the measure of the triangles around every vertex, shape [V]; the sum is 4π."""
         return self.sum_to_vertices(self.face_areas) / 3.0
 
-    def sum_to_vertices(self, per_face: NDArray[np.float64]) -> NDArray[np.float64]:
+    def sum_to_vertices(self, per_face: Floats) -> Floats:
         """Sum a number per face, shape [F], over the faces around every vertex, shape [V]."""
         weights = np.repeat(per_face, 3)
         sums = np.bincount(self.faces.ravel(), weights=weights, minlength=self.vertex_count)
         return sums.astype(np.float64, copy=False)
 
     @cached_property
-    def face_neighbours(self) -> NDArray[np.int32]:
+    def face_neighbours(self) -> Ints:
         """The face across edge (k, k+1) of every face, shape [F, 3]; -1 where there is none."""
         order = self._sides
         if order is None:
@@ -154,7 +154,7 @@ class Surface:
         return neighbours.reshape(-1, 3)
 
     @cached_property
-    def vertex_corners(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    def vertex_corners(self) -> tuple[Ints, Ints]:
         """Corners around every vertex as compressed rows: offsets [V + 1] and corners [3F].
 
         Corner ``c`` is corner ``c % 3`` of face ``c // 3``. Kernels gather over these rows instead of scattering with
@@ -167,7 +167,7 @@ class Surface:
         return offsets, corners
 
     @cached_property
-    def edges(self) -> NDArray[np.int32]:
+    def edges(self) -> Ints:
         """Every undirected edge once, smaller vertex first, shape [E, 2], sorted."""
         order = self._sides
         keys = self._side_keys
@@ -175,7 +175,7 @@ class Surface:
         return np.stack([keys // self.vertex_count, keys % self.vertex_count], axis=1).astype(np.int32)
 
     @cached_property
-    def edge_corners(self) -> NDArray[np.int32]:
+    def edge_corners(self) -> Ints:
         """The two corners that lie opposite to every edge of a closed surface, shape [E, 2].
 
         Raises:
@@ -186,7 +186,7 @@ class Surface:
         return self._sides.reshape(-1, 2)
 
     @cached_property
-    def side_corners(self) -> NDArray[np.int32]:
+    def side_corners(self) -> Ints:
         """The corners that lie opposite to every edge, shape [E, 2]; -1 for the second of an edge with one triangle.
 
         Raises:
@@ -232,7 +232,7 @@ class Surface:
         return np.minimum(tail, head) * self.vertex_count + np.maximum(tail, head)
 
     @cached_property
-    def _sides(self) -> NDArray[np.int32] | None:
+    def _sides(self) -> Ints | None:
         """Corners in the order of the edges they lie opposite to, shape [3F]; None if edges do not come in twos."""
         keys = self._side_keys
         order = np.argsort(keys, kind="stable").astype(np.int32)
@@ -259,7 +259,7 @@ _UNWEIGHTED = frozenset(
 _WEIGHTED = frozenset({"face_areas", "vertex_areas"})
 
 
-def scaled_areas(areas: ArrayLike, count: int) -> NDArray[np.float64]:
+def scaled_areas(areas: ArrayLike, count: int) -> Floats:
     """Check a measure of triangles and scale it to the sum 4π, shape [F].
 
     Raises:
@@ -345,19 +345,19 @@ class SurfaceArrays:
         return self._array("side_corners", wp.vec2i)
 
 
-def plane_areas(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def plane_areas(corners: Floats) -> Floats:
     """Return the signed areas of plane triangles, shape [F], from their corners [F, 3, 2]."""
     one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     return 0.5 * (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
 
 
-def triangle_areas(points: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+def triangle_areas(points: Floats, faces: Ints) -> Floats:
     """Return the area of every flat triangle, shape [F]."""
     p0, p1, p2 = (points[faces[:, k]] for k in range(3))
     return 0.5 * np.linalg.norm(np.cross(p1 - p0, p2 - p0), axis=1)
 
 
-def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
     """Return the unit normals at vertices, shape [V, 3]: the mean of the faces' normals, weighted by area.
 
     They are zero where the faces around a vertex cancel or have no area.
@@ -374,7 +374,7 @@ def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> N
     return total / np.where(length > 0, length, 1.0)
 
 
-def unit_normals(normals: NDArray[np.float64]) -> NDArray[np.float64]:
+def unit_normals(normals: Floats) -> Floats:
     """Scale normals to unit length.
 
     A zero normal becomes the direction of the z axis, as file formats require one.
@@ -383,7 +383,7 @@ def unit_normals(normals: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(length > 0, normals / np.where(length > 0, length, 1.0), (0.0, 0.0, 1.0))
 
 
-def face_neighbours(faces: NDArray[np.int32], vertex_count: int) -> NDArray[np.int32]:
+def face_neighbours(faces: Ints, vertex_count: int) -> Ints:
     """Return the face across edge (k, k+1) of every face of an oriented manifold mesh, shape [F, 3].
 
     It is -1 at a boundary.

@@ -16,7 +16,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import ROUND_OFF, HasTriangles, real_numbers, whole_numbers
+from omtwarp.mesh.arrays import ROUND_OFF, Floats, HasTriangles, Ints, real_numbers, whole_numbers
 
 REPAIR = "--repair (omtwarp.mesh.repair in Python)"
 """How the remedies name the package's own repair."""
@@ -119,9 +119,7 @@ def check(mesh: MeshLike | ArrayLike, faces: ArrayLike | None = None) -> list[De
     return defects
 
 
-def require_valid(
-    vertices: ArrayLike, faces: ArrayLike, name: str = ""
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def require_valid(vertices: ArrayLike, faces: ArrayLike, name: str = "") -> tuple[Floats, Ints]:
     """Return the arrays of a mesh that can be mapped; raise an error with the reason for any other.
 
     Args:
@@ -148,7 +146,7 @@ def describe(defects: list[Defect], name: str = "") -> str:
     return (f"{name}: " if name else "") + str(defects[0]) + (f" (also: {others})" if others else "")
 
 
-def as_arrays(vertices: ArrayLike, faces: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def as_arrays(vertices: ArrayLike, faces: ArrayLike) -> tuple[Floats, NDArray[np.int64]]:
     """Convert vertices to float64 [V, 3] and faces to int64 [F, 3] without changing a number.
 
     Raises:
@@ -165,7 +163,7 @@ def as_arrays(vertices: ArrayLike, faces: ArrayLike) -> tuple[NDArray[np.float64
         raise OmtwarpError(f"not a triangle mesh: {error}") from None
 
 
-def unit_coordinates(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def unit_coordinates(points: Floats) -> Floats:
     """Move points to their bounding box's centre and divide them by half its largest side.
 
     The result is zero if they all coincide.
@@ -176,7 +174,7 @@ def unit_coordinates(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return centred / extent if extent > 0 else np.zeros_like(centred)
 
 
-def zero_area_faces(unit: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.bool_]:
+def zero_area_faces(unit: Floats, faces: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return a mask of the faces whose area is zero up to rounding, shape [F]; ``unit`` is of :func:`unit_coordinates`.
 
     Coordinates near 1 are rounded at 1e-16, which moves twice the area by that times the longest edge: areas
@@ -199,7 +197,7 @@ def duplicate_faces(faces: NDArray[np.int64], vertex_count: int) -> NDArray[np.b
     return duplicate
 
 
-def _geometric_defects(points: NDArray[np.float64], faces: NDArray[np.int64]) -> list[Defect]:
+def _geometric_defects(points: Floats, faces: NDArray[np.int64]) -> list[Defect]:
     """Find coordinates that are no numbers, degenerate faces, and vertices in no face."""
     defects = []
     finite = np.isfinite(points).all(axis=1)
@@ -228,7 +226,7 @@ def _geometric_defects(points: NDArray[np.float64], faces: NDArray[np.int64]) ->
     return defects
 
 
-def _topological_defects(points: NDArray[np.float64], faces: NDArray[np.int64], sound: bool) -> list[Defect]:
+def _topological_defects(points: Floats, faces: NDArray[np.int64], sound: bool) -> list[Defect]:
     """Find defects of connectivity: manifold, closed, oriented, in one piece, of genus 0, outward.
 
     ``sound`` says that the faces by themselves have no defects, which genus and inside need.
@@ -272,7 +270,7 @@ def _pinched_vertices(pinched: NDArray[np.bool_]) -> Defect | None:
     return Defect("non-manifold-vertices", count, first, text, f"split them with {REPAIR}")
 
 
-def _open_boundary(points: NDArray[np.float64], topology: Topology, two_sided: bool) -> Defect | None:
+def _open_boundary(points: Floats, topology: Topology, two_sided: bool) -> Defect | None:
     """Return the defect of edges with one face.
 
     Args:
@@ -388,12 +386,12 @@ class Topology:
         return (self.edge_face_count == 2) & (forward != 1)
 
     @cached_property
-    def components(self) -> tuple[int, NDArray[np.int32]]:
+    def components(self) -> tuple[int, Ints]:
         """Number of pieces joined through edges and the piece of every face, shape [F]."""
         return components_of(len(self.faces), self._pairs // 3)
 
     @cached_property
-    def fan_of_corner(self) -> NDArray[np.int32]:
+    def fan_of_corner(self) -> Ints:
         """A number for every corner of every face, equal where faces share edges at a vertex, shape [3 F]."""
         first, second = self._pairs[:, 0], self._pairs[:, 1]
         following = np.arange(self.faces.size).reshape(-1, 3)[:, [1, 2, 0]].ravel()  # corner at the head
@@ -465,7 +463,7 @@ class Topology:
         return self.edges[left[0]] if len(left) else self.edges[0]
 
 
-def components_of(count: int, links: NDArray) -> tuple[int, NDArray[np.int32]]:
+def components_of(count: int, links: NDArray) -> tuple[int, Ints]:
     """Return the number of a graph's connected components, and the component of every node, shape [count]."""
     graph = sparse.coo_array((np.ones(len(links), dtype=np.int8), (links[:, 0], links[:, 1])), shape=(count, count))
     pieces, labels = csgraph.connected_components(graph, directed=False)
@@ -483,13 +481,13 @@ def _spanning_forest(count: int, links: NDArray) -> NDArray[np.bool_]:
     return chosen
 
 
-def _coincident_vertices(points: NDArray[np.float64], boundary: NDArray[np.int64]) -> int:
+def _coincident_vertices(points: Floats, boundary: NDArray[np.int64]) -> int:
     """Count the vertices of the boundary that have exactly the coordinates of another one."""
     ends = np.unique(boundary)
     return len(ends) - len(np.unique(points[ends], axis=0))
 
 
-def _signed_volume(points: NDArray[np.float64], faces: NDArray[np.int64]) -> float:
+def _signed_volume(points: Floats, faces: NDArray[np.int64]) -> float:
     """Return the enclosed volume, in units of half the extent cubed; 0 where it is smaller than its rounding error."""
     p0, p1, p2 = (unit_coordinates(points)[faces[:, k]] for k in range(3))
     each = np.einsum("ij,ij->i", p0, np.cross(p1, p2)) / 6.0

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.limits import LARGEST_MESH_FILE, amount
-from omtwarp.mesh.arrays import whole_numbers
+from omtwarp.mesh.arrays import Floats, Ints, whole_numbers
 from omtwarp.mesh.polygons import Polygons, counted_lists, triangles_of_strips
 
 Numbers = NDArray[np.generic]
@@ -32,12 +32,7 @@ _XML_TYPES = {
 _SURFACE = "extract its surface first, in ParaView by 'Extract Surface'"
 
 
-def write_vtk(
-    file: Path,
-    points: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    beside: Mapping[str, NDArray[np.generic]] | None = None,
-) -> None:
+def write_vtk(file: Path, points: Floats, faces: Ints, beside: Mapping[str, NDArray[np.generic]] | None = None) -> None:
     """Write legacy VTK PolyData, binary, in double precision, with numbers at the points by name."""
     cells = np.empty((len(faces), 4), dtype=">i4")
     cells[:, 0], cells[:, 1:] = 3, faces

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import as_path, staged
-from omtwarp.mesh.arrays import single_precision
+from omtwarp.mesh.arrays import Floats, Ints, single_precision
 from omtwarp.mesh.neuro import FREESURFER_SUFFIXES, write_freesurfer_surface, write_gifti_surface
 from omtwarp.mesh.vtk import write_vtk
 
@@ -68,13 +68,7 @@ def write_mesh(
             _write(place, suffix, points, triangles, beside)
 
 
-def _write(
-    file: Path,
-    suffix: str,
-    points: NDArray[np.float64],
-    triangles: NDArray[np.int32],
-    beside: Mapping[str, NDArray] | None,
-) -> None:
+def _write(file: Path, suffix: str, points: Floats, triangles: Ints, beside: Mapping[str, NDArray] | None) -> None:
     """Write a mesh in a general format, not one of neuroimaging."""
     if suffix == ".ply":
         file.write_bytes(ply_bytes(points, triangles, beside))
@@ -107,9 +101,7 @@ def _name_targets(document: dict) -> None:
                 document["bufferViews"][document["accessors"][number]["bufferView"]]["target"] = target
 
 
-def ply_bytes(
-    points: NDArray[np.float64], faces: NDArray[np.int32], properties: Mapping[str, NDArray[np.generic]] | None = None
-) -> bytes:
+def ply_bytes(points: Floats, faces: Ints, properties: Mapping[str, NDArray[np.generic]] | None = None) -> bytes:
     """Encode a mesh as binary PLY with further properties of its vertices: bytes, else all in double precision."""
     given = properties or {}
     names = ["x", "y", "z", *("_".join(name.split()) or "value" for name in given)]

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from omtwarp.device.arrays import triangles, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import KERNEL_OPTIONS, wp
 from omtwarp.flips.rings import Examined, examine
 from omtwarp.geometry.spherical import triple_product
-from omtwarp.mesh.arrays import real_numbers, require_unit_length
+from omtwarp.mesh.arrays import Floats, Ints, real_numbers, require_unit_length
 from omtwarp.mesh.checks import MeshLike, as_faces, as_triangles
 from omtwarp.mesh.surface import SPHERE_AREA, triangle_areas
 
@@ -173,7 +173,7 @@ def certify_triangles(
     )
 
 
-def _ray_degree(faces: NDArray[np.int32], sphere: NDArray[np.float64], device: str | None) -> int | None:
+def _ray_degree(faces: Ints, sphere: Floats, device: str | None) -> int | None:
     seed = 20_240_229  # fixed, so that results are the same bits; any other gives the same degree
     where = resolve_device(device)
     points, corners = vectors(sphere, where), triangles(faces, where)

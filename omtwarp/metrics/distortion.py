@@ -15,13 +15,13 @@ from dataclasses import dataclass
 from typing import TypedDict
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from omtwarp.device.arrays import triangles, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, wp
 from omtwarp.geometry.spherical import TINY, solid_angle, triple_product
-from omtwarp.mesh.arrays import in_range, real_numbers, require_unit_length
+from omtwarp.mesh.arrays import Floats, in_range, real_numbers, require_unit_length
 from omtwarp.mesh.checks import MeshLike, as_faces, as_triangles
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -101,10 +101,10 @@ class Distortion:
     finite: bool
     area: dict[str, float]
     angle: dict[str, float]
-    face_area: NDArray[np.float64]
-    face_angle: NDArray[np.float64]
-    area_ratio: NDArray[np.float64]
-    triple: NDArray[np.float64]
+    face_area: Floats
+    face_angle: Floats
+    area_ratio: Floats
+    triple: Floats
 
     def __repr__(self) -> str:
         return f"Distortion({self}, {len(self.triple)} faces)"
@@ -223,12 +223,12 @@ def measure_in_plane(vertices: ArrayLike, faces: ArrayLike, plane: ArrayLike) ->
 
 
 def summarize(
-    surface_area: NDArray[np.float64],
-    sphere_area: NDArray[np.float64],
-    determinant: NDArray[np.float64],
-    angle: NDArray[np.float64],
-    triple: NDArray[np.float64],
-    solid: NDArray[np.float64],
+    surface_area: Floats,
+    sphere_area: Floats,
+    determinant: Floats,
+    angle: Floats,
+    triple: Floats,
+    solid: Floats,
     finite: bool,
 ) -> Distortion:
     """Aggregate per-triangle quantities, each float64 of shape [F]; both areas are scaled to the same total."""
@@ -242,7 +242,7 @@ def summarize(
         "sphere": sphere_area / sphere_total,
     }
 
-    def aggregate(values: NDArray[np.float64]) -> dict[str, float]:
+    def aggregate(values: Floats) -> dict[str, float]:
         with np.errstate(all="ignore"):
             out = {name: float((weight * values).sum()) for name, weight in weights.items()}
         return out | {

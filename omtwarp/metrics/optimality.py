@@ -42,7 +42,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
@@ -51,7 +51,7 @@ from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.geometry import DifferentialOperators
 from omtwarp.geometry.axes import turned_towards
-from omtwarp.mesh.arrays import TINY, Floats, real_number, real_numbers, whole_number
+from omtwarp.mesh.arrays import TINY, Floats, Ints, real_number, real_numbers, whole_number
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics import optimality_kernels as kernels
@@ -70,7 +70,7 @@ class SphereMaps(Protocol):
     """Attributes of a finished map, such as :class:`omtwarp.MapResult`."""
 
     vertices: Floats
-    faces: NDArray[np.int32]
+    faces: Ints
     sphere: Floats
     conformal: Floats
 

@@ -24,7 +24,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import Arguments, core_count, launch_parts
 from omtwarp.geometry.space_order import in_strips
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Floats, Ints
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics import optimality_kernels as kernels
 from omtwarp.solvers.poisson import EdgeLaplacianSolver
@@ -54,7 +54,7 @@ class Bound:
     excess: float
     face: NDArray[np.int64]
     weights: Floats
-    visited: NDArray[np.int32]
+    visited: Ints
 
 
 @dataclass(frozen=True)
@@ -72,14 +72,8 @@ class SharedSources:
     lowered: Floats
 
     def spread(
-        self,
-        own: Floats,
-        proven: Floats,
-        face: NDArray[np.int64],
-        weights: Floats,
-        visited: NDArray[np.int32],
-        surface: Surface,
-    ) -> tuple[Floats, NDArray[np.int64], Floats, NDArray[np.int32]]:
+        self, own: Floats, proven: Floats, face: NDArray[np.int64], weights: Floats, visited: Ints, surface: Surface
+    ) -> tuple[Floats, NDArray[np.int64], Floats, Ints]:
         """Return bounds, triangles, weights and visits of all points from those of the chosen; ``own`` is of all."""
         everywhere = np.minimum(proven[self.of] - self.lowered, own)
         triangle, share, least = face[self.of], weights[self.of].copy(), own[self.chosen]
@@ -294,7 +288,7 @@ class TransportDual:
         wp.launch(kernel, dim=count, inputs=inputs, outputs=outputs, device=self.device)
 
 
-def shared_sources(points: Floats, edges: NDArray[np.int32], side: float) -> SharedSources | None:
+def shared_sources(points: Floats, edges: Ints, side: float) -> SharedSources | None:
     """Choose one point in each cube of a grid to stand for the others there; None where few points are so close.
 
     Args:
@@ -316,7 +310,7 @@ def shared_sources(points: Floats, edges: NDArray[np.int32], side: float) -> Sha
     return SharedSources(chosen, of, 0.5 * np.pi**2 * apart)
 
 
-def missing_mass(mass: Floats, triangle: NDArray[np.integer], faces: NDArray[np.int32], shares: Floats) -> Floats:
+def missing_mass(mass: Floats, triangle: NDArray[np.integer], faces: Ints, shares: Floats) -> Floats:
     """Return the mass that the map sends to every vertex less the mass of the points whose best image is there.
 
     Args:
@@ -332,7 +326,7 @@ def missing_mass(mass: Floats, triangle: NDArray[np.integer], faces: NDArray[np.
     return np.where(moved, mass, 0.0) - np.bincount(corners, weights=arrived, minlength=len(mass))
 
 
-def quadratic_means(nodal: Floats, corners: NDArray[np.int32], edge_terms: Floats) -> Floats:
+def quadratic_means(nodal: Floats, corners: Ints, edge_terms: Floats) -> Floats:
     """Return the mean over every triangle of the quadratic w0 f0 + w1 f1 + w2 f2 + Σ w_k w_(k+1) e_k, shape [F].
 
     Args:
@@ -343,7 +337,7 @@ def quadratic_means(nodal: Floats, corners: NDArray[np.int32], edge_terms: Float
     return nodal[corners].mean(axis=1) + edge_terms.sum(axis=1) / 12.0
 
 
-def narrow_parts(points: Floats, faces: NDArray[np.int32]) -> tuple[NDArray[np.int64], Floats]:
+def narrow_parts(points: Floats, faces: Ints) -> tuple[NDArray[np.int64], Floats]:
     """Cut triangles of a sphere in strips along their shortest edge until no edge is longer than ``LONGEST``.
 
     Args:
@@ -380,7 +374,7 @@ def narrow_parts(points: Floats, faces: NDArray[np.int32]) -> tuple[NDArray[np.i
     return np.concatenate([part for part, _ in finished]), np.concatenate([part for _, part in finished])
 
 
-def order_by_halves(points: Floats) -> NDArray[np.int32]:
+def order_by_halves(points: Floats) -> Ints:
     """Order points so that those below each node of a complete binary tree in heap order lie close together.
 
     Each node's points are halved along the longest side of their bounding box. Along Hilbert's curve
@@ -405,12 +399,12 @@ def order_by_halves(points: Floats) -> NDArray[np.int32]:
     return order.numpy()
 
 
-def _interleaved(count: int, parts: int) -> NDArray[np.int32]:
+def _interleaved(count: int, parts: int) -> Ints:
     """Return the numbers below ``count``, first every ``parts``-th one, then those that follow them, and so on."""
     return np.concatenate([np.arange(first, count, parts, dtype=np.int32) for first in range(parts)])
 
 
-def tree_segments(leaves: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def tree_segments(leaves: int) -> tuple[Ints, Ints]:
     """Cut the leaves below every node of a complete binary tree in heap order into segments.
 
     Args:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from omtwarp.colors import backdrop, colormap_table
+from omtwarp.mesh.arrays import Bytes
 from omtwarp.render.scene import ScalarField
 
 
 def compose(
-    picture: NDArray[np.uint8],
+    picture: Bytes,
     size: tuple[int, int],
     background: object,
     transparent: bool,

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import Floats
 
 # Azimuth and elevation in degrees.
 VIEWS: dict[str, tuple[float, float]] = {
@@ -76,7 +76,7 @@ class Shot:
         far: distance of the far plane.
     """
 
-    pose: NDArray[np.float64]
+    pose: Floats
     perspective: bool
     half_width: float
     half_height: float
@@ -136,7 +136,7 @@ def turntable(base: Camera, frames: int) -> list[Camera]:
     return [replace(base, azimuth=base.azimuth + 360.0 * k / frames) for k in range(frames)]
 
 
-def axis_vector(name: str) -> NDArray[np.float64]:
+def axis_vector(name: str) -> Floats:
     """Return the unit vector of an axis such as ``"z"``, ``"+z"`` or ``"-y"``.
 
     Raises:
@@ -150,7 +150,7 @@ def axis_vector(name: str) -> NDArray[np.float64]:
     return vector
 
 
-def camera_axes(camera: Camera, up: str = "y", front: str | None = None) -> NDArray[np.float64]:
+def camera_axes(camera: Camera, up: str = "y", front: str | None = None) -> Floats:
     """Return the camera's right, up and backward directions as columns, float64 [3, 3].
 
     Args:
@@ -177,7 +177,7 @@ def camera_axes(camera: Camera, up: str = "y", front: str | None = None) -> NDAr
 
 
 def frame(
-    points: NDArray[np.float64],
+    points: Floats,
     cameras: Sequence[Camera],
     aspect: float,
     *,
@@ -204,7 +204,7 @@ def frame(
     far_room = 1.2, 0.1  # factor and addition, by which the farthest plane of drawing lies behind the subject
     smallest_view = 1e-9  # radii: half the height of a view of a single point
     shots: list[Shot] = []
-    placed: list[tuple[Camera, NDArray[np.float64], NDArray[np.float64], float]] = []
+    placed: list[tuple[Camera, Floats, Floats, float]] = []
     for camera in cameras:
         axes = camera_axes(camera, up or "y", front)
         seen = points @ axes

@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from omtwarp.colors import backdrop
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.limits import MOST_FILM_PIXELS, MOST_FRAMES
-from omtwarp.mesh.arrays import Floats, Ints
+from omtwarp.mesh.arrays import Bytes, Floats, Ints
 from omtwarp.mesh.surface import SPHERE_AREA, triangle_areas
 from omtwarp.options import Backend, BackendLike, PatternLike, Progress, tell
 from omtwarp.render import annotate, output
@@ -173,7 +173,7 @@ class _Studio:
     device: str
     fps: float
 
-    def draw(self, times: Sequence[float], width: int, height: int) -> list[NDArray[np.uint8]]:
+    def draw(self, times: Sequence[float], width: int, height: int) -> list[Bytes]:
         """Return the pictures of some moments, uint8 [height, width, 4], colours multiplied by their coverage."""
         shot = self.shot_for(width / height)
         job = RenderJob(
@@ -323,7 +323,7 @@ class Story:
     faces: Ints
     parts: Ints
     weights: csr_matrix | None
-    image: NDArray[np.uint8]
+    image: Bytes
     name: str = "sphere"
     on_torus: bool = False
 

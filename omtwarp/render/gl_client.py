@@ -22,11 +22,9 @@ from contextlib import suppress
 from typing import IO, TYPE_CHECKING, cast
 
 from omtwarp.files.interruptions import interpreter
+from omtwarp.mesh.arrays import Bytes
 
 if TYPE_CHECKING:  # commands start the drawing process before they import NumPy
-    import numpy as np
-    from numpy.typing import NDArray
-
     from omtwarp.render.scene import RenderJob
 
 # Long enough for a software driver on a busy machine: one that has not answered by then hangs.
@@ -103,7 +101,7 @@ class _DrawingProcess:
         """Whether the process runs, is not about to end, and belongs to this one (after a fork it does not)."""
         return self._owner == os.getpid() and time.monotonic() < self._until and self._process.poll() is None
 
-    def draw(self, job: RenderJob) -> list[NDArray[np.uint8]]:
+    def draw(self, job: RenderJob) -> list[Bytes]:
         """Draw a job.
 
         Raises:
@@ -124,7 +122,7 @@ class _DrawingProcess:
             self._until = time.monotonic() + IDLE_SECONDS
         if kind != "pictures":
             raise DrawingFailed(str(answer))
-        return cast("list[NDArray[np.uint8]]", answer)
+        return cast("list[Bytes]", answer)
 
     def _answer(self, job: RenderJob | None, seconds: float) -> tuple[str, object]:
         """Send a job, if any, and wait for one message; pipes have no timeout, so that a late process is ended."""
@@ -183,7 +181,7 @@ def prepare() -> None:
         _current = _DrawingProcess()
 
 
-def draw(job: RenderJob) -> tuple[list[NDArray[np.uint8]], str]:
+def draw(job: RenderJob) -> tuple[list[Bytes], str]:
     """Draw a job with OpenGL.
 
     Returns:

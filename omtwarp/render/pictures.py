@@ -16,14 +16,14 @@ from pathlib import Path
 from typing import TypeAlias, TypedDict, TypeVar, Unpack, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from PIL import Image
 
 from omtwarp.colors import backdrop
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.limits import FRAMES_PER_SECOND, LARGEST_VIEW, MOST_FILM_PIXELS, MOST_FRAMES
 from omtwarp.files.output import as_path
-from omtwarp.mesh.arrays import real_number, whole_number
+from omtwarp.mesh.arrays import Bytes, real_number, whole_number
 from omtwarp.options import BACKGROUND, FILM_RATE, PICTURE_SIZE, Backend, BackendLike
 from omtwarp.render import annotate, gl_client, output
 from omtwarp.render.camera import VIEWS, Camera, Light, as_light, as_views, frame, turntable
@@ -445,7 +445,7 @@ def _draw(subject: Subject, options: PreviewOptions, cameras: list[Camera], clea
 
 def _prepared(
     subject: Subject, options: PreviewOptions, cameras: list[Camera], clear: bool
-) -> tuple[RenderJob, Callable[[list[NDArray[np.uint8]], str], list[Image.Image]]]:
+) -> tuple[RenderJob, Callable[[list[Bytes], str], list[Image.Image]]]:
     """Return what a renderer needs, and the function that makes pictures of what it has drawn and of its name."""
     view, wireframe, background = view_of(subject, options), options["wireframe"], options["background"]
     width, height = options["size"]
@@ -467,7 +467,7 @@ def _prepared(
         wireframe=wireframe if isinstance(wireframe, Wireframe) else Wireframe(),
     )
 
-    def compose(pictures: list[NDArray[np.uint8]], renderer: str) -> list[Image.Image]:
+    def compose(pictures: list[Bytes], renderer: str) -> list[Image.Image]:
         color = annotate.ink(background, options["transparent"])
         images = []
         for picture in pictures:
@@ -505,7 +505,7 @@ def _written(picture: Image.Image, target: Path | None) -> Image.Image:
     return picture
 
 
-def render(job: RenderJob, backend: str, device: str) -> tuple[list[NDArray[np.uint8]], str]:
+def render(job: RenderJob, backend: str, device: str) -> tuple[list[Bytes], str]:
     """Draw with OpenGL or, where that does not work and was not insisted on, with the ray caster."""
     if backend != "warp":
         try:

@@ -12,10 +12,10 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from omtwarp.colors import parse_color, to_linear
+from omtwarp.mesh.arrays import Bytes
 from omtwarp.render.camera import Shot
 from omtwarp.render.pyrender_compat import INSTALL_GL, GLUnavailable, import_pyrender
 from omtwarp.render.scene import Part, RenderJob
@@ -50,7 +50,7 @@ class _Programs(ShaderProgramCache):  # type: ignore[misc]
 class _Renderer(pyrender.Renderer):  # type: ignore[misc, name-defined]
     """pyrender's renderer without the depth image, whose read-back and conversion cost as much as a small scene."""
 
-    def _read_main_framebuffer(self, scene: object, flags: int) -> NDArray[np.uint8]:
+    def _read_main_framebuffer(self, scene: object, flags: int) -> Bytes:
         width, height = self._main_fb_dims
         GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, self._main_fb_ms)
         GL.glBindFramebuffer(GL.GL_DRAW_FRAMEBUFFER, self._main_fb)
@@ -101,7 +101,7 @@ class GLRenderer:
         self.largest_picture = int(GL.glGetIntegerv(GL.GL_MAX_RENDERBUFFER_SIZE))
         self.device = (GL.glGetString(GL.GL_RENDERER) or b"unknown").decode(errors="replace")
 
-    def draw(self, job: RenderJob) -> list[NDArray[np.uint8]]:
+    def draw(self, job: RenderJob) -> list[Bytes]:
         """Draw every shot.
 
         Returns:
@@ -171,7 +171,7 @@ class GLRenderer:
         return pyrender.Mesh([primitive])
 
 
-def _averaged(pixels: NDArray[np.uint8], side: int) -> NDArray[np.uint8]:
+def _averaged(pixels: Bytes, side: int) -> Bytes:
     """Average blocks of ``side`` x ``side`` pixels."""
     height, width = pixels.shape[:2]
     # Not as RGBA: Pillow would take the colours as unmultiplied and weight them by their coverage again.

@@ -7,18 +7,18 @@ lights, texture filter and lines.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from omtwarp.colors import parse_color, to_linear
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
+from omtwarp.mesh.arrays import Bytes
 from omtwarp.render import ray_kernels as kernels
 from omtwarp.render.camera import Shot
 from omtwarp.render.scene import Appearance, Part, RenderJob
 
 
-def draw(job: RenderJob, device: str = "auto") -> list[NDArray[np.uint8]]:
+def draw(job: RenderJob, device: str = "auto") -> list[Bytes]:
     """Draw every shot.
 
     Args:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.colors import colormap_table, parse_color
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import TINY, real_numbers
+from omtwarp.mesh.arrays import TINY, Bytes, Floats, Ints, real_numbers, whole_numbers
 from omtwarp.render.camera import Light, Shot
 from omtwarp.texturing.image import PictureLike, as_bytes, read_image
 
@@ -60,7 +60,7 @@ class ScalarField:
             raise OmtwarpError(f"the scalar range ({low:g}, {high:g}) must have {kind}")
         return low, high
 
-    def normalised(self) -> NDArray[np.float64]:
+    def normalised(self) -> Floats:
         """Scale values to [0, 1] between the limits of the colour map; NaN stays."""
         low, high = self.limits()
         values = numbers_of(self.values, "the scalar")
@@ -71,7 +71,7 @@ class ScalarField:
         return np.clip((values - low) / (high - low), 0.0, 1.0)
 
 
-def numbers_of(values: ArrayLike, name: str) -> NDArray[np.float64]:
+def numbers_of(values: ArrayLike, name: str) -> Floats:
     """Return values to be drawn as float64; truth values count as 0 and 1.
 
     Args:
@@ -167,37 +167,12 @@ class SurfaceView:
     caption: str = ""
 
     def __post_init__(self) -> None:
-        self.vertices = numbers_of(self.vertices, "vertices")
-        self.faces = np.asarray(self.faces)
-        self._check_triangles()
-        self.faces = self.faces.astype(np.int32)
+        self.vertices = real_numbers(self.vertices, "vertices", (None, 3))
+        self.faces = whole_numbers(self.faces, "faces", (None, 3), below=len(self.vertices)).astype(np.int32)
+        if not len(self.faces):
+            raise OmtwarpError(f"nothing to draw: {len(self.vertices)} vertices and no faces")
         self._check_appearance()
         self._take_values(len(self.vertices), len(self.faces))
-
-    def _check_triangles(self) -> None:
-        """Make sure that vertices and faces are triangles that can be drawn.
-
-        Raises:
-            OmtwarpError: vertices or faces have another shape or type, or a corner is out of range.
-        """
-        vertices, faces = np.asarray(self.vertices), np.asarray(self.faces)
-        if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
-            raise OmtwarpError(
-                f"a surface needs vertices [V, 3] and faces [F, 3], not {vertices.shape} and {faces.shape}"
-            )
-        count, triangles = len(vertices), len(faces)
-        if count == 0 or triangles == 0:
-            raise OmtwarpError(f"nothing to draw: {count} vertices and {triangles} faces")
-        if not np.issubdtype(faces.dtype, np.integer):
-            raise OmtwarpError(f"faces must be integers, not {faces.dtype}")
-        wrong = np.flatnonzero(((faces < 0) | (faces >= count)).any(axis=1))
-        if wrong.size:
-            raise OmtwarpError(f"{wrong.size} faces name vertices that do not exist, the first is face {wrong[0]}")
-        bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
-        if bad.size:
-            raise OmtwarpError(
-                f"{bad.size} vertices have NaN or infinite coordinates, the first is vertex {bad[0]}: remove them"
-            )
 
     def _check_appearance(self) -> None:
         """Make sure that at most one appearance is given, and an image only with coordinates.
@@ -260,7 +235,7 @@ class Appearance:
 
     kind: str
     value: NDArray
-    image: NDArray[np.uint8] | None = None
+    image: Bytes | None = None
     tint: tuple[float, float, float] = (1.0, 1.0, 1.0)
     repeat: bool = True
     repeat_rows: bool = False
@@ -282,7 +257,7 @@ class Part(Appearance):
 
     positions: NDArray[np.float32]
     normals: NDArray[np.float32]
-    faces: NDArray[np.int32]
+    faces: Ints
     edges: bool = False
 
 
@@ -326,7 +301,7 @@ class RenderJob:
     one_each: bool = False
 
 
-def welded_normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+def welded_normals(vertices: Floats, faces: Ints) -> Floats:
     """Return the unit normals per vertex, shape [V, 3], equal at vertices that lie at the same place.
 
     The weights are those of Max (1999), "Weights for computing vertex normals from facet normals": exact on a mesh
@@ -350,7 +325,7 @@ def welded_normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> N
     return normals[group]
 
 
-def weld(vertices: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def weld(vertices: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Number the distinct places: the place of every vertex [V], and one vertex of every place."""
     order = np.lexsort(vertices.T)
     ordered = vertices[order]
@@ -361,7 +336,7 @@ def weld(vertices: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.in
     return group, order[new]
 
 
-def normalisation(view: SurfaceView) -> tuple[NDArray[np.float64], float]:
+def normalisation(view: SurfaceView) -> tuple[Floats, float]:
     """Return the centre of the bounding box of the drawn vertices, and the distance of the farthest of them from it."""
     used = _used(view)
     low, high = used.min(axis=0), used.max(axis=0)
@@ -371,7 +346,7 @@ def normalisation(view: SurfaceView) -> tuple[NDArray[np.float64], float]:
     return centre, radius if radius > 0 else 1.0
 
 
-def normalised_points(view: SurfaceView) -> NDArray[np.float64]:
+def normalised_points(view: SurfaceView) -> Floats:
     """Return the drawn vertices in normalised coordinates, for framing."""
     centre, radius = normalisation(view)
     return (_used(view) - centre) / radius
@@ -443,7 +418,7 @@ def _look_of(view: SurfaceView) -> Appearance:
     clay = (0.80, 0.79, 0.77)  # sRGB of surfaces without any colour of their own
     outside = 1e-6  # of a picture's height: coordinates that exceed it by less are rounded, not repeated
     if view.image is not None:
-        picture = cast(NDArray[np.uint8], view.image)  # as the view itself has made it
+        picture = cast(Bytes, view.image)  # as the view itself has made it
         tint = (1.0, 1.0, 1.0)
         if view.color is not None:
             red, green, blue = (float(channel) for channel in parse_color(view.color))
@@ -472,9 +447,7 @@ def _corner_values(value: NDArray, vertex_count: int, face_count: int) -> NDArra
     return None
 
 
-def _own_corners(
-    positions: NDArray[np.float64], normals: NDArray[np.float64] | None, faces: NDArray[np.int32]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]:
+def _own_corners(positions: Floats, normals: Floats | None, faces: Ints) -> tuple[Floats, Floats, Ints]:
     """Give every corner a row of its own; without normals at the vertices it has that of its triangle."""
     flat = faces.ravel()
     corners = positions[flat]
@@ -486,40 +459,37 @@ def _own_corners(
     return corners, corner_normals, np.arange(len(flat), dtype=np.int32).reshape(-1, 3)
 
 
-def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def _unit(vectors: Floats) -> Floats:
     """Scale vectors, shape [N, 3], to unit length; zero stays zero."""
     return vectors / np.maximum(np.linalg.norm(vectors, axis=1), np.finfo(float).tiny)[:, None]
 
 
-def _arrays(view: SurfaceView) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def _arrays(view: SurfaceView) -> tuple[Floats, Ints]:
     return view.vertices, view.faces  # type: ignore[return-value]
 
 
-def _used(view: SurfaceView) -> NDArray[np.float64]:
+def _used(view: SurfaceView) -> Floats:
     vertices, faces = _arrays(view)
     used = np.zeros(len(vertices), dtype=bool)
     used[faces.ravel()] = True
     return vertices[used]
 
 
-def _checked(name: str, values: ArrayLike, shapes: list[tuple[int, ...]]) -> NDArray[np.float64]:
+def _checked(name: str, values: ArrayLike, shapes: list[tuple[int, ...]]) -> Floats:
     array = numbers_of(values, name)
     if array.shape not in shapes:
         wanted = " or ".join(str(list(shape)) for shape in shapes)
         raise OmtwarpError(f"{name} needs the shape {wanted}, not {list(array.shape)}")
-    bad = np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))
-    if bad.size:
-        raise OmtwarpError(f"{name} has NaN or infinite values in {bad.size} rows, the first is row {bad[0]}")
-    return array
+    return real_numbers(array, name, None)
 
 
-def _as_colors(colors: ArrayLike) -> NDArray[np.float64]:
+def _as_colors(colors: ArrayLike) -> Floats:
     scale = 255.0 if np.issubdtype(np.asarray(colors).dtype, np.integer) else 1.0
     values = numbers_of(colors, "colors")[..., :3] / scale
     return np.clip(values, 0.0, 1.0)
 
 
-def _scalar_lookup(scalar: ScalarField) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+def _scalar_lookup(scalar: ScalarField) -> tuple[Bytes, Floats]:
     """Return the colour map as an image with a grey row for NaN below, and coordinates into it."""
     table = colormap_table(scalar.colormap)
     image = np.stack([table, np.full_like(table, 150)])
@@ -537,15 +507,7 @@ def arrow_part(view: SurfaceView, arrows: Arrows) -> Part | None:
         OmtwarpError: the field has the wrong shape or a value that is not finite.
     """
     vertices, faces = np.asarray(view.vertices), np.asarray(view.faces)
-    vectors = numbers_of(arrows.vectors, "arrows")
-    if vectors.shape not in ((len(vertices), 3), (len(faces), 3)):
-        raise OmtwarpError(
-            f"arrows need a vector per vertex [{len(vertices)}, 3] or per face [{len(faces)}, 3], "
-            f"not {list(vectors.shape)}"
-        )
-    bad = np.flatnonzero(~np.isfinite(vectors).all(axis=1))
-    if bad.size:
-        raise OmtwarpError(f"arrows have NaN or infinite values in {bad.size} rows, the first is row {bad[0]}")
+    vectors = _checked("arrows", arrows.vectors, [(len(vertices), 3), (len(faces), 3)])  # per vertex, or per face
     centre, radius = normalisation(view)
     positions = (vertices - centre) / radius
     normals = welded_normals(positions, faces)
@@ -568,7 +530,7 @@ def arrow_part(view: SurfaceView, arrows: Arrows) -> Part | None:
     return _solid_arrows(feet, way, normals[chosen], size, arrows.length, parse_color(arrows.color))
 
 
-def _thin_out(points: NDArray[np.float64], count: int) -> NDArray[np.intp]:
+def _thin_out(points: Floats, count: int) -> NDArray[np.intp]:
     """Return the indices of about ``count`` points spread evenly.
 
     There is one for each occupied cell of a grid of suitable width.
@@ -595,14 +557,7 @@ def _thin_out(points: NDArray[np.float64], count: int) -> NDArray[np.intp]:
     return np.sort(occupied(wide))
 
 
-def _solid_arrows(
-    feet: NDArray[np.float64],
-    way: NDArray[np.float64],
-    normal: NDArray[np.float64],
-    size: NDArray[np.float64],
-    longest: float,
-    color: NDArray[np.float64],
-) -> Part:
+def _solid_arrows(feet: Floats, way: Floats, normal: Floats, size: Floats, longest: float, color: Floats) -> Part:
     """Return a round shaft and a cone for every arrow, by broadcasting one template."""
     sides = 8  # of an arrow's shaft and head: at the size of an arrow, corners are invisible
     across = 1e-6  # sine: an arrow that stands on the surface at right angles to within this takes another side

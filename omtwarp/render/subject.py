@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeAlias, TypeGuard, cast, runtime_checkable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from omtwarp.colors import to_srgb
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import HasTriangles
+from omtwarp.mesh.arrays import Bytes, HasTriangles
 from omtwarp.render.scene import SurfaceMaterial, SurfaceView
 from omtwarp.texturing.image import PictureLike
 from omtwarp.texturing.materials import WHITE
@@ -168,7 +168,7 @@ def torus_view(
     return SurfaceView(places, cut.faces, image=cut.image, uv=cut.uv, up=None if on == "surface" else "z")
 
 
-def checker_image() -> NDArray[np.uint8]:
+def checker_image() -> Bytes:
     """Return an equirectangular checker whose dark cells go around the colour wheel with longitude, uint8 [H, W, 3]."""
     columns, rows, cell = 24, 12, 64  # fields around the equator and from pole to pole, and texels along each
     column, row = (np.arange(count * cell) // cell for count in (columns, rows))

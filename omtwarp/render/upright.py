@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Floats, Ints
 from omtwarp.render.camera import axis_vector
 from omtwarp.render.scene import SurfaceView
 
@@ -41,7 +41,7 @@ def posed(view: SurfaceView, up: str | None = None, front: str | None = None) ->
     return replace(view, up=up, front=front)
 
 
-def upright(vertices: Floats, faces: NDArray[np.int32]) -> tuple[str, str | None]:
+def upright(vertices: Floats, faces: Ints) -> tuple[str, str | None]:
     """Guess the axis upwards, and the front axis, None where the shape does not determine it.
 
     Args:
@@ -150,7 +150,7 @@ def _standing(points: Floats, centre: Floats, up: int) -> float:
     return 0.0 if falls else float(feet.volume / whole.volume)
 
 
-def _detail(places: Floats, faces: NDArray[np.int32], normal: Floats, area: Floats, axis: int) -> float:
+def _detail(places: Floats, faces: Ints, normal: Floats, area: Floats, axis: int) -> float:
     """Return how much more the surface bends, per area, where it faces along an axis than against it."""
     # added to both sides' bends and areas, in extents, so that a side without a face can be compared
     least_detail = 1e-9

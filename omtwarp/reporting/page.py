@@ -15,6 +15,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import as_path, check_output, staged
 from omtwarp.maps.result import MapReport, MapResult, StageReport
 from omtwarp.maps.torus_map import TorusCertificate, TorusMap, ring_torus, tube_radius
+from omtwarp.mesh.arrays import Bytes
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.metrics.certificate import Certificate
 from omtwarp.options import PatternLike
@@ -303,7 +304,7 @@ def torus_scene(
     return packed_scene(stages, result.faces, used, (placed, cut.normals @ axes.T, cut.faces), own, header, turn)
 
 
-def _picture(image: NDArray[np.uint8]) -> str:
+def _picture(image: Bytes) -> str:
     """Write a picture that repeats as a data URI, no wider than the view shows."""
     picture_width = 1024  # texels of a pattern along the first vector; a picture of more is made smaller
     from PIL import Image as pil

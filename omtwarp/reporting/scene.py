@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from omtwarp.colors import colormap_table
 from omtwarp.device.policy import resolve_device
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Bytes, Floats, Ints
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas, vertex_normals
 from omtwarp.render.camera import DEFAULT_FRONT, VIEWS, Camera, axis_vector, camera_axes
 from omtwarp.render.films import fits_of
@@ -135,9 +135,9 @@ def placed_in_view(vertices: Floats, used: NDArray[np.integer], axes: Floats) ->
 
 def packed_scene(
     stages: Sequence[Stage],
-    faces: NDArray[np.int32],
+    faces: Ints,
     used: NDArray[np.integer],
-    shown: tuple[Floats, Floats, NDArray[np.int32]],
+    shown: tuple[Floats, Floats, Ints],
     own: Mapping[str, NDArray],
     header: Mapping[str, object],
     turn: Floats,
@@ -187,7 +187,7 @@ def packed_scene(
 
 
 def domain_places(
-    stage: Stage, faces: NDArray[np.int32], placed: Floats, triangles: NDArray[np.int32], used: NDArray[np.integer]
+    stage: Stage, faces: Ints, placed: Floats, triangles: Ints, used: NDArray[np.integer]
 ) -> NDArray[np.float32]:
     """Return centre and radius of the domain that every vertex of the view goes to, next to its part, shape [N, 4].
 
@@ -208,7 +208,7 @@ def domain_places(
     return np.column_stack([shifts, radii])[own].astype(np.float32)
 
 
-def shown_mesh(vertices: Floats, faces: NDArray[np.int32], most: int = MOST_FACES) -> tuple[Floats, NDArray[np.int32]]:
+def shown_mesh(vertices: Floats, faces: Ints, most: int = MOST_FACES) -> tuple[Floats, Ints]:
     """Return the mesh to show: itself, or simplified to some of its vertices, which keep their numbers."""
     if len(faces) <= most:
         return vertices, faces
@@ -221,7 +221,7 @@ def shown_mesh(vertices: Floats, faces: NDArray[np.int32], most: int = MOST_FACE
     return vertices, faces  # pragma: no cover (the last level is a tetrahedron)
 
 
-def vertex_scalars(faces: NDArray[np.int32], stage: Stage) -> tuple[Floats, Floats]:
+def vertex_scalars(faces: Ints, stage: Stage) -> tuple[Floats, Floats]:
     """Return the distortion at the vertices, the mean over the faces around each.
 
     Returns:
@@ -288,7 +288,7 @@ def cube_faces(texture: Source, size: int = FACE_TEXELS, *, device: str = "auto"
     return uris
 
 
-def picture_kind(picture: NDArray[np.uint8]) -> str:
+def picture_kind(picture: Bytes) -> str:
     """Return how a picture [H, W, 3] is written: ``jpeg`` for a photograph, ``png`` for a pattern."""
     # Colours in a sixteenth of the texels: a pattern of flat colours and its blended borders has fewer, and a
     # photograph more.
@@ -307,7 +307,7 @@ def signed(values: Floats) -> NDArray[np.int16]:
     return np.rint(np.clip(values, -1.0, 1.0) * 32767.0).astype(np.int16)
 
 
-def levels(values: Floats, low: float, high: float) -> NDArray[np.uint8]:
+def levels(values: Floats, low: float, high: float) -> Bytes:
     """Write numbers between two bounds as whole numbers of 8 bits; those beyond are at the bounds."""
     return np.rint(np.clip((values - low) / (high - low), 0.0, 1.0) * 255.0).astype(np.uint8)
 

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from omtwarp.maps.result import MapReport
+from omtwarp.mesh.arrays import Floats
 from omtwarp.options import Record
 from omtwarp.reporting import charts
 from omtwarp.reporting.markup import Markup, html, join
@@ -159,9 +159,7 @@ def _transport_facts(
     facts: list[tuple[str, str]] = []
     start = report.get("start", {})
     if start:
-        route = str(start.get("route", ""))
-        reason = str(start.get("reason", ""))
-        facts.append(("Start", f"{route}{f': {reason}' if reason else ''}"))
+        facts.append(("Start", ": ".join(filter(None, (start.get("route"), start.get("reason"))))))
     for name, key in (("Method", "method"), ("Scheme", "scheme"), ("Cost", "cost")):
         value = cast(Mapping[str, object], report).get(key)
         if value not in (None, ""):
@@ -204,12 +202,7 @@ def stage_table(stages: Sequence[Stage], report: MapReport) -> Markup:
             time,
             f"{record['iterations']:,}" if "iterations" in record else "–",
             f"{measured.flips:,}",
-            _number(measured.area["surface"]),
-            _number(measured.area["p95"]),
-            _number(measured.area["sphere"]),
-            _number(measured.angle["surface"]),
-            _number(measured.angle["p95"]),
-            _number(measured.angle["sphere"]),
+            *(_number(of[kind]) for of in (measured.area, measured.angle) for kind in ("surface", "p95", "sphere")),
             _number(record["transport_cost"]) if "transport_cost" in record else "–",
         ]
         rows.append(
@@ -300,9 +293,7 @@ def where(report: MapReport) -> str:
     return "on the CPU" if device == "cpu" else f"on {device}"
 
 
-def _weighted_quantiles(
-    values: NDArray[np.float64], weights: NDArray[np.float64], shares: Sequence[float]
-) -> list[float]:
+def _weighted_quantiles(values: Floats, weights: Floats, shares: Sequence[float]) -> list[float]:
     order = np.argsort(values, kind="stable")
     total = np.cumsum(weights[order])
     places = np.searchsorted(total, np.asarray(shares) * total[-1])
@@ -335,10 +326,8 @@ def _number(value: float | None) -> str:
 
 
 def seconds_text(value: float) -> str:
-    as_milliseconds, as_seconds = 0.1, 120  # seconds below which a time is written in these
-    value = float(value)
-    if value < as_milliseconds:
+    if value < 0.1:
         return f"{1000 * value:.0f} ms"
-    if value < as_seconds:
+    if value < 120:
         return f"{value:.2g} s" if value < 1 else f"{value:.1f} s"
     return f"{value / 60:.1f} min"

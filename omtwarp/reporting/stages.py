@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from omtwarp.maps.result import MapReport, MapResult, StageReport
 from omtwarp.maps.torus_map import TorusMap
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.metrics.distortion import Distortion
 from omtwarp.open_surfaces.caps import disk_to_cap
@@ -121,13 +122,13 @@ class Stage:
     key: str
     label: str
     colour: str
-    sphere: NDArray[np.float64]
+    sphere: Floats
     distortion: Distortion
     record: StageReport
-    weights: NDArray[np.float64]
+    weights: Floats
     domain: str
     number: NDArray[np.intp]
-    disk: NDArray[np.float64] | None = None
+    disk: Floats | None = None
 
     @property
     def count(self) -> int:

@@ -21,7 +21,7 @@ from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.files.output import as_path, staged
 from omtwarp.location import Locator
 from omtwarp.maps.result import OF_MAPS, MapResult
-from omtwarp.mesh.arrays import Floats, real_numbers, whole_numbers
+from omtwarp.mesh.arrays import Floats, Ints, real_numbers, whole_numbers
 from omtwarp.mesh.checks import MeshLike
 from omtwarp.mesh.data import read_data
 from omtwarp.mesh.origins import Origins
@@ -85,7 +85,7 @@ def overlap_areas(target: SphereGrid, source: SphereGrid, *, device: str | None 
     return _owners(target_owners, len(target.points)).T @ between @ _owners(source_owners, len(source.points))
 
 
-def _owners(owners: NDArray[np.int32], count: int) -> sparse.csr_matrix:
+def _owners(owners: Ints, count: int) -> sparse.csr_matrix:
     """Return the 0/1 matrix, shape [M, N], that assigns each of M cells to its point."""
     cells = len(owners)
     return sparse.csr_matrix((np.ones(cells), owners, np.arange(cells + 1)), shape=(cells, count))

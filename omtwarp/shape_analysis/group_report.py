@@ -8,10 +8,10 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import make_folder, staged
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.data import VertexData, write_data
 from omtwarp.mesh.neuro import structure_of
 from omtwarp.mesh.surface import Surface, vertex_normals
@@ -82,14 +82,14 @@ def write_group_report(
     return files
 
 
-def _maps(effect: Effect) -> dict[str, NDArray[np.float64]]:
+def _maps(effect: Effect) -> dict[str, Floats]:
     """Return the maps of an effect, by the ends of their names."""
     size = {} if effect.size is None else {"size": effect.size}
     return {**size, "t" if effect.signed else "F": effect.statistic, "p": effect.p_values, "fdr": effect.fdr}
 
 
 def _write_shape(
-    folder: Path, name: str, surface: Surface, like: Path | None, beside: Mapping[str, NDArray[np.float64]]
+    folder: Path, name: str, surface: Surface, like: Path | None, beside: Mapping[str, Floats]
 ) -> list[Path]:
     """Write a surface, with numbers at its vertices, in the formats of its readers elsewhere; return the files."""
     files = [folder / f"{name}.ply", folder / f"{name}.vtk"]
@@ -153,7 +153,7 @@ def _effect(study: GroupStudy, effect: Effect) -> list[Markup]:
         f"Smallest corrected p {effect.p_values.min():.3g}; p is at most {SIGNIFICANT} on {100 * found[0]:.1f} %, "
         f"the rate of false discoveries on {100 * found[1]:.1f} %."
     )
-    drawn: list[tuple[str, NDArray[np.float64] | ScalarField]] = []
+    drawn: list[tuple[str, Floats | ScalarField]] = []
     if effect.size is not None:
         levels = effect.levels
         drawn.append((f"{levels[1]} less {levels[0]}, outwards" if levels else "outwards for 1 more", effect.size))
@@ -171,9 +171,7 @@ def _effect(study: GroupStudy, effect: Effect) -> list[Markup]:
     return [element("h2", title), element("p", words), pictures(figures)]
 
 
-def _picture(
-    surface: Surface, name: str, values: NDArray[np.float64] | ScalarField | None = None, view: str = "front"
-) -> Markup:
+def _picture(surface: Surface, name: str, values: Floats | ScalarField | None = None, view: str = "front") -> Markup:
     """Return a picture of a surface, with numbers about zero coloured from blue to red where there are any."""
     if isinstance(values, np.ndarray):
         reach = max(float(np.abs(values).max()), np.finfo(float).tiny)

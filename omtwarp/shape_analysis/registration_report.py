@@ -6,10 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Floats, Ints
 from omtwarp.registration.register import Registration
 from omtwarp.registration.strain import strain_at_vertices
 from omtwarp.render import film, preview
@@ -86,8 +85,6 @@ def _facts(found: Registration) -> Markup:
     return table(("measure", "value"), lines)
 
 
-def _figure(
-    mesh: tuple[Floats, NDArray[np.int32]], values: Floats, name: str, words: str, ends: tuple[float, float]
-) -> Markup:
+def _figure(mesh: tuple[Floats, Ints], values: Floats, name: str, words: str, ends: tuple[float, float]) -> Markup:
     picture = preview(mesh, size=(360, 300), views=VIEWS, up="z", scalar=values, colormap="coolwarm", scalar_range=ends)
     return figure(picture, name, words)

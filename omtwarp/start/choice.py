@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from omtwarp.conformal import conformal_map
 from omtwarp.conformal.harmonic import harmonic_points
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.rings import examine, is_bijective
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.options import Progress
 from omtwarp.untangling.untangle import RepairBudget, untangle
@@ -34,10 +32,10 @@ class Start:
         repair_given_up: whether repair of the conformal map was given up, as it had taken the work that it may take.
     """
 
-    sphere: NDArray[np.float64]
+    sphere: Floats
     route: str
     reason: str
-    points: NDArray[np.float64] | None
+    points: Floats | None
     repaired_flips: int
     repair_given_up: bool = False
 
@@ -46,7 +44,7 @@ def bijective_start(
     surface: Surface,
     *,
     published: bool = False,
-    given: NDArray[np.float64] | None = None,
+    given: Floats | None = None,
     device: str | None = "auto",
     progress: Progress | None = None,
 ) -> Start:
@@ -92,7 +90,7 @@ def bijective_start(
     return Start(_embedded(surface, device, progress), "hierarchical", reason, points, 0, budget.exhausted)
 
 
-def _embedded(surface: Surface, device: str | None, progress: Progress | None) -> NDArray[np.float64]:
+def _embedded(surface: Surface, device: str | None, progress: Progress | None) -> Floats:
     """Return the coarse-to-fine embedding of a surface.
 
     Raises:
@@ -106,6 +104,6 @@ def _embedded(surface: Surface, device: str | None, progress: Progress | None) -
     return sphere
 
 
-def shrunken_triangles(surface: Surface, sphere: NDArray[np.float64]) -> int:
+def shrunken_triangles(surface: Surface, sphere: Floats) -> int:
     """Count the triangles that a map shrinks so far that rounding decides their orientation; shape [V, 3]."""
     return int((triangle_areas(sphere, surface.faces) < SMALLEST_AREA).sum())

@@ -15,7 +15,7 @@ from scipy import sparse
 
 from omtwarp.device.start import LARGE, wp
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import TINY
+from omtwarp.mesh.arrays import TINY, Floats, Ints
 from omtwarp.mesh.surface import Surface
 from omtwarp.start.decimation_kernels import MAX_VALENCE, NO_KEY, Vertex, gather_rings, propose_collapses, select_minima
 
@@ -33,12 +33,12 @@ class Level:
         face_masses: Area every face shall have on the sphere, sum 4π, shape [f].
     """
 
-    vertices: NDArray[np.int32]
-    offsets: NDArray[np.int32]
-    heads: NDArray[np.int32]
-    thirds: NDArray[np.int32]
-    half_edge_faces: NDArray[np.int32]
-    face_masses: NDArray[np.float64]
+    vertices: Ints
+    offsets: Ints
+    heads: Ints
+    thirds: Ints
+    half_edge_faces: Ints
+    face_masses: Floats
 
 
 @dataclass
@@ -51,9 +51,9 @@ class Removal:
         valences: Length of every ring, int32, shape [m].
     """
 
-    vertices: NDArray[np.int32]
-    rings: NDArray[np.int32]
-    valences: NDArray[np.int32]
+    vertices: Ints
+    rings: Ints
+    valences: Ints
 
 
 @dataclass
@@ -68,7 +68,7 @@ class Hierarchy:
 
     levels: list[Level]
     removals: list[Removal]
-    coarsest: NDArray[np.int32]
+    coarsest: Ints
 
 
 def integers(values: NDArray, device: wp.Device) -> wp.array:
@@ -76,9 +76,7 @@ def integers(values: NDArray, device: wp.Device) -> wp.array:
     return wp.array(values, dtype=wp.int32, device=device)
 
 
-def simplify(
-    surface: Surface, device: wp.Device, *, by_distance: bool = False, kinds: NDArray[np.int32] | None = None
-) -> Hierarchy:
+def simplify(surface: Surface, device: wp.Device, *, by_distance: bool = False, kinds: Ints | None = None) -> Hierarchy:
     """Remove vertices until four are left, or five where some are on a boundary.
 
     Args:
@@ -133,7 +131,7 @@ def simplify(
     return Hierarchy(levels, removals, faces)
 
 
-def _require_sphere_topology(faces: NDArray[np.int32], count: int) -> None:
+def _require_sphere_topology(faces: Ints, count: int) -> None:
     """Require each edge once in each direction, no unused vertex and Euler's number 2."""
     tails, heads = faces.ravel().astype(np.int64), np.roll(faces, -1, axis=1).ravel().astype(np.int64)
     if len(faces) == 0 or not (np.bincount(tails, minlength=count) > 0).all():
@@ -147,7 +145,7 @@ def _require_sphere_topology(faces: NDArray[np.int32], count: int) -> None:
         raise OmtwarpError(f"the mesh has Euler number {euler}, a sphere has 2: it has handles or several components")
 
 
-def _half_edges(faces: NDArray[np.int32], count: int) -> tuple[NDArray[np.int32], ...]:
+def _half_edges(faces: Ints, count: int) -> tuple[Ints, ...]:
     """Return half-edges sorted by (tail, head): offsets [V + 1], heads, thirds and faces [3F]."""
     half_edges = np.arange(faces.size, dtype=np.int32)
     rows = sparse.csr_matrix((half_edges, (faces.ravel(), np.roll(faces, -1, axis=1).ravel())), shape=(count, count))
@@ -164,7 +162,7 @@ def _propose(
     points: wp.array,
     by_distance: bool,
     device: wp.Device,
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+) -> tuple[Floats, Ints]:
     cost: wp.array = wp.empty(len(alive), dtype=wp.float64, device=device)
     target: wp.array = wp.empty(len(alive), dtype=wp.int32, device=device)
     wp.launch(
@@ -178,8 +176,8 @@ def _propose(
 
 
 def _select(
-    cost: NDArray[np.float64],
-    alive: NDArray[np.int32],
+    cost: Floats,
+    alive: Ints,
     count: int,
     round_index: int,
     device_alive: wp.array,
@@ -213,7 +211,7 @@ def _select(
     return np.flatnonzero(selected.numpy())
 
 
-def _scramble(indices: NDArray[np.int32], round_index: int) -> NDArray[np.int64]:
+def _scramble(indices: Ints, round_index: int) -> NDArray[np.int64]:
     """Return distinct pseudo-random 32-bit numbers for distinct indices (the finaliser of MurmurHash3, a bijection)."""
     x = indices.astype(np.uint32) ^ np.uint32((round_index * 0x9E3779B9) & 0xFFFFFFFF)
     x = (x ^ (x >> np.uint32(16))) * np.uint32(0x85EBCA6B)
@@ -222,14 +220,14 @@ def _scramble(indices: NDArray[np.int32], round_index: int) -> NDArray[np.int64]
 
 
 def _rings(
-    removed: NDArray[np.int32],
-    targets: NDArray[np.int32],
+    removed: Ints,
+    targets: Ints,
     adjacency: list[wp.array],
     masses: wp.array,
     points: wp.array,
     even_share: float,
     device: wp.Device,
-) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+) -> tuple[Ints, Floats]:
     rings: wp.array = wp.zeros((len(removed), MAX_VALENCE), dtype=wp.int32, device=device)
     fan_masses: wp.array = wp.zeros((len(removed), MAX_VALENCE - 2), dtype=wp.float64, device=device)
     wp.launch(
@@ -242,7 +240,7 @@ def _rings(
     return rings.numpy(), fan_masses.numpy()
 
 
-def _without_repeated_diagonals(rings: NDArray[np.int32], valences: NDArray[np.int32], count: int) -> NDArray[np.int64]:
+def _without_repeated_diagonals(rings: Ints, valences: Ints, count: int) -> NDArray[np.int64]:
     """Return the rows of ``rings`` such that no two fans add the same edge; of two that would, the first stays."""
     slots = np.arange(2, MAX_VALENCE - 1)
     row, column = np.nonzero(slots[None, :] < (valences - 1)[:, None])
@@ -253,9 +251,7 @@ def _without_repeated_diagonals(rings: NDArray[np.int32], valences: NDArray[np.i
     return np.delete(np.arange(len(rings)), clashing)
 
 
-def _refan(
-    faces: NDArray[np.int32], masses: NDArray[np.float64], removal: Removal, fan_masses: NDArray[np.float64], count: int
-) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+def _refan(faces: Ints, masses: Floats, removal: Removal, fan_masses: Floats, count: int) -> tuple[Ints, Floats]:
     """Return the faces and masses after fans have replaced the stars of the removed vertices."""
     gone = np.zeros(count, dtype=bool)
     gone[removal.vertices] = True

@@ -9,14 +9,13 @@ bit however long limbs are, and the map with its mirror image is one of the doub
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import count_flips
 from omtwarp.geometry.axes import order_by_place
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Floats, Ints
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.options import Progress, tell
 from omtwarp.start.decimation import Level, Removal, integers, simplify
@@ -30,7 +29,7 @@ AREA_WEIGHT = 10.0  # of area distortion against angle distortion, as by default
 
 def hemispherical_embedding(
     vertices: Floats,
-    faces: NDArray[np.int32],
+    faces: Ints,
     areas: Floats | None = None,
     *,
     device: str | None = "auto",
@@ -89,20 +88,13 @@ class _HemisphereEmbedding(Embedding):
     """
 
     def __init__(
-        self,
-        surface: Surface,
-        level: Level,
-        coarsest: NDArray[np.int32],
-        area_weight: float,
-        device: wp.Device,
-        *,
-        kinds: NDArray[np.int32],
+        self, surface: Surface, level: Level, coarsest: Ints, area_weight: float, device: wp.Device, *, kinds: Ints
     ):
         self.kinds = kinds
         self.pole = int(np.flatnonzero(kinds == Vertex.POLE)[0])
         super().__init__(surface, level, coarsest, area_weight, device)
 
-    def place(self, vertices: NDArray[np.int32], coarsest: NDArray[np.int32], sphere: Floats) -> None:
+    def place(self, vertices: Ints, coarsest: Ints, sphere: Floats) -> None:
         """Put three vertices on the equator and one at each pole."""
         top = vertices[self.kinds[vertices] == Vertex.INSIDE][0]
         sphere[top], sphere[self.pole] = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)

@@ -20,7 +20,7 @@ from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import count_flips
 from omtwarp.geometry.axes import order_by_place
-from omtwarp.mesh.arrays import real_number
+from omtwarp.mesh.arrays import Floats, Ints, real_number
 from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.surface import Surface
 from omtwarp.options import Progress, tell
@@ -46,7 +46,7 @@ class HierarchicalEmbedding:
         converged: True: every vertex was placed.
     """
 
-    sphere: NDArray[np.float64]
+    sphere: Floats
     history: list[dict[str, int]] = field(default_factory=list)
     converged: bool = True
 
@@ -146,9 +146,7 @@ class Embedding:
             older vertices only vanish on the way to finer levels: a colour given once stays valid.
     """
 
-    def __init__(
-        self, surface: Surface, level: Level, coarsest: NDArray[np.int32], area_weight: float, device: wp.Device
-    ):
+    def __init__(self, surface: Surface, level: Level, coarsest: Ints, area_weight: float, device: wp.Device):
         start = np.zeros((surface.vertex_count, 3))
         self.place(level.vertices, coarsest, start)
         colours = np.zeros(surface.vertex_count, dtype=np.int32)
@@ -160,7 +158,7 @@ class Embedding:
         self.colours = integers(colours, device)
         self.enter(level)
 
-    def place(self, vertices: NDArray[np.int32], coarsest: NDArray[np.int32], sphere: NDArray[np.float64]) -> None:
+    def place(self, vertices: Ints, coarsest: Ints, sphere: Floats) -> None:
         """Put the vertices of the coarsest level, a tetrahedron, on the sphere; ``sphere`` has shape [V, 3]."""
         sphere[vertices] = np.array([[1.0, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]]) / np.sqrt(3.0)
         if np.linalg.det(sphere[coarsest[0]]) < 0:
@@ -243,7 +241,7 @@ class Embedding:
             for move in self.moves_of(self.slots[int(begin) : int(end)])
         ]
 
-    def relax(self, vertices: NDArray[np.int32]) -> None:
+    def relax(self, vertices: Ints) -> None:
         """Move these vertices, no two of which are neighbours."""
         slots = integers(np.searchsorted(self.level.vertices, vertices), self.device)
         for move in self.moves_of(slots):

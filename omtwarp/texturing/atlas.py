@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.limits import LONGEST_SIDE, MOST_TEXELS
-from omtwarp.mesh.arrays import TINY, Floats
+from omtwarp.mesh.arrays import TINY, Floats, Ints
 from omtwarp.options import AtlasName
 
 ATLASES = tuple(AtlasName)
@@ -127,7 +127,7 @@ class Atlas(ABC):
         return 0.0, float(self.gutter)
 
     @property
-    def row_lengths(self) -> NDArray[np.int32]:
+    def row_lengths(self) -> Ints:
         """How many texels of every row, from the left, charts and gutters cover, shape [H]; the rest is empty."""
         return np.full(self.height, self.width, dtype=np.int32)
 
@@ -137,7 +137,7 @@ class Atlas(ABC):
         return bool((self.row_lengths == self.width).all())
 
     @property
-    def texels(self) -> NDArray[np.int32]:
+    def texels(self) -> Ints:
         """Numbers of the texels that charts and gutters cover, row by row."""
         if self.filled:
             return np.arange(self.width * self.height, dtype=np.int32)
@@ -159,7 +159,7 @@ class Atlas(ABC):
             picture[first:end, lengths[first] :] = mean
 
     @abstractmethod
-    def charts(self, directions: Floats) -> NDArray[np.int32]:
+    def charts(self, directions: Floats) -> Ints:
         """Return the chart of every direction, shape [N]."""
 
     @abstractmethod
@@ -209,7 +209,7 @@ class Equirectangular(Atlas):
     def parameters(self) -> tuple[float, float]:
         return self.seam - np.pi, 0.0
 
-    def charts(self, directions: Floats) -> NDArray[np.int32]:
+    def charts(self, directions: Floats) -> Ints:
         return np.zeros(len(directions), dtype=np.int32)
 
     def _turned(self, points: Floats) -> tuple[Floats, Floats, Floats]:
@@ -281,13 +281,13 @@ class Cube(Atlas):
         return float(self.cell), float(self.gutter)
 
     @property
-    def row_lengths(self) -> NDArray[np.int32]:
+    def row_lengths(self) -> Ints:
         lengths = np.zeros(self.height, dtype=np.int32)
         lengths[: self.cell] = self.columns * self.cell
         lengths[self.cell : 2 * self.cell] = (self.chart_count - self.columns) * self.cell
         return lengths
 
-    def charts(self, directions: Floats) -> NDArray[np.int32]:
+    def charts(self, directions: Floats) -> Ints:
         axis = np.argmax(np.abs(directions), axis=-1)
         value = np.take_along_axis(directions, axis[..., None], axis=-1)[..., 0]
         return np.array([[0, 2], [1, 3], [4, 5]], dtype=np.int32)[axis, (value < 0).astype(int)]
@@ -332,7 +332,7 @@ class Octahedral(Atlas):
     def texel_angle(self) -> float:
         return 2.0 / (self.width - 2 * self.gutter)  # at the poles; up to 2.4 times that in the middle of an octant
 
-    def charts(self, directions: Floats) -> NDArray[np.int32]:
+    def charts(self, directions: Floats) -> Ints:
         negative = np.asarray(directions) < 0
         return (negative[..., 0] + 2 * negative[..., 1] + 4 * negative[..., 2]).astype(np.int32)
 
@@ -437,7 +437,7 @@ SIDES = {"cube": 3.76, "octahedral": 3.94, "equirectangular": 4.0}
 
 
 def sharp_size(
-    vertices: Floats, faces: NDArray[np.int32], sphere: Floats, atlas: str, limit: int = LARGEST_SIZE
+    vertices: Floats, faces: Ints, sphere: Floats, atlas: str, limit: int = LARGEST_SIZE
 ) -> tuple[int | tuple[int, int], float]:
     """Return the least size at which no texel covers more than 1.5 pixels of 1024 x 1024 that the surface fills.
 
@@ -493,7 +493,7 @@ def picture_size(needed: float, atlas: str, limit: int) -> tuple[int | tuple[int
         width *= 2
 
 
-def largest_stretch(surface: Floats, faces: NDArray[np.int32], sphere: Floats) -> Floats:
+def largest_stretch(surface: Floats, faces: Ints, sphere: Floats) -> Floats:
     """Return the largest ratio of length on the surface to length on the sphere in every triangle, shape [F].
 
     The larger root of det(A - x² B) = 0, with A and B the metrics of a triangle here and there. Infinite where a

@@ -7,15 +7,15 @@ from collections.abc import Callable
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.location import Locator
 from omtwarp.measures import TargetDensity
-from omtwarp.mesh.arrays import real_numbers, whole_numbers
+from omtwarp.mesh.arrays import Floats, real_numbers, whole_numbers
 from omtwarp.texturing.image import PictureLike, as_floats, direction_to_image, read_image
 
-Function: TypeAlias = Callable[[NDArray[np.float64]], ArrayLike]
+Function: TypeAlias = Callable[[Floats], ArrayLike]
 TargetLike: TypeAlias = "TargetDensity | Function | tuple[ArrayLike, ArrayLike, ArrayLike] | PictureLike"
 """A density on the sphere in any of the forms that :func:`as_target` takes."""
 
@@ -49,7 +49,7 @@ def image_density(image: PictureLike, floor: float = 0.0) -> TargetDensity:
     # The first and last column are neighbours; beyond the poles the outermost rows are repeated.
     padded = np.pad(np.pad(grey, ((0, 0), (1, 1)), mode="wrap"), ((1, 1), (0, 0)), mode="edge")
 
-    def density(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def density(points: Floats) -> Floats:
         u, v = direction_to_image(points).T
         places = [(1.0 - v) * height + 0.5, u * width + 0.5]
         from scipy.ndimage import map_coordinates  # takes a tenth of a second to import
@@ -82,7 +82,7 @@ def vertex_density(
         raise OmtwarpError(f"the target has {numbers.size} values: its sphere has {len(points)} vertices")
     locator = Locator(points, triangles, device=device)
 
-    def density(queries: NDArray[np.float64]) -> NDArray[np.float64]:
+    def density(queries: Floats) -> Floats:
         holding = locator.find(queries)
         return (numbers[triangles[holding.faces]] * holding.coordinates).sum(axis=1)
 

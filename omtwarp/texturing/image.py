@@ -24,7 +24,7 @@ from omtwarp.errors import OmtwarpError, brief
 from omtwarp.files.inputs import open_input
 from omtwarp.files.limits import LARGEST_PICTURE_FILE, LONGEST_SIDE, MOST_TEXELS
 from omtwarp.files.pictures import FORMATS, open_picture
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Bytes, Floats
 from omtwarp.options import ProjectionName
 
 if TYPE_CHECKING:
@@ -141,7 +141,7 @@ def as_floats(image: NDArray[np.generic]) -> NDArray[np.float32]:
     return values / np.float32(255.0) if image.dtype == np.uint8 else values
 
 
-def as_bytes(image: NDArray[np.generic]) -> NDArray[np.uint8]:
+def as_bytes(image: NDArray[np.generic]) -> Bytes:
     """Convert a picture to uint8, rounded to the nearest number and clipped."""
     if image.dtype == np.uint8:
         return image.astype(np.uint8, copy=False)
@@ -156,13 +156,13 @@ def with_opacity(picture: NDArray[Number]) -> NDArray[Number]:
     return np.concatenate([picture, np.full_like(picture[..., :1], full)], axis=-1)
 
 
-def without_full_opacity(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def without_full_opacity(picture: Bytes) -> Bytes:
     """Drop the opacity of a picture [H, W, 4] that is opaque."""
     opaque = picture.shape[2] == 4 and picture[..., 3].min() == 255
     return np.ascontiguousarray(picture[..., :3]) if opaque else picture
 
 
-def png_bytes(image: NDArray[np.uint8]) -> bytes:
+def png_bytes(image: Bytes) -> bytes:
     """Encode an image as a PNG file."""
     # Of fewer bytes Pillow makes a file in a tenth of a second or two, on one core.
     if image.size > 4_000_000 and image.shape[2] in COLOUR_TYPES:
@@ -178,7 +178,7 @@ def png_bytes(image: NDArray[np.uint8]) -> bytes:
     return stream.getvalue()
 
 
-def webp_bytes(image: NDArray[np.uint8]) -> bytes:
+def webp_bytes(image: Bytes) -> bytes:
     """Encode an image as a WebP file without loss: the same texels in a third to a half fewer bytes than a PNG.
 
     Raises:
@@ -196,7 +196,7 @@ def webp_bytes(image: NDArray[np.uint8]) -> bytes:
     return stream.getvalue()
 
 
-def _png_in_strips(image: NDArray[np.uint8]) -> bytes:
+def _png_in_strips(image: Bytes) -> bytes:
     """Encode a large image as a PNG file with strips of rows compressed in parallel, which Pillow cannot do.
 
     Every row is stored as its difference from the one above, filter 2 of the format. The strips' streams end at whole

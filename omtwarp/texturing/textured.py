@@ -16,7 +16,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import as_path
 from omtwarp.maps.torus_map import TorusMap
-from omtwarp.mesh.arrays import Floats, HasTriangles, Ints, real_number, real_numbers
+from omtwarp.mesh.arrays import Bytes, Floats, HasTriangles, Ints, real_number, real_numbers
 from omtwarp.mesh.checks import as_faces, as_unit_vectors
 from omtwarp.mesh.surface import unit_normals, vertex_normals
 from omtwarp.mesh.write import write_mesh
@@ -89,7 +89,7 @@ class TexturedSurface:
     faces: Ints
     uv: Floats
     normals: Floats
-    image: NDArray[np.uint8]
+    image: Bytes
     welded: Ints
     source_vertex: Ints
     source_face: Ints
@@ -119,7 +119,7 @@ class TexturedSurface:
         return len(self.original_vertices)
 
     @property
-    def vertex_colours(self) -> NDArray[np.uint8]:
+    def vertex_colours(self) -> Bytes:
         """Red, green, blue and alpha of the texture at the input's vertices, uint8, shape [V, 4]."""
         if self.atlas is None or self.original_sphere is None or self.rotation is None:
             at = np.floor(self.uv[: self.original_vertex_count] * (1.0, -1.0) % 1.0 * self.image.shape[1::-1])
@@ -339,7 +339,7 @@ def texture_torus(
     )
 
 
-def torus_pattern(name: str, lattice: Floats, size: int | None = None) -> NDArray[np.uint8]:
+def torus_pattern(name: str, lattice: Floats, size: int | None = None) -> Bytes:
     """Return a picture of a flat torus: u to the right along the first lattice vector, v upwards along the second.
 
     Args:
@@ -437,7 +437,7 @@ def _source(
     atlas: str,
     size: int | tuple[int, int] | None,
     seam: float,
-) -> tuple[NDArray | Pattern, Atlas, NDArray[np.uint8] | None]:
+) -> tuple[NDArray | Pattern, Atlas, Bytes | None]:
     """Return a texture's source and layout, and its texels where the picture's bytes must not change."""
     if image is None:
         chosen = "circles" if pattern is None else pattern
@@ -462,7 +462,7 @@ def _rotation(rotate: ArrayLike | str | None, vertices: Floats, faces: Ints, sph
     return rotation_matrix(np.rad2deg(least_visible_meridian(vertices, faces, sphere)) - 180.0)
 
 
-def _shifted(picture: NDArray, seam: float) -> tuple[Equirectangular, NDArray[np.uint8]]:
+def _shifted(picture: NDArray, seam: float) -> tuple[Equirectangular, Bytes]:
     """Return an equirectangular picture, its bytes unchanged, in the layout whose seam is nearest to the wanted one.
 
     A seam that is moved by whole columns shifts the picture by as many.

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.mesh.arrays import edge_keys
+from omtwarp.mesh.arrays import Floats, Ints, edge_keys
 from omtwarp.mesh.origins import Derived
 from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.topology.kind import boundary_half_edges
 
 
-def split_chords(vertices: NDArray[np.float64], faces: NDArray, loop: NDArray[np.int64] | None = None) -> Derived:
+def split_chords(vertices: Floats, faces: NDArray, loop: NDArray[np.int64] | None = None) -> Derived:
     """Split every edge inside the surface whose two ends lie on the boundary, at its midpoint.
 
     Args:
@@ -39,7 +39,7 @@ def split_chords(vertices: NDArray[np.float64], faces: NDArray, loop: NDArray[np
     return split_at(vertices, triangles, np.stack([split // count, split % count], axis=1))
 
 
-def split_at(vertices: NDArray[np.float64], faces: NDArray, edges: NDArray) -> Derived:
+def split_at(vertices: Floats, faces: NDArray, edges: NDArray) -> Derived:
     """Split edges at their midpoints.
 
     Args:
@@ -66,7 +66,7 @@ def split_at(vertices: NDArray[np.float64], faces: NDArray, edges: NDArray) -> D
     )
 
 
-def _subdivided(faces: NDArray[np.int64], midpoint: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+def _subdivided(faces: NDArray[np.int64], midpoint: NDArray[np.int64]) -> tuple[Ints, NDArray[np.int64]]:
     """Return the faces cut through midpoints of edges (k, k+1), -1 where one stays whole, and the face each is of."""
     whole = (midpoint < 0).all(axis=1)
     parts, origins = [faces[whole]], [np.flatnonzero(whole)]
@@ -115,7 +115,7 @@ class Double(Derived):
         return np.flatnonzero(~self.copied)
 
 
-def double(vertices: NDArray[np.float64], faces: NDArray) -> Double:
+def double(vertices: Floats, faces: NDArray) -> Double:
     """Glue a surface to its mirror copy along its boundary; the copy lies where the surface lies.
 
     Args:

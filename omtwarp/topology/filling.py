@@ -19,6 +19,7 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from omtwarp.geometry.operators import corner_cotangents
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.origins import Derived
 
 
@@ -31,11 +32,11 @@ class Patch:
         faces: triangles by the vertices of the loop, 0 to n - 1, and the new ones, n to n + K - 1, int64, shape [P, 3].
     """
 
-    vertices: NDArray[np.float64]
+    vertices: Floats
     faces: NDArray[np.int64]
 
 
-def fill_loop(points: NDArray[np.float64]) -> Patch:
+def fill_loop(points: Floats) -> Patch:
     """Fill a closed loop; the patch is the same, to the bit, whichever vertex of the loop comes first.
 
     Args:
@@ -58,7 +59,7 @@ def fill_loop(points: NDArray[np.float64]) -> Patch:
     return Patch(places[count:] * extent + centre, np.where(faces < count, (faces + begin) % count, faces))
 
 
-def _beginning(points: NDArray[np.float64]) -> int:
+def _beginning(points: Floats) -> int:
     """Return the vertex of a loop that is nearest to its middle, of equally near ones the first along x, y and z."""
     far = np.linalg.norm(points - points.mean(axis=0), axis=1)
     # Equally far: difference of distances, over the largest, that may be round-off of another order or position
@@ -66,7 +67,7 @@ def _beginning(points: NDArray[np.float64]) -> int:
     return int(nearest[np.lexsort(points[nearest, ::-1].T)[0]])
 
 
-def _rings(turns: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _rings(turns: Floats) -> tuple[Floats, NDArray[np.int64]]:
     """Triangulate the unit disk, its first vertices on the circle at the turns given, in [0, 1), ascending."""
     coarsening = 0.8  # a ring has at least so many times the vertices of the ring around it
     rings, radius = [turns], 1.0
@@ -94,7 +95,7 @@ def _rings(turns: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.
     return np.concatenate(points), np.concatenate(rows)[:, ::-1].copy()
 
 
-def _strip(outer: NDArray[np.float64], inner: NDArray[np.float64], first: int, second: int) -> NDArray[np.int64]:
+def _strip(outer: Floats, inner: Floats, first: int, second: int) -> NDArray[np.int64]:
     """Return triangles between two rings of vertices, counter-clockwise: each advances the ring that lags behind."""
     start = int(np.argmin(np.abs(inner - outer[0])))
     ahead = np.concatenate([outer, [outer[0] + 1.0]])
@@ -112,7 +113,7 @@ def _strip(outer: NDArray[np.float64], inner: NDArray[np.float64], first: int, s
     return np.array(faces, dtype=np.int64)
 
 
-def _harmonic(shape: NDArray[np.float64], faces: NDArray[np.int64], loop: NDArray[np.float64]) -> NDArray[np.float64]:
+def _harmonic(shape: Floats, faces: NDArray[np.int64], loop: Floats) -> Floats:
     """Return harmonic positions of all vertices by a shape's cotangent weights, the loop held, shape [n + K, 3]."""
     count, held = len(shape), len(loop)
     # Weights are positive, so that a vertex lies among its neighbours.
@@ -139,7 +140,7 @@ class FilledSurface(Derived):
     patch: NDArray[np.int64]
 
 
-def fill_holes(vertices: NDArray[np.float64], faces: NDArray, loops: list[NDArray[np.int64]]) -> FilledSurface:
+def fill_holes(vertices: Floats, faces: NDArray, loops: list[NDArray[np.int64]]) -> FilledSurface:
     """Fill loops of the boundary of a surface, each with a patch of its own.
 
     Args:

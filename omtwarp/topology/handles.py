@@ -27,7 +27,7 @@ from scipy.sparse import csgraph
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.limbs import thinnest_ring, vertices_needed
-from omtwarp.mesh.arrays import edge_keys
+from omtwarp.mesh.arrays import Floats, edge_keys
 from omtwarp.mesh.origins import Derived
 from omtwarp.mesh.surface import Surface
 from omtwarp.mesh.validate import components_of
@@ -50,12 +50,7 @@ class CutSurface(Derived):
 
 
 def cut_handles(
-    vertices: NDArray[np.float64],
-    faces: NDArray,
-    genus: int,
-    loops: list[NDArray[np.int64]] | None = None,
-    *,
-    thorough: bool = True,
+    vertices: Floats, faces: NDArray, genus: int, loops: list[NDArray[np.int64]] | None = None, *, thorough: bool = True
 ) -> CutSurface:
     """Cut a surface along one loop around each handle, the shortest there is each time; what is left has genus 0.
 
@@ -87,7 +82,7 @@ def cut_handles(
     return CutSurface(origin, np.arange(len(faces)), points, triangles.astype(np.int32), sides, given=len(vertices))
 
 
-def slit_open(vertices: NDArray[np.float64], faces: NDArray, share: float = 1.0) -> CutSurface:
+def slit_open(vertices: Floats, faces: NDArray, share: float = 1.0) -> CutSurface:
     """Cut a closed surface open along a path between two vertices that are far from each other.
 
     Args:
@@ -122,9 +117,7 @@ def slit_open(vertices: NDArray[np.float64], faces: NDArray, share: float = 1.0)
     return CutSurface(origin, np.arange(len(faces)), vertices[origin], opened.astype(np.int32), [], given=count)
 
 
-def shortest_handle_loop(
-    vertices: NDArray[np.float64], faces: NDArray, *, thorough: bool = True
-) -> NDArray[np.int64] | None:
+def shortest_handle_loop(vertices: Floats, faces: NDArray, *, thorough: bool = True) -> NDArray[np.int64] | None:
     """Find the shortest closed loop of edges that does not separate a surface and touches no boundary.
 
     Args:
@@ -153,7 +146,7 @@ class _LoopGraph:
         loop: its vertices in order.
     """
 
-    def __init__(self, vertices: NDArray[np.float64], faces: NDArray[np.int64]):
+    def __init__(self, vertices: Floats, faces: NDArray[np.int64]):
         self.length = float(np.inf)
         self.loop: NDArray[np.int64] | None = None
         self.count = len(vertices)
@@ -263,7 +256,7 @@ class _LoopGraph:
                     face = int(before[face])
         return crossed
 
-    def _parities(self, steps: NDArray[np.float64], before: NDArray) -> tuple[NDArray[np.int64], NDArray[np.uint64]]:
+    def _parities(self, steps: Floats, before: NDArray) -> tuple[NDArray[np.int64], NDArray[np.uint64]]:
         """Return which loops of triangles are crossed an odd number of times by the path from each root to each vertex.
 
         Returns:
@@ -324,7 +317,7 @@ def _cut_along(
 
 
 def cut_open(
-    vertices: NDArray[np.float64], faces: NDArray, genus: int, along: CutAlong = CutAlong.AUTO
+    vertices: Floats, faces: NDArray, genus: int, along: CutAlong = CutAlong.AUTO
 ) -> tuple[CutSurface, list[str]]:
     """Cut a surface along one loop for each handle, so that genus 0 is left.
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.space_order import in_space_order, order_along_curve
-from omtwarp.mesh.arrays import in_range
+from omtwarp.mesh.arrays import Floats, Ints, in_range
 from omtwarp.mesh.origins import Derived
 from omtwarp.mesh.surface import Surface
 from omtwarp.mesh.validate import Topology, as_arrays, check, describe, number
@@ -63,7 +63,7 @@ def boundary_loops(faces: NDArray, vertex_count: int) -> list[NDArray[np.int64]]
     return loops
 
 
-def loop_length(vertices: NDArray[np.float64], loop: NDArray[np.int64]) -> float:
+def loop_length(vertices: Floats, loop: NDArray[np.int64]) -> float:
     """Return the length of a closed loop of vertices, in the units of the input."""
     points = vertices[loop]
     return float(np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1).sum())
@@ -146,7 +146,7 @@ def places_of(parts: list[Part]) -> NDArray[np.int64]:
     return np.argsort([own.min() for own in np.split(place, ends[:-1])])
 
 
-def connected_components(faces: NDArray, vertex_count: int) -> tuple[int, NDArray[np.int32]]:
+def connected_components(faces: NDArray, vertex_count: int) -> tuple[int, Ints]:
     """Return the number of pieces connected through edges, and the piece of every face, shape [F]."""
     return Topology(np.asarray(faces, dtype=np.int64), vertex_count).components
 

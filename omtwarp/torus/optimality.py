@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.start import wp
 from omtwarp.device.threads import Arguments, blas_threads, launch_parts
-from omtwarp.mesh.arrays import TINY, Floats
+from omtwarp.mesh.arrays import TINY, Floats, Ints
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, plane_areas
 from omtwarp.metrics.ascent import ascend
 from omtwarp.metrics.optimality import ASCENT_STEPS, GOOD_ENOUGH
@@ -111,7 +111,7 @@ class _Bound:
 
     potential: Floats
     excess: float
-    leaf: NDArray[np.int32]
+    leaf: Ints
     shares: Floats
 
 

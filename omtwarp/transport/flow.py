@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from omtwarp.device.arrays import vectors
 from omtwarp.device.graphs import Graph
@@ -23,7 +23,7 @@ from omtwarp.device.threads import Arguments, blas_threads, launch_parts
 from omtwarp.errors import choose
 from omtwarp.flips.guard import StepGuard
 from omtwarp.measures import TargetDensity
-from omtwarp.mesh.arrays import real_number, whole_number
+from omtwarp.mesh.arrays import Floats, Ints, real_number, whole_number
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.metrics.optimality import relative_curl
@@ -94,7 +94,7 @@ class TransportMap:
         ended: why there were no more steps, in words.
     """
 
-    sphere: NDArray[np.float64]
+    sphere: Floats
     history: list[Record] = field(default_factory=list)
     converged: bool = False
     ended: str = ""
@@ -190,12 +190,7 @@ class _StreamGrid:
     """
 
     def __init__(
-        self,
-        surface: Surface,
-        centres: wp.array[wp.vec3d],
-        squares: NDArray[np.float64],
-        plain: bool,
-        target: TargetDensity | None,
+        self, surface: Surface, centres: wp.array[wp.vec3d], squares: Floats, plain: bool, target: TargetDensity | None
     ):
         device = centres.device
         hierarchy = sphere_hierarchy(level_for(surface.vertex_count, lowest=2))
@@ -222,8 +217,8 @@ class _Flow:
     def __init__(
         self,
         surface: Surface,
-        start: NDArray[np.float64] | wp.array,
-        initial: NDArray[np.float64] | wp.array,
+        start: Floats | wp.array,
+        initial: Floats | wp.array,
         cost: str,
         scheme: str,
         device: wp.Device,
@@ -407,9 +402,7 @@ class _Flow:
                 return ENDINGS[Ending(int(state["ended"]))]
 
 
-def resolution_damping(
-    squares: NDArray[np.float64], places: NDArray[np.int32], hierarchy: SphereHierarchy
-) -> NDArray[np.float64]:
+def resolution_damping(squares: Floats, places: Ints, hierarchy: SphereHierarchy) -> Floats:
     """Return the share of every wavelet, from 0 to 1, that the vertices of an image can follow, shape [N].
 
     ``squares`` holds the square of the longest edge of each of the image's triangles, shape [F], and ``places`` the

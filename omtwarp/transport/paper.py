@@ -39,12 +39,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.geometry import DifferentialOperators, circumcentric_coordinates
-from omtwarp.mesh.arrays import TINY, real_number, whole_number, whole_numbers
+from omtwarp.mesh.arrays import TINY, Floats, real_number, whole_number, whole_numbers
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.options import Cost, Progress, Record, tell
@@ -71,7 +71,7 @@ class FlowResult:
             bound), ``area`` (more mass would be lost than allowed) or ``cycles`` (all done).
     """
 
-    sphere: NDArray[np.float64]
+    sphere: Floats
     history: list[Record] = field(default_factory=list)
     stopped: str = "cycles"
 
@@ -159,7 +159,7 @@ class PaperFlow:
         # Resolved displacement, radians: the sine of a smaller angle is lost in the round-off of a cross product
         self._smallest = max(relative, 1e-8)
 
-    def _send(self, array: NDArray[np.float64], dtype: type = wp.float64) -> wp.array:
+    def _send(self, array: Floats, dtype: type = wp.float64) -> wp.array:
         return wp.array(np.ascontiguousarray(array), dtype=dtype, device=self.device)
 
     def _empty(self, size: int, dtype: type) -> wp.array:
@@ -252,7 +252,7 @@ class PaperFlow:
         self.map, self._advanced_map = self._advanced_map, self.map
 
 
-def _dual_weights(surface: Surface) -> NDArray[np.float64]:
+def _dual_weights(surface: Surface) -> Floats:
     """Return the barycentric coordinates of the dual vertices, clamped to their triangles, shape [F, 3]."""
     inside = np.maximum(circumcentric_coordinates(surface.vertices, surface.faces), 0.0)
     total = inside.sum(axis=1)

@@ -11,6 +11,7 @@ from omtwarp.device.arrays import empty, vectors
 from omtwarp.device.start import wp
 from omtwarp.device.sums import Reading
 from omtwarp.flips.predicates import flipped_faces
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import Surface
 from omtwarp.solvers.triangle_newton.motion_kernels import LEAST_SHARE, hold_back, retract_to_sphere, triangle_trouble
 from omtwarp.untangling.untangle import STEP_WORK, RepairBudget, Schedule, untangle_patches
@@ -160,7 +161,7 @@ class FlipFreeSteps:
         volume: wp.array,
         length: float,
         moved: wp.array,
-        trouble: NDArray[np.float64],
+        trouble: Floats,
         rounds: int,
     ) -> tuple[wp.array, wp.array] | None:
         """Go on holding back on the host, where only the surroundings of triangles in trouble are looked at again.
@@ -204,7 +205,7 @@ class FlipFreeSteps:
                 return moved, wp.array(shares, dtype=wp.float64, device=device)
         return None
 
-    def _admitted(self, sphere: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _admitted(self, sphere: Floats) -> Floats:
         """Return the nearest map of the kind that these steps lead to, shape [V, 3]; here the map itself."""
         return sphere
 

@@ -24,6 +24,7 @@ from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.flips.rings import examine
+from omtwarp.mesh.arrays import Floats, Ints
 from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
@@ -123,7 +124,7 @@ class UntangleResult:
         history: one record per attempt: rings, vertices freed, patches, rounds, flips left.
     """
 
-    sphere: NDArray[np.float64]
+    sphere: Floats
     flips_before: int
     flips_after: int
     bijective: bool
@@ -210,13 +211,13 @@ def untangle(
 
 def untangle_patches(
     surface: Surface,
-    sphere: NDArray[np.float64],
+    sphere: Floats,
     seeds: NDArray[np.bool_],
     schedule: Schedule,
     device: wp.Device,
     budget: RepairBudget | None = None,
     held: NDArray[np.bool_] | None = None,
-) -> tuple[NDArray[np.float64], int]:
+) -> tuple[Floats, int]:
     """Try once to untangle the patches around given triangles.
 
     Args:
@@ -236,7 +237,7 @@ def untangle_patches(
     return points, untangling.whole.free
 
 
-def _of_small_patches(faces: NDArray[np.int32], flipped: NDArray[np.bool_], schedule: Schedule) -> NDArray[np.bool_]:
+def _of_small_patches(faces: Ints, flipped: NDArray[np.bool_], schedule: Schedule) -> NDArray[np.bool_]:
     """Return a mask of the flipped triangles in patches that have no more of them than the schedule allows, [F]."""
     if schedule.most >= flipped.sum():
         return flipped
@@ -255,7 +256,7 @@ class _Untangling:
     def __init__(
         self,
         surface: Surface,
-        sphere: NDArray[np.float64],
+        sphere: Floats,
         flipped: NDArray[np.bool_],
         schedule: Schedule,
         device: wp.Device,
@@ -297,7 +298,7 @@ class _Untangling:
         self.d_gradient = wp.empty((count, 6), dtype=wp.float64, device=device)
         self.d_hessian = wp.empty((count, 21), dtype=wp.float64, device=device)
 
-    def _narrow(self, active: NDArray[np.bool_], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _narrow(self, active: NDArray[np.bool_], points: Floats) -> Floats:
         """Continue with the active patches alone, and return their points.
 
         Patches are independent, so that solved ones can be left out of the matrix.
@@ -309,11 +310,11 @@ class _Untangling:
         self._take(patches)
         return points[places]
 
-    def _keep(self, points: NDArray[np.float64]) -> None:
+    def _keep(self, points: Floats) -> None:
         free = self.patches.free
         self.result[self.patches.vertices[:free]] = points[:free]
 
-    def solve(self, budget: RepairBudget) -> tuple[NDArray[np.float64], int]:
+    def solve(self, budget: RepairBudget) -> tuple[Floats, int]:
         """Lower ε to its smallest, or until no patch has a flip; return the map and the number of rounds."""
         small = SmallPatches.of(self.whole)
         rounds = self._solve_together(budget) if small is None else self._solve_alone(small, budget)
@@ -422,14 +423,14 @@ class _Untangling:
         )
         return moved, settled
 
-    def _moved(self, points, step: NDArray[np.float64]):
+    def _moved(self, points, step: Floats):
         """Move the freed points by coordinates [free, 2] in their tangent planes."""
         moved = wp.clone(points)
         inputs = [points, wp.array(step, dtype=wp.float64, device=self.device, copy=False)]
         wp.launch(move_in_tangent, dim=self.patches.free, inputs=inputs, outputs=[moved], device=self.device)
         return moved
 
-    def _energy(self, points, face_epsilon) -> NDArray[np.float64]:
+    def _energy(self, points, face_epsilon) -> Floats:
         """Return the energy of every patch; infinite where it covers the sphere once more than it did."""
         patches = self.patches
         inputs = [points, self.d_faces, self.d_frames, self.d_areas, face_epsilon, wp.float64(self.schedule.weight)]
@@ -440,7 +441,7 @@ class _Untangling:
         energy[np.abs(np.rint(covered - self.share)) > np.abs(self.surplus)] = np.inf
         return energy
 
-    def _covered(self, points: wp.array, patches: Patches) -> NDArray[np.float64]:
+    def _covered(self, points: wp.array, patches: Patches) -> Floats:
         """Return the signed area that every patch covers, with multiplicity, over that of the sphere, shape [count]."""
         faces = triangles(patches.faces, self.device)
         solid = empty(len(faces), wp.float64, self.device)

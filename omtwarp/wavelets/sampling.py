@@ -15,6 +15,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import Arguments, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.sphere_hierarchy import SphereHierarchy
+from omtwarp.mesh.arrays import Floats
 from omtwarp.wavelets import kernels
 from omtwarp.wavelets.transform import transposed_rows
 
@@ -44,11 +45,11 @@ class SphereSampler:
     def __init__(
         self,
         hierarchy: SphereHierarchy,
-        points: NDArray[np.float64] | wp.array,
+        points: Floats | wp.array,
         *,
         level: int | None = None,
         device: str = "auto",
-        density: NDArray[np.float64] | None = None,
+        density: Floats | None = None,
     ) -> None:
         self.hierarchy = hierarchy
         self.level = hierarchy.level if level is None else int(level)
@@ -119,7 +120,7 @@ class SphereSampler:
     def _output(self, out: wp.array | None, size: int, dtype: type) -> wp.array:
         return wp.empty(size, dtype=dtype, device=self.device) if out is None else out
 
-    def locate(self, points: NDArray[np.float64] | wp.array) -> None:
+    def locate(self, points: Floats | wp.array) -> None:
         """Find the triangle and barycentric coordinates of every point, shape [P, 3], and the points of every triangle.
 
         A Warp array is kept by reference, not copied.

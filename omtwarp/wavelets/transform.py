@@ -31,10 +31,11 @@ from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import cotangent_laplacian
 from omtwarp.geometry.sphere_hierarchy import SphereHierarchy, predict_stencil
+from omtwarp.mesh.arrays import Floats, Ints
 from omtwarp.wavelets import kernels
 
 
-def transposed_rows(stencil: NDArray[np.int32], count: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def transposed_rows(stencil: Ints, count: int) -> tuple[Ints, Ints]:
     """Return, as compressed rows, the flat indices in ``stencil`` at which each of ``count`` nodes stands."""
     flat = stencil.ravel()
     entries = np.argsort(flat, kind="stable").astype(np.int32)
@@ -189,7 +190,7 @@ class SphericalWavelets:
             count = self.hierarchy.node_count - first
             wp.launch(kernels.clear_from, dim=count, inputs=[first, coefficients], device=self.device)
 
-    def _on_copy(self, values: ArrayLike, transform: Callable[[wp.array], None]) -> NDArray[np.float64]:
+    def _on_copy(self, values: ArrayLike, transform: Callable[[wp.array], None]) -> Floats:
         array = np.array(values, dtype=np.float64)
         if array.shape != (self.hierarchy.node_count,):
             raise OmtwarpError(f"expected one value per node, shape ({self.hierarchy.node_count},), got {array.shape}")
@@ -197,15 +198,15 @@ class SphericalWavelets:
         transform(on_device)
         return np.asarray(on_device.numpy())
 
-    def forward(self, values: ArrayLike) -> NDArray[np.float64]:
+    def forward(self, values: ArrayLike) -> Floats:
         """Apply :meth:`analyse` to a NumPy array, shape [N] -> [N]."""
         return self._on_copy(values, self._analyse)
 
-    def inverse(self, coefficients: ArrayLike) -> NDArray[np.float64]:
+    def inverse(self, coefficients: ArrayLike) -> Floats:
         """Apply :meth:`synthesise` to a NumPy array, shape [N] -> [N]."""
         return self._on_copy(coefficients, self._synthesise)
 
-    def wavelet(self, node: int) -> NDArray[np.float64]:
+    def wavelet(self, node: int) -> Floats:
         """Return the wavelet of a node, evaluated at the finest nodes, shape [N].
 
         It is psi(j, m), or phi(0, k) at the solid's nodes.
@@ -214,7 +215,7 @@ class SphericalWavelets:
         unit[node] = 1.0
         return self.inverse(unit)
 
-    def scaling_function(self, level: int, node: int) -> NDArray[np.float64]:
+    def scaling_function(self, level: int, node: int) -> Floats:
         """Return the scaling function phi(level, node), evaluated at the finest nodes, shape [N].
 
         It is the subdivision of a unit value at one node of K(level).
@@ -241,7 +242,7 @@ class WaveletFilter:
     """
 
     def __init__(
-        self, hierarchy: SphereHierarchy, factors: NDArray[np.float64], *, butterfly: bool = False, device: str = "auto"
+        self, hierarchy: SphereHierarchy, factors: Floats, *, butterfly: bool = False, device: str = "auto"
     ) -> None:
         self.wavelets = SphericalWavelets(hierarchy, butterfly=butterfly, device=device)
         self.device = self.wavelets.device
@@ -265,7 +266,7 @@ class WaveletFilter:
         wp.launch(kernels.scale_values, dim=len(values), inputs=[self._factors, values], device=self.device)
 
 
-def wavelet_energies(hierarchy: SphereHierarchy, wavelets: SphericalWavelets) -> NDArray[np.float64]:
+def wavelet_energies(hierarchy: SphereHierarchy, wavelets: SphericalWavelets) -> Floats:
     """Return the Dirichlet energy ∫ |grad psi|^2 of every wavelet, shape [N]; zero at the solid's nodes.
 
     Measured with the cotangent Laplacian of the level on which the wavelet is linear.
@@ -290,10 +291,10 @@ def wavelet_energies(hierarchy: SphereHierarchy, wavelets: SphericalWavelets) ->
 
 
 # Hierarchies are shared between maps, and so is what depends on them alone.
-_energies: WeakKeyDictionary[SphereHierarchy, dict[tuple[bool, bool], NDArray[np.float64]]] = WeakKeyDictionary()
+_energies: WeakKeyDictionary[SphereHierarchy, dict[tuple[bool, bool], Floats]] = WeakKeyDictionary()
 
 
-def _kept_energies(hierarchy: SphereHierarchy, wavelets: SphericalWavelets) -> NDArray[np.float64]:
+def _kept_energies(hierarchy: SphereHierarchy, wavelets: SphericalWavelets) -> Floats:
     kept = _energies.setdefault(hierarchy, {})
     kind = (wavelets.butterfly, wavelets.lifted)
     if kind not in kept:
@@ -323,7 +324,7 @@ class WaveletPreconditioner:
         hierarchy: SphereHierarchy,
         *,
         butterfly: bool = False,
-        damping: NDArray[np.float64] | None = None,
+        damping: Floats | None = None,
         device: str = "auto",
     ) -> None:
         self.hierarchy = hierarchy

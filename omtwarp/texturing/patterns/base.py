@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, wp
 from omtwarp.device.threads import launch_parts
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Floats, Ints
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -100,7 +100,7 @@ class Pattern(ABC):
         """
 
 
-def colour_groups(neighbours: NDArray, colours: int) -> NDArray[np.int32]:
+def colour_groups(neighbours: NDArray, colours: int) -> Ints:
     """Colour every cell unlike its neighbours, using colours as evenly as that allows, shape [N].
 
     Cells are coloured in smallest-last order (Matula and Beck, J. ACM 30, 1983): in a planar graph every cell meets

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, wp
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Floats, Ints
 from omtwarp.mesh.shapes import icosphere
 from omtwarp.texturing.atlas import normalised
 from omtwarp.texturing.image import direction_from_angles
@@ -100,7 +100,7 @@ class Circles(Pattern):
                 f"circles: {self.count} circles over {coverage:.2f} of the sphere touch: at most {most:.2f}"
             )
 
-    def spread(self, count: int) -> tuple[Floats, NDArray[np.int32]]:
+    def spread(self, count: int) -> tuple[Floats, Ints]:
         """Compute the centres of so many circles, shape [count, 3], and their groups, shape [count]."""
         from scipy.spatial import ConvexHull
 
@@ -144,7 +144,7 @@ class Circles(Pattern):
         ]
 
 
-def stored_circles() -> tuple[Floats, NDArray[np.int32]]:
+def stored_circles() -> tuple[Floats, Ints]:
     """Read the centres and groups of the default number of circles, as :meth:`Circles.spread` computes them."""
     with (files("omtwarp.texturing") / "assets" / "circles.npy").open("rb") as stream:
         table = np.load(stream)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, PI, ZERO, wp
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import Floats
 from omtwarp.texturing.patterns.base import Pattern, cell_of, latitude, longitude, near_multiple, srgb_colours
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -178,7 +179,7 @@ class Globe(Pattern):
         ]
 
 
-def coastline_segments() -> NDArray[np.float64]:
+def coastline_segments() -> Floats:
     """Return the two ends of every straight piece of coast as (longitude, latitude) in degrees, shape [S, 2, 2].
 
     The pieces form closed rings in the plane of longitude and latitude, with land on one side: a point is on land when
@@ -186,7 +187,7 @@ def coastline_segments() -> NDArray[np.float64]:
     along the map's edge where longitude wraps; those pieces close the rings and are no coast.
     """
     with (files("omtwarp.texturing") / "assets" / "coastlines.npy").open("rb") as stream:
-        hundredths: NDArray[np.float64] = np.load(stream) / 100.0
+        hundredths: Floats = np.load(stream) / 100.0
     return hundredths
 
 
