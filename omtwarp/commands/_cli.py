@@ -7,9 +7,8 @@ import gc
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager
-from functools import partial
 from pathlib import Path
 from typing import Protocol, cast
 
@@ -80,8 +79,6 @@ GROUPS = {
 }  # fmt: skip
 """Options by the heading that help shows them under; others are shown last."""
 
-_USUAL = object()  # in place of a value that typer is to read
-
 
 class Formatter(Protocol):
     """A writer of help: click's ``HelpFormatter``, of which typer has a copy of its own in some versions."""
@@ -96,28 +93,6 @@ class Formatter(Protocol):
 
     def write(self, string: str) -> None:
         """Write a text."""
-
-
-class Parameter(Protocol):
-    """An option or argument of a command, as newer versions of typer have them."""
-
-    default: object
-    required: bool
-    multiple: bool
-    nargs: int
-    callback: Callable[[object, Parameter, object], object] | None
-
-    def process_value(self, ctx: object, value: object) -> object:
-        """Convert a value, check it and call the parameter's callback."""
-
-
-class Group(typer.core.TyperGroup):
-    """The commands, whose common options are read as those of :class:`Command`."""
-
-    def parse_args(self, ctx: object, args: list[str]) -> list[str]:
-        """Read the arguments; return those of the command."""
-        _read_plainly(self.get_params(cast(typer.Context, ctx)))
-        return super().parse_args(cast(typer.Context, ctx), args)
 
 
 class Command(typer.core.TyperCommand):
@@ -140,7 +115,6 @@ class Command(typer.core.TyperCommand):
 
     def parse_args(self, ctx: object, args: list[str]) -> list[str]:
         """Read the arguments; an error says what is wrong, without the name of a Python exception."""
-        _read_plainly(self.get_params(cast(typer.Context, ctx)))
         try:
             return super().parse_args(cast(typer.Context, ctx), args)
         except typer.BadParameter as error:
@@ -181,38 +155,6 @@ def _is_file(path: Path) -> bool:
         return False
 
 
-def _read_plainly(parameters: Sequence[object]) -> None:
-    """Read values that need no check without typer's checkers of types.
-
-    For these it imports pydantic and builds one for every option: a tenth of a second at the start of each command.
-    """
-    for parameter in cast(Sequence[Parameter], parameters):
-        if not isinstance(vars(parameter).get("process_value"), partial):
-            vars(parameter)["process_value"] = partial(_processed, parameter, parameter.process_value)
-
-
-def _processed(parameter: Parameter, usual: Callable[[object, object], object], ctx: object, value: object) -> object:
-    """Return a parameter's value: defaults as they are, paths and texts at once, and others as typer reads them."""
-    kind = getattr(getattr(parameter, "type_descriptor", None), "annotation", None)
-    options = getattr(getattr(parameter, "type_descriptor", None), "parameter_info", None)
-    missing = parameter.required and value in (None, (), [])
-    if kind is None or missing or getattr(options, "exists", True):
-        return usual(ctx, value)
-    many, parser = parameter.multiple or parameter.nargs == -1, getattr(options, "parser", None)
-    readings: list[tuple[bool, Callable[[], object]]] = [
-        (value is None, lambda: () if many else None),
-        (value is parameter.default, lambda: value),
-        (parser is not None, lambda: _USUAL),
-        (kind is Path and isinstance(value, str), lambda: Path(str(value))),
-        (kind == list[Path] and many, lambda: [Path(str(one)) for one in cast(Sequence[str], value)]),
-        (kind is str and isinstance(value, str), lambda: value),
-    ]
-    known = next((read() for fits, read in readings if fits), _USUAL)
-    if known is _USUAL:
-        return usual(ctx, value)
-    return known if parameter.callback is None else parameter.callback(ctx, parameter, known)
-
-
 def heading_of(command: str, option: str) -> str:
     """Return the heading of an option of a command: the command's own, or the one it has everywhere."""
     for name in (f"{command} {option}", option):
@@ -245,7 +187,6 @@ def _common(
 def app_of(names: Iterable[str] = SUMMARIES) -> typer.Typer:
     """Return the command line with the commands of these names; to read the options of all takes a while."""
     app = typer.Typer(
-        cls=Group,
         help="Area-preserving maps of surfaces to the sphere, and textures through them.",
         epilog="Begin with: omtwarp demo -o out. Options and examples of a command: omtwarp COMMAND --help.",
         no_args_is_help=True,

@@ -290,41 +290,6 @@ def test_a_mesh_beside_its_map_needs_a_use(folder, monkeypatch, capfdbinary):
     assert not (folder / "area.glb").exists()
 
 
-def parsed(group, parent, words):
-    """What a command is called with, or what is wrong with its arguments."""
-    try:
-        return repr(group.get_command(parent, words[0]).make_context(words[0], words[1:], parent=parent).params)
-    except Exception as error:  # typer's own copy of click has exceptions of its own
-        return f"{type(error).__name__}: {getattr(error, 'message', error)}"
-
-
-def test_values_are_those_that_typer_reads(folder, monkeypatch):
-    """Every example, and mistakes, read with the shortcuts of the commands and without."""
-    lines = [part for text in EXAMPLES.values() for line in text.splitlines() for part in line.split("|")]
-    lines += ["omtwarp map", "omtwarp map a.ply", "omtwarp map a.ply -o", "omtwarp texture --map a.npz -o b.glb"]
-    lines += ["omtwarp map a.ply -o b.npz --method none", "omtwarp texture a.ply -o b.glb --opacity 2"]
-    lines += ["omtwarp map a.ply -o ''", "omtwarp map '' -o b.npz", "omtwarp map a.ply -o b.npz --radius x"]
-    found = []
-    for _ in range(2):
-        group = typer.main.get_command(app_of())
-        parent = group.make_context("omtwarp", [], resilient_parsing=True)
-        words = [shlex.split(line)[1:] for line in lines if line.split()[0] == "omtwarp"]
-        found.append([parsed(group, parent, some) for some in words])
-        monkeypatch.setattr("omtwarp.commands._cli._read_plainly", lambda parameters: None)
-    assert found[0] == found[1] and len(found[0]) > 40
-
-
-def test_plain_options_need_no_checker_of_types(folder):
-    """Where typer has pydantic check values, a command whose options are paths and flags does not import it."""
-    code = (
-        "import sys, omtwarp.commands._cli as c\n"
-        "try: c.main(['check', 'ball.ply', '--json'])\n"
-        "finally: print('pydantic' in sys.modules, file=sys.stderr)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0 and done.stderr.splitlines()[-1] == "False"
-
-
 def test_a_command_prints_to_a_stream_of_text_alone(folder, monkeypatch):
     """Standard output may be a text in memory, as in notebooks."""
     text = io.StringIO()
