@@ -23,8 +23,8 @@ from omtwarp.maps.result import (
     stored,
 )
 from omtwarp.mesh.arrays import Floats, Ints
-from omtwarp.mesh.surface import SPHERE_AREA, plane_areas, triangle_areas
-from omtwarp.metrics.distortion import Distortion, summarize
+from omtwarp.mesh.surface import plane_areas
+from omtwarp.metrics.distortion import Distortion, measure_corners
 from omtwarp.options import Record
 
 
@@ -152,21 +152,7 @@ class TorusMap(StoredMap):
         if places is None:
             raise OmtwarpError(f"this map has no stage '{stage}'")
         corner = (places[self.faces] + self.wraps) @ self.lattice
-        space = self.vertices[self.faces]
-        areas = plane_areas(corner)
-        surface = triangle_areas(self.vertices, self.faces)
-        one, two = space[:, 1] - space[:, 0], space[:, 2] - space[:, 0]
-        base = np.linalg.norm(one, axis=1)
-        foot = np.einsum("ij,ij->i", one, two) / base
-        height = 2.0 * surface / base
-        first = (corner[:, 1] - corner[:, 0]) / base[:, None]
-        second = (corner[:, 2] - corner[:, 0] - foot[:, None] * first) / height[:, None]
-        determinant = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
-        with np.errstate(all="ignore"):
-            angle = ((first**2).sum(axis=1) + (second**2).sum(axis=1)) / determinant
-        whole = abs(np.linalg.det(self.lattice))
-        solid = areas * (SPHERE_AREA / whole)
-        return summarize(surface, areas, determinant, angle, areas, solid, bool(np.isfinite(corner).all()))
+        return measure_corners(self.vertices[self.faces], corner, abs(float(np.linalg.det(self.lattice))))
 
     def ring(self) -> Floats:
         """Map the vertices to a ring torus, with areas in proportion to those of the surface, shape [V, 3].

@@ -208,8 +208,19 @@ def measure_in_plane(vertices: ArrayLike, faces: ArrayLike, plane: ArrayLike) ->
     points = in_range(real_numbers(vertices, "vertices", (None, 3)))
     images = real_numbers(plane, "the map", (len(points), 2), finite=False)
     corners = as_faces(faces, len(points))
-    one, other = (points[corners[:, k]] - points[corners[:, 0]] for k in (1, 2))
-    right, up = (images[corners[:, k]] - images[corners[:, 0]] for k in (1, 2))
+    return measure_corners(points[corners], images[corners])
+
+
+def measure_corners(surface: Floats, plane: Floats, whole: float | None = None) -> Distortion:
+    """Measure a map to the plane or to a flat torus by the corners of its triangles.
+
+    Args:
+        surface: the corners in space, shape [F, 3, 3].
+        plane: those of the images, shape [F, 3, 2].
+        whole: the area that a map of degree 1 covers; that of the images by default.
+    """
+    one, other = (surface[:, k] - surface[:, 0] for k in (1, 2))
+    right, up = (plane[:, k] - plane[:, 0] for k in (1, 2))
     area = 0.5 * np.linalg.norm(np.cross(one, other), axis=1)
     flat = 0.5 * (right[:, 0] * up[:, 1] - right[:, 1] * up[:, 0])
     # The sum of squares of the singular values over their product, from scalar products of edges (Pinkall and
@@ -218,8 +229,8 @@ def measure_in_plane(vertices: ArrayLike, faces: ArrayLike, plane: ArrayLike) ->
     stretch -= 2.0 * (right * up).sum(axis=1) * (one * other).sum(axis=1)
     with np.errstate(all="ignore"):
         angle = stretch / (4.0 * area * flat)
-        solid = 4.0 * np.pi * flat / np.abs(flat).sum()
-        return summarize(area, np.abs(flat), flat / area, angle, flat, solid, bool(np.isfinite(images).all()))
+        solid = 4.0 * np.pi * flat / (np.abs(flat).sum() if whole is None else whole)
+        return summarize(area, np.abs(flat), flat / area, angle, flat, solid, bool(np.isfinite(plane).all()))
 
 
 def summarize(
