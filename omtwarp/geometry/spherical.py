@@ -68,5 +68,5 @@ def oriented_volume(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.float64:
 
 @wp.func
 def solid_angle(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
-    """Return the signed solid angle of a spherical triangle (van Oosterom and Strackee 1983)."""
-    return TWO * wp.atan2(triple_product(a, b, c), ONE + wp.dot(a, b) + wp.dot(b, c) + wp.dot(c, a))
+    """Return the signed solid angle of a spherical triangle (van Oosterom and Strackee 1983), however small it is."""
+    return TWO * wp.atan2(oriented_volume(a, b, c), ONE + wp.dot(a, b) + wp.dot(b, c) + wp.dot(c, a))

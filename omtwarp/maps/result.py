@@ -30,10 +30,11 @@ from omtwarp.mesh.arrays import (
 )
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
+from omtwarp.mesh.validate import Topology
 from omtwarp.metrics.certificate import Certificate, certify_triangles
 from omtwarp.metrics.distortion import Distortion, measure_in_plane, measure_triangles
 from omtwarp.options import ChosenOptions, Domain, Record
-from omtwarp.topology.kind import boundary_half_edges, connected_components
+from omtwarp.topology.kind import boundary_half_edges
 
 SEVERAL = "several"  # the domain of parts that went to different ones
 STAGES = ("sphere", "conformal", "moser", "transported")
@@ -507,7 +508,7 @@ class MapResult(StoredMap):
         if self.disk is not None and not filled:
             points = np.concatenate([self.disk, np.ones((len(self.disk), 1))], axis=1)
             points /= np.linalg.norm(points, axis=1)[:, None]
-        _, labels = connected_components(faces, len(points))
+        _, labels = Topology(faces.astype(np.int64), len(points)).components
         certificates = [_certified(faces[labels == label], points) for label in np.unique(labels)]
         if len(certificates) == 1:
             return certificates[0]

@@ -13,6 +13,7 @@ from omtwarp.colors import colormap_table, parse_color
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import TINY, Bytes, Floats, Ints, real_numbers, whole_numbers
 from omtwarp.render.camera import Light, Shot
+from omtwarp.texturing.atlas import normalised
 from omtwarp.texturing.image import PictureLike, as_bytes, read_image
 
 
@@ -401,7 +402,7 @@ def _build_part(view: SurfaceView, edges: bool = False, whole: SurfaceView | Non
 
         divided = smooth_map(vertices, faces, value, parts)
         positions, faces, value = divided.weights @ positions, divided.faces, divided.sphere
-        normals = _unit(divided.weights @ normals)
+        normals = normalised(divided.weights @ normals)
     if value.shape[1] == 2:
         value = np.column_stack([value, np.zeros(len(value))])
     return Part(
@@ -453,15 +454,10 @@ def _own_corners(positions: Floats, normals: Floats | None, faces: Ints) -> tupl
     corners = positions[flat]
     if normals is None:
         a, b, c = (corners[k::3] for k in range(3))
-        corner_normals = np.repeat(_unit(np.cross(b - a, c - a)), 3, axis=0)
+        corner_normals = np.repeat(normalised(np.cross(b - a, c - a)), 3, axis=0)
     else:
         corner_normals = normals[flat]
     return corners, corner_normals, np.arange(len(flat), dtype=np.int32).reshape(-1, 3)
-
-
-def _unit(vectors: Floats) -> Floats:
-    """Scale vectors, shape [N, 3], to unit length; zero stays zero."""
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=1), np.finfo(float).tiny)[:, None]
 
 
 def _arrays(view: SurfaceView) -> tuple[Floats, Ints]:

@@ -1,7 +1,8 @@
 """Exact areas in which convex polygons of great-circle arcs overlap."""
 
 # mypy: ignore-errors
-from omtwarp.device.start import KERNEL_OPTIONS, ONE, TWO, ZERO, wp
+from omtwarp.device.start import KERNEL_OPTIONS, ONE, ZERO, wp
+from omtwarp.geometry.spherical import solid_angle
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -26,13 +27,6 @@ def with_row(m: mat93d, k: int, v: wp.vec3d) -> mat93d:
     out[k, 1] = v[1]
     out[k, 2] = v[2]
     return out
-
-
-@wp.func
-def solid_angle(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.float64:
-    """Return the signed area of a spherical triangle; the differences keep the digits of small ones."""
-    triple = wp.dot(a, wp.cross(b - a, c - a))
-    return TWO * wp.atan2(triple, ONE + wp.dot(a, b) + wp.dot(b, c) + wp.dot(c, a))
 
 
 @wp.func

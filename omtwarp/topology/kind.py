@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.space_order import in_space_order, order_along_curve
-from omtwarp.mesh.arrays import Floats, Ints, in_range
+from omtwarp.mesh.arrays import Floats, in_range
 from omtwarp.mesh.origins import Derived
 from omtwarp.mesh.surface import Surface
 from omtwarp.mesh.validate import Topology, as_arrays, check, describe, number
@@ -144,11 +144,6 @@ def places_of(parts: list[Part]) -> NDArray[np.int64]:
     place = np.argsort(order_along_curve(in_range(points)))
     ends = np.cumsum([len(part.vertices) for part in parts])
     return np.argsort([own.min() for own in np.split(place, ends[:-1])])
-
-
-def connected_components(faces: NDArray, vertex_count: int) -> tuple[int, Ints]:
-    """Return the number of pieces connected through edges, and the piece of every face, shape [F]."""
-    return Topology(np.asarray(faces, dtype=np.int64), vertex_count).components
 
 
 def described(part: Part) -> str:

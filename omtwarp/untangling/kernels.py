@@ -13,7 +13,7 @@ kernel would be two behind a switch.
 """
 
 from omtwarp.device.start import KERNEL_OPTIONS, ONE, TWO, ZERO, wp
-from omtwarp.geometry.spherical import oriented_volume
+from omtwarp.geometry.spherical import oriented_volume, solid_angle
 from omtwarp.solvers.triangle_newton.newton_kernels import packed
 from omtwarp.solvers.triangle_newton.triangle import (
     barrier,
@@ -33,12 +33,6 @@ wp.set_module_options(KERNEL_OPTIONS)
 @wp.func
 def signed_ratio(frame: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.float64:
     return oriented_volume(a, b, c) * frame[0] * frame[2]
-
-
-@wp.func
-def solid_angle(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.float64:
-    """Return the signed solid angle of a triangle (van Oosterom and Strackee 1983)."""
-    return TWO * wp.atan2(oriented_volume(a, b, c), ONE + wp.dot(a, b) + wp.dot(b, c) + wp.dot(c, a))
 
 
 @wp.func
