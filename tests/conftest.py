@@ -67,6 +67,14 @@ def device(request: pytest.FixtureRequest) -> str:
     return "cuda:0"
 
 
+@pytest.fixture
+def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make pictures of few pixels where a command chooses their size."""
+    from small_pictures import shrink
+
+    shrink(monkeypatch.setattr)
+
+
 @pytest.fixture(autouse=True)
 def _no_network(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fail every connection to the network that the package or a test attempts."""

@@ -18,7 +18,6 @@ from omtwarp.commands._cli import SUMMARIES, app_of, main
 from omtwarp.mesh import shapes
 from omtwarp.mesh.write import write_mesh
 from omtwarp.registration import warp
-from omtwarp.render import films
 
 # A command line of each command, to which options are added.
 LINES = {
@@ -145,7 +144,8 @@ VALUES = {
 }  # fmt: skip
 TYPES = ("float", "integer", "text", "path")  # names of kinds of values in a record of help
 # Commands that take seconds: their lines have several options each, but for those that exclude each other.
-JOINED = ("film", "report")
+PICTURES = ("film", "report")  # from a mesh
+JOINED = (*PICTURES, "register", "distance", "group", "benchmark")
 NOT_WITH = {"--pattern": ("--image",), "--image": ("--pattern",), "--front": ("--up",), "--up": ("--front",)}
 # Values that ask for minutes or for a machine that may not be there, and have tests of their own.
 ELSEWHERE = {
@@ -188,34 +188,29 @@ def options_of(command: str) -> list[tuple[str, str]]:
 def every_line(command: str) -> list[list[str]]:
     """Return a command line for every value of every option of a command; some lines have several options."""
     found = [LINES[command].split()]
-    if command in JOINED:
-        begun, lines = FROM_A_MESH[command].split(), []
-        for option, shown in options_of(command):
-            for value in values_of(command, option, shown):
-                words = [option] if value is None else [option, value]
-                if option in ("--map", "--output") or f"{command} {' '.join(words)}" in ELSEWHERE:
-                    continue
-                apart = {option, *NOT_WITH.get(option, ())}
-                line = next((line for line in lines if not apart & set(line[len(begun) :])), None)
-                if line is None:
-                    line = [*begun]
-                    lines.append(line)
-                line += words
-        return [*found, *lines]
+    joined: list[tuple[list[str], list[str]]] = []  # what lines begin with, and the options that they have after it
     for option, shown in options_of(command):
         for value in values_of(command, option, shown):
             words = [option] if value is None else [option, value]
             if f"{command} {' '.join(words)}" in ELSEWHERE or (option == "--device" and value == "auto"):
                 continue
-            usual = FROM_A_MESH.get(command, LINES[command]) if option in OF_A_MAP else LINES[command]
+            from_a_mesh = option in OF_A_MAP or (command in PICTURES and option != "--map")
+            usual = FROM_A_MESH.get(command, LINES[command]) if from_a_mesh else LINES[command]
             line = INSTEAD.get(f"{command} {' '.join(words)}", INSTEAD.get(f"{command} {option}", usual)).split()
             if option in ("--map", "--output"):
                 at = line.index("-o") if option == "--output" and "-o" in line else None
                 at = line.index("--map") if option == "--map" and "--map" in line else at
                 if at is not None:
                     del line[at : at + 2]
-            found.append([*line, *words])
-    return found
+            apart = {option, *NOT_WITH.get(option, ())}
+            if command in JOINED:
+                options = next((more for begun, more in joined if begun == line and not apart & set(more)), None)
+                if options is not None:
+                    options += words
+                    continue
+            if sorted(line + words) not in map(sorted, [*found, *(begun + options for begun, options in joined)]):
+                joined.append((line, words))
+    return found + [begun + options for begun, options in joined]
 
 
 def ring_of(rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
@@ -291,15 +286,13 @@ def test_every_command_has_a_line():
 
 
 @pytest.mark.parametrize("command", LINES)
-def test_every_value_of_every_option_works(place, capsys, monkeypatch, command):
+def test_every_value_of_every_option_works(place, capsys, monkeypatch, small_pictures, command):
     """No line of any value ends in an error; items of cohorts are computed here, not in processes of their own.
 
-    Warps take one step at a level on a coarse grid, and motion is measured on few pixels: how well they do is tested
-    elsewhere.
+    Warps take one step at a level on a coarse grid: how well they do is tested elsewhere.
     """
     monkeypatch.setattr(warp, "ITERATIONS", 1)
     monkeypatch.setattr(warp, "FEATURE_GRID", 8)
-    monkeypatch.setattr(films, "PROBE_WIDTH", 16)
     monkeypatch.setattr(Host, "run", lambda host, job: run_item(replace(job, memory_limit=0)))
     failed = {}
     for words in every_line(command):

@@ -138,7 +138,7 @@ def test_mistakes_are_one_line(desk, capsys, words, message):
     ],
     ids=lambda value: value.split()[0] if isinstance(value, str) else "",
 )
-def test_json_is_all_there_is_on_standard_output(desk, capsys, words, expected):
+def test_json_is_all_there_is_on_standard_output(desk, capsys, small_pictures, words, expected):
     status, out, _ = run(capsys, *words.split(), "--json")
     facts = json.loads(out)
     assert status == 0 and expected.items() <= facts.items()

@@ -140,7 +140,7 @@ SEVERAL = {
 
 
 @pytest.mark.parametrize("name", SEVERAL)
-def test_several_meshes_go_to_a_directory(folder, monkeypatch, capfdbinary, name):
+def test_several_meshes_go_to_a_directory(folder, monkeypatch, capfdbinary, small_pictures, name):
     suffix, options = SEVERAL[name]
     (folder / "other.off").write_bytes((folder / "ball.off").read_bytes())
     words = [name, "ball.ply", "none.ply", "other.off", *options, "--device", "cpu", "--quiet", "--json", "-o"]

@@ -19,6 +19,8 @@ from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.write import write_mesh
 from omtwarp.shape_analysis import expand
 
+pytestmark = pytest.mark.usefixtures("small_pictures")
+
 
 def run(capsys, *arguments) -> tuple[int, str, str]:
     with pytest.raises(SystemExit) as ended:

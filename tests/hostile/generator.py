@@ -21,7 +21,7 @@ from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
 from omtwarp.mesh.write import write_mesh
 
-CASES = int(os.environ.get("OMTWARP_HOSTILE_CASES", "1940"))
+CASES = int(os.environ.get("OMTWARP_HOSTILE_CASES", "940"))
 SEED = int(os.environ.get("OMTWARP_HOSTILE_SEED", "0"))
 
 BALL = shapes.icosphere(2)

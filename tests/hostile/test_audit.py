@@ -62,11 +62,13 @@ def hook(event, words):
 
 sys.addaudithook(hook)
 """
-# Runs the lines of a file, a list of folders and words each, and says how each ended.
+# Runs the lines of a file, a list of folders and words each, on few pixels, and says how each ended.
 DRIVER = """
 import json, os, sys
 import sitecustomize
 from omtwarp.commands._cli import main
+from small_pictures import shrink
+shrink()
 for folders, words in json.loads(open(sys.argv[1]).read()):
     sitecustomize.allowed[:] = map(os.path.realpath, folders)
     os.environ["AUDIT_ALLOWED"] = json.dumps(sitecustomize.allowed)
@@ -168,7 +170,7 @@ def test_commands_touch_their_inputs_and_outputs_alone(tmp_path, cases):
             out.mkdir(parents=True, exist_ok=True)
     (sound / "cases.csv").write_text("\n".join(["path", *map(str, [sound / "ball.ply", *cases])]) + "\n", "utf-8")
     (tmp_path / "lines.json").write_text(json.dumps(lines), "utf-8")
-    paths = os.pathsep.join([str(site), str(Path(omtwarp.__file__).parents[1])])
+    paths = os.pathsep.join([str(site), *(str(Path(file).parents[1]) for file in (omtwarp.__file__, __file__))])
     environment = {"PYTHONPATH": paths, "AUDIT_NOTES": str(tmp_path / "notes"), "TMPDIR": str(temporary)}
     done = subprocess.run(
         [sys.executable, "-P", "-c", DRIVER, str(tmp_path / "lines.json")],

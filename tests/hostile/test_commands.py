@@ -57,7 +57,7 @@ def inputs(tmp_path_factory):
 
 
 @pytest.fixture
-def place(inputs, tmp_path, monkeypatch):
+def place(inputs, tmp_path, monkeypatch, small_pictures):
     """A working folder with copies of the inputs."""
     for file in inputs.iterdir():
         shutil.copy(file, tmp_path)
@@ -212,8 +212,8 @@ def test_an_interrupted_cohort_leaves_no_process_and_no_partial_file(tmp_path):
 AT_ANY_MOMENT = """
 import json, os, signal, sys, time
 from omtwarp.commands._cli import main
-from omtwarp.render import films
-films.PROBE_WIDTH = 16  # which otherwise takes most of the time
+from small_pictures import shrink
+shrink()  # pictures, which otherwise take most of the time
 
 def run(words, after):
     with open("lines", "w+") as lines:
@@ -265,7 +265,8 @@ def test_an_interruption_at_any_moment_leaves_a_whole_output_or_none(place):
     """A signal from outside ends each command at once, with one line."""
     words = json.dumps([*(COMMANDS[name] for name in SINGLE), REPORT, MAPPED])
     (place / "temporary").mkdir()
-    environment = os.environ | {"TMPDIR": str(place / "temporary")}
+    paths = os.pathsep.join([str(Path(__file__).parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])])
+    environment = os.environ | {"TMPDIR": str(place / "temporary"), "PYTHONPATH": paths}
     command = [sys.executable, "-c", AT_ANY_MOMENT, words]
     done = subprocess.run(command, check=False, cwd=place, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -9,6 +9,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -110,14 +111,12 @@ def run(words, setting, said):
     finally:
         os._exit(status)
 
-commands, settings, loaded = json.loads(sys.argv[1])
+commands, settings, loaded, tests = json.loads(sys.argv[1])
 if loaded:
     # Small pictures and few steps, which otherwise take most of the time.
-    for module in ("registration.register", "registration.warp", "reporting.page", "render.films"):
-        importlib.import_module("omtwarp." + module)
-    films, page, register, warp = (sys.modules["omtwarp." + name] for name in (
-        "render.films", "reporting.page", "registration.register", "registration.warp"))
-    films.PROBE_WIDTH, page.PICTURE_WIDTH, page.write_report.__kwdefaults__["picture_size"] = 16, 64, 64
+    sys.path.append(tests)
+    importlib.import_module("small_pictures").shrink()
+    register, warp = (importlib.import_module("omtwarp.registration." + name) for name in ("register", "warp"))
     warp.ITERATIONS, warp.FEATURE_GRID = 1, 4
     register.COARSE, register.FINE, register.STARTS = register.COARSE[:1], register.FINE[:1], 1
     for words in commands:  # loads the modules and kernels of each
@@ -159,7 +158,8 @@ def place(tmp_path_factory):
 def table(place, settings: dict[str, dict[str, str]], *, loaded: bool) -> dict[tuple[str, str], tuple[int, str, list]]:
     """Run all commands in some environments; return their status, what they said, and what they wrote."""
     filled = {name: {key: value.format(place) for key, value in setting.items()} for name, setting in settings.items()}
-    words = json.dumps([[line.split() for line in COMMANDS.values()], filled, loaded])
+    lines = [line.split() for line in COMMANDS.values()]
+    words = json.dumps([lines, filled, loaded, str(Path(__file__).parents[1])])
     environment = os.environ | {"PYTHONUTF8": "1"}
     done = subprocess.run(
         [sys.executable, "-c", TABLE, words], cwd=place, env=environment, capture_output=True, text=True, check=False

@@ -18,7 +18,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.location import Locator
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
-from omtwarp.registration import Template, group, register_group, warp
+from omtwarp.registration import Template, group, register_group, sides, warp
 from omtwarp.registration.sides import Side, folds
 from omtwarp.registration.warp import feature_grid
 from omtwarp.resampling import SpherePoints
@@ -148,10 +148,11 @@ def test_a_template_is_a_target(files, done, tmp_path, capsys):
 def test_memory_does_not_grow_with_the_maps(tmp_path, monkeypatch):
     """With warps of one step a level."""
     monkeypatch.setattr(warp, "ITERATIONS", 1)
+    monkeypatch.setattr(sides, "STARTS", 1)
     ball = shapes.icosphere(4)
-    files, peaks = write_maps(tmp_path, 8, ball), []
+    files, peaks = write_maps(tmp_path, 6, ball), []
     register_group(files[:2], tmp_path / "warm", rounds=1)
-    for count in (2, 8):
+    for count in (2, 6):
         tracemalloc.start()
         register_group(files[:count], tmp_path / f"of{count}", rounds=1)
         peaks.append(tracemalloc.get_traced_memory()[1])

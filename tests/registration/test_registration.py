@@ -25,25 +25,21 @@ from omtwarp.resampling import SpherePoints
 from omtwarp.spheres import mesh_grid
 
 
-@pytest.mark.parametrize("degrees", [10.0, 20.0, 30.0])
-def test_a_known_warp_is_found_again(degrees):
-    """The rms distance from the truth is below a triangle's size, of which the warp moved vertices by many."""
+@pytest.mark.parametrize("degrees", [10.0, 30.0])
+def test_a_known_warp_is_found_again_there_and_back(degrees):
+    """The rms distance from the truth is below a triangle's size, of which the warp moved vertices by many.
+
+    So is what both ways together leave, there and back.
+    """
     surface, truth = folded(BALL), flowed(BALL.vertices, degrees)
-    found = omtwarp.register(points_of(BALL.vertices, surface), points_of(truth, surface), **FIRM)
+    here, there = points_of(BALL.vertices, surface), points_of(truth, surface)
+    found, back = omtwarp.register(here, there, **FIRM), omtwarp.register(there, here, **FIRM)
     assert found.certificate.bijective and not flipped_faces(found.sphere, BALL.faces).any()
     assert found.largest_strain <= 2.0
     assert rms(found.sphere, truth) < EDGE < rms(found.start.sphere, truth)
     for values in found.correlations.values():
         assert values["after"] > max(0.95, values["before"])
-
-
-@pytest.mark.parametrize("degrees", [10.0, 20.0, 30.0])
-def test_there_and_back_is_where_it_was(degrees):
-    """Two surfaces registered to each other both ways: a triangle's size is what neither way may leave."""
-    surface, truth = folded(BALL), flowed(BALL.vertices, degrees)
-    here, there = points_of(BALL.vertices, surface), points_of(truth, surface)
-    forth, back = omtwarp.register(here, there, **FIRM), omtwarp.register(there, here, **FIRM)
-    returned = Locator(truth, BALL.faces, device="cpu").find(forth.sphere).on_sphere(BALL.faces, back.sphere)
+    returned = Locator(truth, BALL.faces, device="cpu").find(found.sphere).on_sphere(BALL.faces, back.sphere)
     assert rms(returned, BALL.vertices) < EDGE
 
 
@@ -63,12 +59,12 @@ def test_the_bound_of_strain_is_kept_where_the_truth_is_beyond_it():
 
 
 def test_the_position_at_the_start_does_not_count():
-    """Twenty positions of a surface of 642 vertices, whose edges are 7.8 degrees."""
+    """Eight positions of a surface of 642 vertices, whose edges are 7.8 degrees."""
     ball = shapes.icosphere(8)
     surface = folded(ball, highest=8)
     target = points_of(flowed(ball.vertices, 10.0), surface, ball)
     found = omtwarp.register(points_of(ball.vertices, surface, ball), target, **FIRM)
-    for seed in range(20):
+    for seed in range(8):
         turned = ball.vertices @ random_rotation(seed).T
         again = omtwarp.register(points_of(turned, surface, ball), target, **FIRM)
         assert rms(again.sphere, found.sphere) < 0.25 * 2.0 * EDGE

@@ -1,0 +1,38 @@
+"""Pictures of few pixels where a command chooses their size: on pages, of the demo, and films of registrations.
+
+For tests of what commands take and write, here and in processes of their own; how pictures look has tests of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+
+def shrink(put: Callable[[object, str, object], None] = setattr) -> None:
+    """Draw less for pages, the demo and films of registrations.
+
+    Args:
+        put: sets an attribute of a module; that of pytest's ``monkeypatch`` takes it back.
+    """
+    from omtwarp.cohort import page as cohort_page
+    from omtwarp.render import films, pictures
+    from omtwarp.reporting import page
+    from omtwarp.shape_analysis import group_report, registration_report
+    from omtwarp.texturing import textured
+
+    def sized(module: object, name: str, size: tuple[int, int], **fixed: object) -> None:
+        made = getattr(module, name)
+        put(module, name, lambda *given, **options: made(*given, **options | {"size": size} | fixed))
+
+    rasterize, texture = page.rasterize, textured.texture
+    put(films, "PROBE_WIDTH", 16)  # of pictures on which motion is measured
+    put(page, "make_scene", partial(page.make_scene, texels=32))
+    put(page, "rasterize", lambda pattern, width, **options: rasterize(pattern, min(width, 64), **options))
+    put(textured, "texture", lambda *given, size=None, **options: texture(*given, size=size or 64, **options))
+    for module in (page, cohort_page, group_report, registration_report):
+        sized(module, "preview", (48, 36))
+    sized(page, "draw_in_background", (48, 36))
+    sized(registration_report, "film", (16, 16), seconds=0.2, fps=2, backend="warp")
+    for name in ("preview", "comparison"):
+        put(pictures, name, partial(getattr(pictures, name), size=(48, 36)))
