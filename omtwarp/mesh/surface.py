@@ -174,6 +174,11 @@ class Surface:
         keys = np.unique(keys) if order is None else keys[order[0::2]]
         return np.stack([keys // self.vertex_count, keys % self.vertex_count], axis=1).astype(np.int32)
 
+    @property
+    def closed(self) -> bool:
+        """Whether every edge has two triangles."""
+        return self._sides is not None
+
     @cached_property
     def edge_corners(self) -> Ints:
         """The two corners that lie opposite to every edge of a closed surface, shape [E, 2].

@@ -21,9 +21,10 @@ from scipy.optimize import brentq
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.quarter import PARTS
+from omtwarp.mesh.quarter import PARTS, QuarteredSurface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, plane_areas
 from omtwarp.open_surfaces.caps import disk_to_cap
+from omtwarp.optimal.cells import TriangleCells
 from omtwarp.optimal.held import HeldEnergy, HeldSphere
 from omtwarp.optimal.plane import Plane, PlaneCost, PlaneShape
 from omtwarp.optimal.restoration import restore_areas
@@ -62,6 +63,13 @@ class Quartered:
         """Return the quartered mesh, whose triangles count by the wanted areas."""
         return Surface(self.surface, self.faces, np.repeat(self.wanted / PARTS, PARTS))
 
+    def cells(self, surface: Surface, total: float) -> TriangleCells:
+        """Return the original triangles of the mesh as a surface, whose areas are to add up to a total."""
+        quartered = QuarteredSurface(surface, np.empty((0, 2), np.int32), self.middles)
+        cells = TriangleCells(quartered, resolve_device("cpu"))
+        cells.wanted = cells.wanted * (total / cells.wanted.sum())
+        return cells
+
 
 def exact_in_plane(points: Floats, mesh: Quartered) -> tuple[Floats, float]:
     """Move a map to the unit disk until each original triangle has its share of the boundary's polygon.
@@ -80,7 +88,7 @@ def exact_in_plane(points: Floats, mesh: Quartered) -> tuple[Floats, float]:
     scale = float(np.sqrt(SPHERE_AREA / plane_areas(points[mesh.faces]).sum()))
     plane = Plane(surface, np.zeros((len(mesh.faces), 3, 2)), resolve_device("cpu"))
     cost, shape = PlaneCost(plane, scale * points), PlaneShape(plane)
-    energy = HeldEnergy(plane, mesh.held, mesh.middles, cost, shape, SPHERE_AREA)
+    energy = HeldEnergy(plane, mesh.held, mesh.cells(surface, SPHERE_AREA), cost, shape)
     found, error = _exact(energy, scale * points)
     return np.where(mesh.held[:, None], points, found / scale), error
 
@@ -91,7 +99,7 @@ def exact_on_cap(points: Floats, mesh: Quartered) -> tuple[Floats, float]:
     area = float(triangle_solid_angles(*(points[mesh.faces[:, k]] for k in range(3))).sum())
     cost = NoCost(surface, vectors(points, device), device)
     shape = SphereShape(DistortionEnergy(surface, device))
-    energy = HeldEnergy(HeldSphere(surface, device), mesh.held, mesh.middles, cost, shape, area)
+    energy = HeldEnergy(HeldSphere(surface, device), mesh.held, mesh.cells(surface, area), cost, shape)
     found, error = _exact(energy, points)
     return np.where(mesh.held[:, None], points, found), error
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
@@ -14,30 +12,25 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.flips.predicates import flipped_faces
 from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, plane_areas
+from omtwarp.optimal.cells import MeasuredRings
+from omtwarp.optimal.held import HeldEnergy
+from omtwarp.optimal.plane import Plane, PlaneCost, PlaneShape
+from omtwarp.optimal.solver import minimise
 from omtwarp.refine.matching import MOST_WEIGHT, match_area
 from omtwarp.spheres import triangle_solid_angles
 from omtwarp.topology.kind import boundary_loops
-from omtwarp.untangling.untangle import SCHEDULES, RepairBudget, Schedule, untangle_patches
+from omtwarp.untangling.untangle import SCHEDULES, RepairBudget, untangle_patches
 
 Floats = NDArray[np.float64]
 # Repair on the sphere: sweeps over the corners of flipped triangles; one more ring of vertices is added after a number
 # of sweeps, while there are at most so many vertices to move. Surfaces of 250 to 9,700 faces took one or two.
 SWEEPS, SWEEPS_PER_RING, MOST_MOVED = 24, 4, 400
+# Weight of area against angle distortion where a map to the disk is minimised, since the disk is to keep areas, and the
+# largest number of steps. With 10 half of a caudate nucleus has area distortion 2.10, with this 2.005.
+AREA_WEIGHT, STEPS = 100.0, 150
+GAIN = 1e-4  # of the distortion: a step that is expected to gain less ends the minimisation
 LIFT = 0.25  # radius of the disk in the plane that touches the sphere where patches are untangled
-# Patches of maps to the plane: from few rings to the whole disk, and with areas that count much, since the disk is to
-# keep them: half of a caudate nucleus has area distortion 2.105 with the weight 10, 2.032 with 100 and 2.030 with 300.
-PATCHES = tuple(replace(schedule, weight=100.0) for schedule in SCHEDULES)
-# Once no triangle is flipped, patches around triangles whose area is wrong by this factor are minimised over, first
-# three times: the same has 2.0086 after one and 2.0063 after three, and less angle distortion too. Where the mean of
-# r + 1/r over the disk is still larger than that of hemispheres may be, areas count more: the part of the nucleus above
-# a quarter of its length then has 2.0092 in place of 2.0213, and an angle distortion of 19 in place of 17.
-UNEVEN, LARGEST_AREA = 1.2, 2.0095
-EVENINGS, HEAVIER_EVENINGS = (100.0,) * 3, (200.0,) * 2 + (400.0,) * 3  # weights of area
-EVENED = Schedule(rings=9, factor=0.5, steps=10, thinnest=0.0, largest=1e-3)
-# Refinement in the plane: rounds over the whole disk with the weight asked for, until no vertex moves farther.
-# With the weight 100 a part of a squirrel then has area distortion 2.0010, but 2.017 where a hundredth ends the rounds.
-REFINEMENTS, SETTLED = 12, 1e-3
-# The same until an area distortion is matched: how near, and how many weights are tried.
+# Refinement until an area distortion is matched: how near, and how many weights are tried.
 MATCH_TOLERANCE, MATCH_TRIALS = 3e-4, 10
 LEAST_MARGIN = 1e-9  # from a flip, of an accepted position
 SOLVES = 3  # of the convex combinations: the first leaves no flips except by rounding
@@ -62,36 +55,49 @@ def untangle_in_plane(
     surface: Surface | None = None,
     refinement: float | None = None,
 ) -> tuple[Floats, int]:
-    """Untangle flipped triangles of a map to the unit disk with the boundary fixed.
+    """Return a map to the unit disk without flipped triangles, with the boundary fixed.
 
     A disk is larger than the polygon of its boundary's vertices: where triangles are flipped, points outside of the
-    polygon are moved inside first. If the surface is given, the patches around flipped triangles are untangled, and
-    areas that are far off are made even, or the whole disk is refined. Where that fails, every vertex becomes a convex
-    combination of its neighbours with its mean value coordinates, or with equal ones at flipped triangles. Then none is
-    flipped, since the polygon is convex [1]_, but areas are no longer right.
+    polygon are moved inside first, and if the surface is given, patches around triangles that still are flipped are
+    untangled. Where that fails, every vertex becomes a convex combination of its neighbours with its mean value
+    coordinates, or with equal ones at flipped triangles. Then none is flipped, since the polygon is convex [1]_, but
+    areas are no longer right. With the surface, the distortion of all triangles is minimised from there.
 
     Args:
         points: a map to the unit disk with few flips, shape [V, 2].
         faces: shape [F, 3].
         held: vertices of the boundary, which lie on the circle, shape [V].
         surface: what is mapped, with the areas that those in the plane are to be in proportion to.
-        refinement: the weight of area against angle distortion with which all triangles are minimised over at last.
+        refinement: the weight of area against angle distortion.
 
     Returns:
         The map, and the number of remaining flips, 0 except for rounding.
 
     .. [1] M. S. Floater, "Mean value coordinates", Computer Aided Geometric Design 20 (2003).
     """
-    flipped = flipped_in_plane(points, faces)
-    moved = _drawn_inside(points, held) if flipped.any() else points
+    moved = _drawn_inside(points, held) if flipped_in_plane(points, faces).any() else points
     if surface is not None:
-        moved = _untangled_patches(moved, held, surface, refinement)
+        surface = Surface(surface.vertices, faces, surface.face_areas)
+        moved = _untangled_patches(moved, held, surface)
     for _ in range(SOLVES):
         flipped = flipped_in_plane(moved, faces)
         if not flipped.any():
             break
         moved = _convex(moved, faces, held, flipped)
+    if surface is not None and not flipped.any():
+        moved = _least_distorted(moved, held, surface, AREA_WEIGHT if refinement is None else refinement)
+        flipped = flipped_in_plane(moved, faces)
     return moved, int(flipped.sum())
+
+
+def _least_distorted(points: Floats, held: NDArray[np.bool_], surface: Surface, weight: float) -> Floats:
+    """Minimise the distortion of a map without flips with the boundary fixed."""
+    scale, device = float(np.sqrt(SPHERE_AREA / plane_areas(points[surface.faces]).sum())), resolve_device("cpu")
+    plane = Plane(surface, np.zeros((surface.face_count, 3, 2)), device)
+    cost, shape = PlaneCost(plane, scale * points), PlaneShape(plane)
+    energy = HeldEnergy(plane, held, MeasuredRings(surface, device), cost, shape, weight)
+    found = minimise(energy, scale * points, gain=GAIN, iterations=STEPS, progress=None, penalty=0.0)
+    return np.where(held[:, None], points, found.points / scale)
 
 
 def match_in_plane(
@@ -121,48 +127,38 @@ def match_in_plane(
     return match_area(first, area, refined, area_of, tolerance=MATCH_TOLERANCE, trials=MATCH_TRIALS)[0]
 
 
-def _untangled_patches(points: Floats, held: NDArray[np.bool_], surface: Surface, refinement: float | None) -> Floats:
-    """Untangle patches of a map to the disk with the boundary fixed, and then make areas even, or refine the map.
+def _untangled_patches(points: Floats, held: NDArray[np.bool_], surface: Surface) -> Floats:
+    """Untangle patches of a map to the disk with the boundary fixed.
 
     The plane touches the sphere: the gnomonic projection keeps straight sides and orientations, and a vertex opposite
     to the disk closes the surface. Arguments are those of :func:`untangle_in_plane`, and so is the map returned, which
     may have flips left.
     """
     apex, faces = len(points), surface.faces
+    covered = float(plane_areas(points[faces]).sum())
+    if not covered > 0.0:  # the boundary's vertices are all on one side
+        return points
     lifted = np.concatenate([LIFT * points, np.ones((apex, 1))], axis=1)
     lifted /= np.linalg.norm(lifted, axis=1)[:, None]
     start = np.concatenate([lifted, [[0.0, 0.0, -1.0]]])
     (rim,) = boundary_loops(faces, apex)
     fan = np.stack([np.roll(rim, -1), rim, np.full(len(rim), apex)], axis=1)
-    wanted = surface.face_areas * (plane_areas(points[faces]).sum() / surface.face_areas.sum())
+    wanted = surface.face_areas * (covered / surface.face_areas.sum())
     # An area in the plane is that on the sphere but for the cube of the height of its place.
     on_sphere = wanted * LIFT**2 * lifted[faces].mean(axis=1)[:, 2] ** 3
     rest = np.full(len(fan), (SPHERE_AREA - on_sphere.sum()) / len(fan))
     vertices = np.concatenate([surface.vertices, surface.vertices.mean(axis=0, keepdims=True)])
     closed = Surface(vertices, np.concatenate([faces, fan]), np.concatenate([on_sphere, rest]))
-    sphere, plane = start, points
     fixed, budget = np.concatenate([held, [True]]), RepairBudget(closed)
-    refined = [replace(EVENED, weight=refinement)] * REFINEMENTS if refinement is not None else []
-    evened = [] if refined else [replace(EVENED, weight=weight) for weight in EVENINGS]
-    heavier = [] if refined else [replace(EVENED, weight=weight) for weight in HEAVIER_EVENINGS]
-    for schedule in (*PATCHES, *evened, *refined, *heavier):
-        images = plane_areas(plane[faces])
-        chosen = flipped_in_plane(plane, faces)
-        if schedule in refined:
-            chosen[:] = True
-        elif schedule not in PATCHES:
-            if schedule in heavier and not chosen.any():
-                if float((images + wanted**2 / images).sum()) <= LARGEST_AREA * float(wanted.sum()):
-                    break
-            chosen |= (images * UNEVEN < wanted) | (images > UNEVEN * wanted)
-        if not chosen.any():
-            continue
-        seeds = np.concatenate([chosen, np.zeros(len(fan), dtype=bool)])
+    sphere, plane = start, points
+    for schedule in SCHEDULES:
+        flipped = flipped_in_plane(plane, faces)
+        if not flipped.any():
+            break
+        seeds = np.concatenate([flipped, np.zeros(len(fan), dtype=bool)])
         sphere, _ = untangle_patches(closed, sphere, seeds, schedule, resolve_device("cpu"), budget, fixed)
         moved = (sphere != start).any(axis=1)[:apex, None]
-        before, plane = plane, np.where(moved, sphere[:apex, :2] / sphere[:apex, 2:] / LIFT, points)
-        if schedule in refined and np.abs(plane - before).max() < SETTLED:
-            break
+        plane = np.where(moved, sphere[:apex, :2] / sphere[:apex, 2:] / LIFT, points)
     return plane
 
 
@@ -186,7 +182,7 @@ def untangle_patches_on_cap(points: Floats, held: NDArray[np.bool_], surface: Su
     vertices = np.concatenate([surface.vertices, surface.vertices.mean(axis=0, keepdims=True)])
     closed = Surface(vertices, np.concatenate([faces, fan]), areas)
     fixed, budget = np.concatenate([held, [True]]), RepairBudget(closed)
-    for schedule in PATCHES:
+    for schedule in SCHEDULES:
         flipped = flipped_faces(sphere, closed.faces)
         if not flipped[: len(faces)].any():
             break

@@ -1,4 +1,4 @@
-"""Maps of which some vertices stay where they are, such as the boundary of a disk, with areas of triangles kept."""
+"""Maps of which some vertices stay where they are, such as the boundary of a disk."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.start import wp
-from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.mesh.surface import SPHERE_AREA
-from omtwarp.optimal.cells import TriangleCells
+from omtwarp.optimal.cells import MeasuredRings, TriangleCells
 from omtwarp.optimal.domain import Domain, Shape, VertexCost
 from omtwarp.optimal.energy import MapTerms, TransportEnergy
 from omtwarp.optimal.sphere import Sphere
@@ -16,6 +15,7 @@ from omtwarp.solvers.mesh_factor import SaddlePointFactor
 from omtwarp.solvers.saddle_matrix import COORDINATES, SaddleMatrix
 from omtwarp.untangling.steps import FlipFreeSteps
 
+NO_CELLS = np.empty((0, 1), dtype=np.int32)
 SETTLED = 1e-9  # largest relative error at which areas are right; corrections converge quadratically
 
 
@@ -36,15 +36,15 @@ class HeldSteps(FlipFreeSteps):
 
 
 class HeldEnergy(TransportEnergy):
-    """The distortion of maps of a quartered mesh whose boundary stays, with the areas of its original triangles.
+    """The distortion of maps of a mesh whose boundary stays.
 
     Args:
         domain: where the vertices move.
         held: vertices that stay, shape [V].
-        middles: of the sides of every original triangle, shape [N, 3].
+        cells: whose areas are kept, or those around vertices, which are measured.
         cost: counts nothing.
-        shape: the distortion of the parts.
-        total: the area of the image.
+        shape: the distortion of the triangles.
+        area_weight: λ, of area against angle distortion.
     """
 
     exact_tolerance = SETTLED
@@ -53,15 +53,13 @@ class HeldEnergy(TransportEnergy):
         self,
         domain: Domain,
         held: NDArray[np.bool_],
-        middles: NDArray[np.int32],
+        cells: TriangleCells | MeasuredRings,
         cost: VertexCost,
         shape: Shape,
-        total: float,
+        area_weight: float = 1.0,
     ):
-        cells = TriangleCells(QuarteredSurface(domain.surface, np.empty((0, 2), np.int32), middles), domain.device)
-        cells.wanted = cells.wanted * (total / cells.wanted.sum())
-        super().__init__(domain, cells, cost, shape, shape_weight=1.0, cost_weight=0.0, area_weight=1.0)
-        self._held, self._of_cells = held, cells.vertices
+        super().__init__(domain, cells, cost, shape, shape_weight=1.0, cost_weight=0.0, area_weight=area_weight)
+        self._held, self._of_cells = held, cells.vertices if isinstance(cells, TriangleCells) else NO_CELLS
 
     def cost(self, terms: MapTerms) -> float:
         """Return 4π, a mean of 1: gains are compared with the distortion, not with a cost."""
@@ -73,7 +71,7 @@ class HeldEnergy(TransportEnergy):
 
 
 class HeldFactor:
-    """Factorises matrices with a multiplier for every cell without the coordinates of some vertices.
+    """Factorises matrices with a multiplier for every cell, or with none, without the coordinates of some vertices.
 
     Args:
         factor: of all coordinates.

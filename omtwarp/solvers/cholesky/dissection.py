@@ -420,14 +420,15 @@ def part_dissection(surface: Surface, vertices: NDArray[np.intp], edges: NDArray
 def _surface_nodes(surface: Surface) -> NDArray[np.int64]:
     """Return every vertex's node in the surface's tree of dissection, computed once.
 
-    Its separators cut the edges of the surface and those of its intrinsic Delaunay triangulation: one tree serves both.
+    Its separators cut the edges of the surface and, of a closed one, those of its intrinsic Delaunay triangulation: one
+    tree serves both.
     """
 
     def tree() -> NDArray[np.int64]:
         count = surface.vertex_count
         own, intrinsic = (
             edges.min(axis=1).astype(np.int64) * count + edges.max(axis=1)
-            for edges in (surface.edges, intrinsic_edges(surface)[0])
+            for edges in (surface.edges, intrinsic_edges(surface)[0] if surface.closed else surface.edges)
         )
         keys = np.union1d(own, intrinsic)
         edges = np.stack([keys // count, keys % count], axis=1).astype(np.int32)
