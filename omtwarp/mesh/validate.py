@@ -199,30 +199,24 @@ def duplicate_faces(faces: NDArray[np.int64], vertex_count: int) -> NDArray[np.b
 
 def _geometric_defects(points: Floats, faces: NDArray[np.int64]) -> list[Defect]:
     """Find coordinates that are no numbers, degenerate faces, and vertices in no face."""
-    defects = []
     finite = np.isfinite(points).all(axis=1)
-    if not finite.all():
-        first = int(np.argmin(finite))
-        count = int((~finite).sum())
-        text = f"{number(count, 'vertex', 'vertices')} with NaN or infinite coordinates, first vertex {first}"
-        defects.append(Defect("non-finite", count, first, text, f"write the file anew, or drop them with {REPAIR}"))
-    duplicate = duplicate_faces(faces, len(points))
-    if duplicate.any():
-        first = int(np.argmax(duplicate))
-        text = f"{number(duplicate.sum(), 'duplicate face')}, first face {first} {_tuple(faces[first])}"
-        defects.append(Defect("duplicate-faces", int(duplicate.sum()), first, text, f"drop them with {REPAIR}"))
-    if finite.all():
-        flat = zero_area_faces(unit_coordinates(points), faces)
-        if flat.any():
-            first = int(np.argmax(flat))
-            text = f"{number(flat.sum(), 'face')} of zero area, first face {first} {_tuple(faces[first])}"
-            defects.append(Defect("zero-area", int(flat.sum()), first, text, f"drop or flip them with {REPAIR}"))
     used = np.zeros(len(points), dtype=bool)
     used[faces] = True
-    if not used.all():
-        first = int(np.argmin(used))
-        text = f"{number((~used).sum(), 'vertex', 'vertices')} in no face, first vertex {first}"
-        defects.append(Defect("unused-vertices", int((~used).sum()), first, text, f"drop them with {REPAIR}"))
+    flat = zero_area_faces(unit_coordinates(points), faces) if finite.all() else np.zeros(len(faces), dtype=bool)
+    write_anew = f"write the file anew, or drop them with {REPAIR}"
+    cases = [
+        ("non-finite", ~finite, "vertex", " with NaN or infinite coordinates", write_anew),
+        ("duplicate-faces", duplicate_faces(faces, len(points)), "duplicate face", "", f"drop them with {REPAIR}"),
+        ("zero-area", flat, "face", " of zero area", f"drop or flip them with {REPAIR}"),
+        ("unused-vertices", ~used, "vertex", " in no face", f"drop them with {REPAIR}"),
+    ]
+    defects = []
+    for kind, wrong, name, words, remedy in cases:
+        if wrong.any():
+            first, count = int(np.argmax(wrong)), int(wrong.sum())
+            what = number(count, name, "vertices" if name == "vertex" else "")
+            where = f"vertex {first}" if name == "vertex" else f"face {first} {_tuple(faces[first])}"
+            defects.append(Defect(kind, count, first, f"{what}{words}, first {where}", remedy))
     return defects
 
 

@@ -53,10 +53,8 @@ class Expansion:
         """Evaluate the sum at unit vectors, shape [N, 3]; returns shape [N, C]."""
         directions = np.asarray(points, dtype=np.float64)
         out = np.empty((len(directions), self.coefficients.shape[1]))
-        chunk = max(1, _AT_ONCE // len(self.coefficients))
-        for first in range(0, len(directions), chunk):
-            part = slice(first, first + chunk)
-            out[part] = real_harmonics(directions[part], self.degree) @ self.coefficients
+        for part, basis in _chunks(directions, self.degree):
+            out[part] = basis @ self.coefficients
         return out
 
     def truncated(self, degree: int) -> Expansion:
