@@ -12,7 +12,6 @@ from omtwarp.commands._options import ROUTE, Only, Printing, named, output_optio
 from omtwarp.commands._painted import standing
 from omtwarp.commands._streams import input_file
 from omtwarp.commands._work import (
-    each,
     facts_of,
     make_map,
     outputs_of,
@@ -20,6 +19,7 @@ from omtwarp.commands._work import (
     report_text,
     require_bijective,
     say_stages,
+    show_each,
     start_device,
     summary,
 )
@@ -193,15 +193,15 @@ def run(
 
     if topology.torus and beside:
         raise OmtwarpError("--beside is for maps to the sphere: a ring torus is written by itself")
-    targets = outputs_of(meshes, output, ".ply" if beside else ".npz")
+    targets = [target for target in outputs_of(meshes, output, ".ply" if beside else ".npz") if target is not None]
     reports = outputs_of(meshes, report, ".json")
     check_outputs(meshes, targets, reports, beside)
     any_surface = topology.keywords()
     start_device(mapping.device)
     goal = mass.target()
-    known: list[dict] = []
 
-    def map_one(mesh: Path, target: Path | None) -> None:
+    def map_one(mesh: Path | None, target: Path) -> tuple[dict, str]:
+        assert mesh is not None
         sound = read_sound_mesh(mesh, repair, any_surface=any_surface is not None, smoothing=smoothing)
         structure = structure_of(mesh)
         weights, belong = weights_of(mass, sound, structure)
@@ -219,23 +219,17 @@ def run(
         if structure is not None:
             result.report["structure"] = structure
         result, file_faces = with_copies(result, sound, any_surface is None)
-        assert target is not None
         with staged(target) as file:
             save(result, file, like=mesh, radius=radius, beside=beside, file_faces=file_faces)
         report_target = reports[targets.index(target)]
         if report_target is not None:
             write_json_report(report_target, result, mesh, sound.notes)
-        known.append(facts_of(result, target, report_target))
         if printing.verbose:
             say_stages(result)
-        if not printing.quiet and not printing.as_json:
-            print(summary(known[-1]))
+        facts = facts_of(result, target, report_target)
+        return facts, summary(facts)
 
-    try:
-        each(meshes, targets, map_one)
-    finally:
-        if printing.as_json:
-            print(report_text(known[0] if len(meshes) == 1 and known else known), end="")
+    show_each(meshes, targets, map_one, printing)
 
 
 def check_outputs(
