@@ -139,8 +139,10 @@ def _named(rows: list[tuple[Path, dict[str, str]]]) -> list[Item]:
         names = [_safe("_".join(path.absolute().parts[-depth:-1] + (_stem(path),))) for path, _ in rows]
         if len({name.casefold() for name in names}) == len(names):
             break
+    # Entities of a BIDS name: sub-01_hemi-L_white.surf.gii has sub 01 and hemi L.
+    entity = re.compile(r"(?:^|_)([a-zA-Z]+)-([a-zA-Z0-9]+)")
     return [
-        Item(name, path, _entities(path.name) | fields)
+        Item(name, path, dict(entity.findall(path.name)) | fields)
         for name, (path, fields) in zip(names if rows else [], rows, strict=True)
     ]
 
@@ -160,8 +162,3 @@ def _safe(name: str) -> str:
     if not cleaned:
         raise OmtwarpError(f"the item name '{name}' has no letter or digit")
     return cleaned[:120]
-
-
-def _entities(name: str) -> dict[str, str]:
-    """Return the entities of a BIDS name: ``sub-01_hemi-L_white.surf.gii`` has sub 01 and hemi L."""
-    return dict(re.findall(r"(?:^|_)([a-zA-Z]+)-([a-zA-Z0-9]+)", name))

@@ -129,8 +129,6 @@ def run(
     def draw_one(subject: Path | None, target: Path) -> tuple[dict[str, object], str]:
         shown = subject or finished
         assert shown is not None
-        if not shown.is_file():
-            raise OmtwarpError(f"{shown}: {'a directory, not a mesh file' if shown.is_dir() else 'no such file'}")
         with step_times(printing.verbose) as done:
             drawn = preview(
                 shown,

@@ -188,7 +188,7 @@ def _write(output: Path, resampling: Resampling, given: VertexData, as_labels: b
         values: NDArray[np.generic] = np.stack([resampling.labels(column) for column in given.values.T], axis=1)
     else:
         values = resampling.apply(given.values)
-    moved = given.with_values(values)
+    moved = replace(given, values=np.asarray(values).reshape(len(values), -1))
     grid = resampling.target.grid
     shown = resampling.target.vertices if resampling.target.vertices is not None else grid.points
     write_data(output, moved, None if grid.faces is None else (shown[: grid.own_points], grid.own_triangles))

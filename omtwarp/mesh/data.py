@@ -72,10 +72,6 @@ class VertexData:
         """Whether these are labels with a table."""
         return self.table is not None
 
-    def with_values(self, values: NDArray[np.generic]) -> VertexData:
-        """Put other values under the names, table and metadata of these data."""
-        return replace(self, values=np.asarray(values).reshape(len(values), -1))
-
 
 def read_data(path: Path, structure: str | None = None) -> VertexData:
     """Read per-vertex data of any format of the module's table.

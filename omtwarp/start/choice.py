@@ -73,7 +73,7 @@ def bijective_start(
             points = harmonic_points(surface, device=device, progress=progress).sphere
     except OmtwarpError as error:
         return Start(_embedded(surface, device, progress), "hierarchical", str(error), None, 0)
-    small = shrunken_triangles(surface, points)
+    small = int((triangle_areas(points, surface.faces) < SMALLEST_AREA).sum())  # rounding decides how they turn
     if small:
         reason = f"the {name} map shrinks {small} triangles below an area of {SMALLEST_AREA:g} on the unit sphere"
     else:
@@ -102,8 +102,3 @@ def _embedded(surface: Surface, device: str | None, progress: Progress | None) -
     if not is_bijective(sphere, surface.faces, device=device):
         raise OmtwarpError("no start was found: the coarse-to-fine embedding covers the sphere more than once")
     return sphere
-
-
-def shrunken_triangles(surface: Surface, sphere: Floats) -> int:
-    """Count the triangles that a map shrinks so far that rounding decides their orientation; shape [V, 3]."""
-    return int((triangle_areas(sphere, surface.faces) < SMALLEST_AREA).sum())

@@ -58,11 +58,6 @@ class Target:
         return np.einsum("tij,tjc->tic", self.weights, at)
 
 
-def _uv_area(uv: Floats) -> float:
-    """Return the share of the picture that triangles [T, 3, 2] cover, at most 1."""
-    return float(np.clip(np.abs(plane_areas(uv)).sum(), 0.0, 1.0))
-
-
 def occlusion(target: Target, vertices: Floats, faces: Ints) -> Bytes:
     """Return the ambient occlusion: the cosine-weighted share of the rays from a point that meet no surface.
 
@@ -80,7 +75,7 @@ def occlusion(target: Target, vertices: Floats, faces: Ints) -> Bytes:
     # Of the disc below the hemisphere: rays within 5 degrees of the surface, which meet the facets of a coarse ball
     flat = 1.0 / 128.0
     width, height = target.size
-    texels = _uv_area(target.uv) * width * height
+    texels = min(float(np.abs(plane_areas(target.uv)).sum()), 1.0) * width * height
     factor = 2 ** max(0, int(np.ceil(0.5 * np.log2(max(texels * rays / MOST_RAYS, TINY)))))
     size = (max(width // factor, 1), max(height // factor, 1))
     values = np.concatenate([target.points, target.normals], axis=2)
