@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -73,6 +74,15 @@ def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     from small_pictures import shrink
 
     shrink(monkeypatch.setattr)
+
+
+@pytest.fixture
+def items_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compute items of cohorts in this process, where a test is not about processes, which take a second to begin."""
+    from omtwarp.cohort.executors import Host
+    from omtwarp.cohort.host import run_item
+
+    monkeypatch.setattr(Host, "run", lambda host, job: run_item(replace(job, memory_limit=0)))
 
 
 @pytest.fixture(autouse=True)

@@ -24,7 +24,6 @@ from omtwarp.mesh import shapes
 from omtwarp.mesh.data import VertexData, write_data
 from omtwarp.mesh.write import write_mesh
 from omtwarp.registration import warp
-from omtwarp.render import films
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -69,7 +68,7 @@ def is_set_up(words: list[str]) -> bool:
 def files(tmp_path_factory) -> Path:
     """A folder with the files that the documentation speaks of, on small shapes."""
     folder = tmp_path_factory.mktemp("files")
-    surface = shapes.limbs(length=0.5, sharpness=4.0, sphere=1280)
+    surface = shapes.limbs(length=0.5, sharpness=4.0, sphere=720)
     for name in ("bunny.ply", "mesh.ply", "bunny.obj"):
         write_mesh(folder / name, surface.vertices, surface.faces)
     kept = surface.faces[(surface.vertices[surface.faces, 2] > -0.4).all(axis=1)]
@@ -137,11 +136,10 @@ def run_command(words: list[str]) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_commands_of_page_run(page, desk, monkeypatch):
-    """As they are, but warps take one step a level on a coarse grid, and motion of films is measured on few pixels."""
+def test_commands_of_page_run(page, desk, monkeypatch, small_pictures, items_here):
+    """As they are, but warps take one step a level on a coarse grid, and pictures without a size are small."""
     monkeypatch.setattr(warp, "ITERATIONS", 1)
     monkeypatch.setattr(warp, "FEATURE_GRID", 8)
-    monkeypatch.setattr(films, "PROBE_WIDTH", 24)
     commands = [
         c for block in blocks_of(page.read_text("utf-8")) if block.language in COMMANDS for c in commands_of(block)
     ]

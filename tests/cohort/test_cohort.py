@@ -224,7 +224,7 @@ def test_a_driver_does_not_load_warp():
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "False\n"
 
 
-def test_a_table_without_pyarrow_says_the_same(tmp_path, monkeypatch):
+def test_a_table_without_pyarrow_says_the_same(tmp_path, monkeypatch, items_here):
     write_shapes(tmp_path / "in", 3)
     (tmp_path / "in" / "bad.ply").write_text("no mesh, with a comma")
     items = read_manifest(tmp_path / "in")
@@ -319,7 +319,7 @@ def test_what_a_process_wrote_at_its_end_is_kept_and_entered_in_the_journal(tmp_
         assert journal(tmp_path) == before
 
 
-def test_a_map_that_is_cut_short_gone_or_changed_is_not_done(tmp_path):
+def test_a_map_that_is_cut_short_gone_or_changed_is_not_done(tmp_path, items_here):
     """What is left of a map is computed again; a whole one that the record does not have stops the run."""
     write_shapes(tmp_path / "in", 2)
     items, out = read_manifest(tmp_path / "in"), tmp_path / "out"
@@ -344,7 +344,7 @@ def test_a_map_that_is_cut_short_gone_or_changed_is_not_done(tmp_path):
         assert first.read_bytes() == changed
 
 
-def test_a_map_of_other_options_is_replaced_and_goes_with_a_failure(tmp_path):
+def test_a_map_of_other_options_is_replaced_and_goes_with_a_failure(tmp_path, items_here):
     paths = write_shapes(tmp_path / "in", 1)
     items, out = read_manifest(tmp_path / "in"), tmp_path / "out"
     options = {"workers": 1, "device": "cpu"}
@@ -450,7 +450,7 @@ def test_requests_that_cannot_be_met(tmp_path, capsys, monkeypatch, words, messa
     assert error.count("\n") == 1
 
 
-def test_holes_are_filled_where_asked_for(tmp_path, capsys):
+def test_holes_are_filled_where_asked_for(tmp_path, capsys, items_here):
     """Closed and open surfaces are mapped alike, and a group takes them; surfaces of two parts are failures."""
     paths = write_shapes(tmp_path / "in", 4, faces=320)
     for k, path in enumerate(paths[1:3], 1):
@@ -479,7 +479,7 @@ def test_holes_are_filled_where_asked_for(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("to", ["group", "target.npz"])
-def test_maps_are_registered_after_they_are_made(tmp_path, monkeypatch, capsys, to):
+def test_maps_are_registered_after_they_are_made(tmp_path, monkeypatch, capsys, items_here, to):
     """The table has the facts, `group` takes the registered maps, and a second run repeats nothing."""
     monkeypatch.chdir(tmp_path)
     for k in range(3):
