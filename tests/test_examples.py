@@ -5,13 +5,16 @@ from __future__ import annotations
 import ast
 import inspect
 import os
+import runpy
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import pytest
 
 import omtwarp
+from omtwarp.render import films, pictures
 
 ROOT = Path(__file__).parent.parent
 SCRIPTS = sorted((ROOT / "examples").glob("*.py"))
@@ -35,22 +38,42 @@ NOT_DRAWN = {
 SLOW = ("compare_peers.py", "paper_figures.py", "paper_tables.py")
 
 
+def sized(draws, size):
+    """A function that draws, at a size of its own."""
+    return lambda *given, **options: draws(*given, **options | {"size": size})
+
+
+def test_an_example_runs_by_itself(tmp_path):
+    environment = {**os.environ, "MPLBACKEND": "Agg", "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, str(ROOT / "examples" / "plot_1_quickstart.py")]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
     "script",
     [pytest.param(s, marks=pytest.mark.slow if s.name in SLOW else ()) for s in SCRIPTS],
     ids=lambda script: script.stem,
 )
-def test_example_runs(script, tmp_path):
-    environment = {**os.environ, "MPLBACKEND": "Agg", "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(
-        [sys.executable, "-W", "error::DeprecationWarning:__main__", str(script), *ARGUMENTS.get(script.name, [])],
-        cwd=tmp_path,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr[-3000:]
+def test_example_runs(script, tmp_path, monkeypatch, small_pictures):
+    """In this process, as a new one takes seconds to begin, with pictures of few pixels."""
+    for name in ("sheet", "preview"):
+        monkeypatch.setattr(pictures, name, sized(getattr(pictures, name), (48, 36)))
+    monkeypatch.setattr(films, "film", sized(films.film, (48, 48)))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(script.parent)
+    monkeypatch.setattr(sys, "argv", [str(script), *ARGUMENTS.get(script.name, [])])
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    pyplot.switch_backend("Agg")
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", category=DeprecationWarning, module="__main__")
+        try:
+            runpy.run_path(str(script), run_name="__main__")
+        except SystemExit as end:
+            assert not end.code
+        finally:
+            pyplot.close("all")
     if script.name.startswith("plot_"):
         assert not list(tmp_path.iterdir()), "an example of the gallery writes files"
 
