@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import fsum
 from time import perf_counter
@@ -26,10 +25,10 @@ from omtwarp.mesh.quarter import PARTS, quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.mesh.validate import unit_coordinates
 from omtwarp.metrics.distortion import measure_triangles
-from omtwarp.open_surfaces.caps import disk_to_cap, from_gnomonic, hemisphere_to_disk, pack_caps, to_gnomonic
+from omtwarp.open_surfaces.caps import disk_to_cap, hemisphere_to_disk, pack_caps
 from omtwarp.open_surfaces.exact_areas import Quartered, exact_in_plane, exact_on_cap, shares_of_polygons
 from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetric_map
-from omtwarp.open_surfaces.planar import match_in_plane, untangle_in_plane, untangle_on_sphere, untangle_patches_on_cap
+from omtwarp.open_surfaces.planar import match_in_plane, untangle_in_plane, untangle_on_cap
 from omtwarp.optimal.refinement import refinement_weight
 from omtwarp.options import (
     AreaMatch,
@@ -323,21 +322,18 @@ def _wanted_areas(each: MapResult) -> Floats:
     return image.reshape(-1, PARTS).sum(axis=1)
 
 
-def _exact_on_cap(
-    each: MapResult, share: float, wanted: Floats, half: Surface | None = None
-) -> tuple[MapResult, float]:
+def _exact_on_cap(each: MapResult, share: float, wanted: Floats) -> tuple[MapResult, float]:
     """Carry a quartered map of the hemisphere to a cap with exact areas of the original triangles.
 
     Args:
         each: the map to the hemisphere.
         share: of the sphere, the cap's.
         wanted: the areas up to a factor, fillings included.
-        half: as of :func:`_on_cap`.
 
     Returns:
         The map, and the largest relative error of an area.
     """
-    points, error = exact_on_cap(_whole(_on_cap(each, share, half))[0], _quartered_mesh(each, wanted))
+    points, error = exact_on_cap(_whole(_on_cap(each, share))[0], _quartered_mesh(each, wanted))
     return _with_points(each, points), error
 
 
@@ -693,9 +689,9 @@ def _projected(
         areas = triangle_areas(hole.vertices, hole.faces)
         share = float(areas[hole.patch < 0].sum() / areas.sum())
         if wanted is None:
-            result = _on_cap(result, share, half)
+            result = _on_cap(result, share)
         else:
-            result, error = _exact_on_cap(result, share, wanted, half)
+            result, error = _exact_on_cap(result, share, wanted)
     else:
         rim = _rim(faces, len(whole))
         laid = hemisphere_to_disk(whole)
@@ -718,38 +714,16 @@ def _projected(
     return replace(result, report=result.report | {"surface": about, "stages": [*result.report["stages"], projected]})
 
 
-def _on_cap(result: MapResult, share: float, half: Surface | None = None) -> MapResult:
+def _on_cap(result: MapResult, share: float) -> MapResult:
     """Carry a map of the hemisphere to the cap with a share of the sphere around the north pole.
 
-    Args:
-        result: the map to the hemisphere.
-        share: the cap's.
-        half: the surface with its holes filled, for a better repair in the disk.
-
-    Returns:
-        The first that is one to one of: the map as it is projected, the same with flipped triangles untangled, on small
-        caps in their gnomonic projection, where sides are straight, a map untangled in the disk before, and patches
-        untangled on the cap. The last one if none is.
+    Triangles that have other sides there and turn over are untangled, with the areas that they had on the hemisphere.
     """
     whole, faces = _whole(result)
-    rim, laid = _rim(faces, len(whole)), hemisphere_to_disk(whole)
-    cap = disk_to_cap(laid, share)
-    ways: list[Callable[[], Floats]] = [
-        lambda: cap,
-        lambda: untangle_on_sphere(cap, faces, rim),
-        lambda: disk_to_cap(untangle_in_plane(laid, faces, rim, half)[0], share),
-    ]
-    if half is not None:
-        ways.append(lambda: untangle_patches_on_cap(cap, rim, half))
-    # Share of the sphere up to which a cap is untangled in its gnomonic projection, which half a sphere lacks.
-    if share < 0.45:
-        ways.insert(1, lambda: from_gnomonic(untangle_in_plane(to_gnomonic(cap, share), faces, rim)[0], share))
-    for way in ways:
-        points = way()
-        capped = _with_points(result, points)
-        if capped.certificate.bijective:
-            break
-    return capped
+    vertices = result.vertices if result.filled_vertices is None else result.filled_vertices
+    surface = Surface(vertices, faces, triangle_solid_angles(*(whole[faces[:, k]] for k in range(3))))
+    cap = disk_to_cap(hemisphere_to_disk(whole), share)
+    return _with_points(result, untangle_on_cap(cap, _rim(faces, len(whole)), surface))
 
 
 def _rim(faces: NDArray, count: int) -> NDArray[np.bool_]:

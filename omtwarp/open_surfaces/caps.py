@@ -48,31 +48,6 @@ def disk_to_cap(disk: Floats, share: float) -> Floats:
     return np.concatenate([disk * radial[:, None], height[:, None]], axis=1)
 
 
-def to_gnomonic(cap: Floats, share: float) -> Floats:
-    """Project a cap with a share below 0.5 to the unit disk so that great circles become straight.
-
-    Args:
-        cap: unit vectors around the north pole, shape [V, 3].
-        share: of the sphere's area; the rim goes to the unit circle.
-
-    Returns:
-        Shape [V, 2].
-    """
-    return cap[:, :2] / cap[:, 2:] / _gnomonic_radius(share)
-
-
-def from_gnomonic(disk: Floats, share: float) -> Floats:
-    """Undo :func:`to_gnomonic`: points of the unit disk, shape [V, 2], as unit vectors, shape [V, 3]."""
-    points = np.concatenate([_gnomonic_radius(share) * disk, np.ones((len(disk), 1))], axis=1)
-    return points / np.linalg.norm(points, axis=1)[:, None]
-
-
-def _gnomonic_radius(share: float) -> float:
-    """Return the tangent of the angle between the centre and the rim of a cap."""
-    height = 1.0 - 2.0 * share
-    return float(np.sqrt(1.0 - height**2) / height)
-
-
 def pack_caps(shares: Floats) -> tuple[Floats, float]:
     """Place disjoint caps on the sphere.
 

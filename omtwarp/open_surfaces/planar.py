@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.optimize import linprog
 from scipy.sparse.linalg import splu
 
 from omtwarp.device.policy import resolve_device
@@ -22,9 +21,6 @@ from omtwarp.topology.kind import boundary_loops
 from omtwarp.untangling.untangle import SCHEDULES, RepairBudget, untangle_patches
 
 Floats = NDArray[np.float64]
-# Repair on the sphere: sweeps over the corners of flipped triangles; one more ring of vertices is added after a number
-# of sweeps, while there are at most so many vertices to move. Surfaces of 250 to 9,700 faces took one or two.
-SWEEPS, SWEEPS_PER_RING, MOST_MOVED = 24, 4, 400
 # Weight of area against angle distortion where a map to the disk is minimised, since the disk is to keep areas, and the
 # largest number of steps. With 10 half of a caudate nucleus has area distortion 2.10, with this 2.005.
 AREA_WEIGHT, STEPS = 100.0, 150
@@ -32,7 +28,6 @@ GAIN = 1e-4  # of the distortion: a step that is expected to gain less ends the 
 LIFT = 0.25  # radius of the disk in the plane that touches the sphere where patches are untangled
 # Refinement until an area distortion is matched: how near, and how many weights are tried.
 MATCH_TOLERANCE, MATCH_TRIALS = 3e-4, 10
-LEAST_MARGIN = 1e-9  # from a flip, of an accepted position
 SOLVES = 3  # of the convex combinations: the first leaves no flips except by rounding
 
 
@@ -162,7 +157,7 @@ def _untangled_patches(points: Floats, held: NDArray[np.bool_], surface: Surface
     return plane
 
 
-def untangle_patches_on_cap(points: Floats, held: NDArray[np.bool_], surface: Surface) -> Floats:
+def untangle_on_cap(points: Floats, held: NDArray[np.bool_], surface: Surface) -> Floats:
     """Untangle the patches around flipped triangles of a map to a cap with the boundary fixed; flips may be left.
 
     A fan around the south pole, which no cap contains, closes the surface.
@@ -188,55 +183,6 @@ def untangle_patches_on_cap(points: Floats, held: NDArray[np.bool_], surface: Su
             break
         sphere, _ = untangle_patches(closed, sphere, flipped, schedule, resolve_device("cpu"), budget, fixed)
     return sphere[:apex]
-
-
-def untangle_on_sphere(points: Floats, faces: NDArray, held: NDArray[np.bool_]) -> Floats:
-    """Untangle flipped triangles of a map to a part of the sphere by moving their corners one after the other.
-
-    A corner goes to the point from which its triangles are as far as possible from being flipped: the largest t with
-    det[y, p_k, p_k+1] >= t |p_k x p_k+1| for all of them, a linear program. Where every position leaves a flip, it
-    goes to the mean of its neighbours.
-
-    Args:
-        points: unit vectors with few flips, shape [V, 3].
-        faces: shape [F, 3].
-        held: vertices that stay where they are, shape [V].
-
-    Returns:
-        The map of the sweep with the fewest flips, which need not be 0.
-    """
-    moved = points.copy()
-    order = np.argsort(faces.ravel(), kind="stable")
-    starts = np.searchsorted(faces.ravel()[order], np.arange(len(points) + 1))
-    best, least = points, len(faces) + 1
-    for sweep in range(SWEEPS):
-        flipped = flipped_faces(moved, faces)
-        if flipped.sum() < least:
-            best, least = moved.copy(), int(flipped.sum())
-        touched = np.zeros(len(points), dtype=bool)
-        touched[faces[flipped]] = True
-        for _ in range(sweep // SWEEPS_PER_RING):
-            touched[faces[touched[faces].any(axis=1)]] = True
-        free = np.flatnonzero(touched & ~held)
-        if not least or len(free) > MOST_MOVED:
-            break
-        for vertex in free:
-            corners = order[starts[vertex] : starts[vertex + 1]]
-            first = 3 * (corners // 3)
-            before, after = faces.ravel()[first + (corners + 2) % 3], faces.ravel()[first + (corners + 1) % 3]
-            moved[vertex] = _unflipped(moved[after], moved[before])
-    return best
-
-
-def _unflipped(after: Floats, before: Floats) -> Floats:
-    """Return the unit vector y whose smallest det[y, a, b] / |a x b| over pairs of points, [K, 3] each, is largest."""
-    normals = np.cross(after, before)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)[:, None]
-    rows = np.concatenate([-normals, np.ones((len(normals), 1))], axis=1)
-    within = [(-1.0, 1.0)] * 3 + [(None, 1.0)]
-    found = linprog([0.0, 0.0, 0.0, -1.0], A_ub=rows, b_ub=np.zeros(len(rows)), bounds=within)
-    place = found.x[:3] if found.success and found.x[3] > LEAST_MARGIN else (after + before).sum(axis=0)
-    return place / max(float(np.linalg.norm(place)), np.finfo(float).tiny)
 
 
 def _drawn_inside(points: Floats, held: NDArray[np.bool_]) -> Floats:

@@ -13,12 +13,10 @@ from omtwarp.mesh.surface import Surface, plane_areas, triangle_areas
 from omtwarp.open_surfaces.caps import (
     cap_radius,
     disk_to_cap,
-    from_gnomonic,
     hemisphere_to_disk,
     pack_caps,
-    to_gnomonic,
 )
-from omtwarp.open_surfaces.planar import flipped_in_plane, untangle_in_plane, untangle_on_sphere
+from omtwarp.open_surfaces.planar import flipped_in_plane, untangle_in_plane, untangle_on_cap
 from omtwarp.topology.kind import boundary_half_edges, boundary_loops, parts_of
 
 
@@ -234,17 +232,6 @@ def test_caps_lie_apart_and_cover_most_of_the_sphere(count):
     assert (angle > radius + radius[:, None]).all() and covered > 0.75
 
 
-def test_small_caps_are_untangled_where_sides_are_straight():
-    ball = shapes.icosphere(6)
-    places, faces = without(ball, ball.vertices[:, 2] > 0.5)
-    there = to_gnomonic(places, 0.3)
-    assert np.abs(from_gnomonic(there, 0.3) - places).max() < 1e-12
-    middles = places[faces[:, :2]].sum(axis=1)  # of great circles' arcs: they stay on straight lines
-    at = to_gnomonic(middles, 0.3)
-    one, other = there[faces[:, 0]] - at, there[faces[:, 1]] - at
-    assert np.abs(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]).max() < 1e-12
-
-
 def test_lambert_keeps_area():
     points = shapes.fibonacci_sphere(4000).vertices
     north = points[points[:, 2] >= 0.0]
@@ -360,7 +347,7 @@ def test_flipped_triangles_of_a_large_cap_are_untangled():
         moved[vertex] += 2.0 * np.linalg.norm(places[faces[0, 0]] - places[faces[0, 1]]) * np.roll(places[vertex], 1)
     moved /= np.linalg.norm(moved, axis=1)[:, None]
     assert count_flips(moved, faces) > 3
-    untangled = untangle_on_sphere(moved, faces, rim)
+    untangled = untangle_on_cap(moved, rim, Surface(places, faces))
     assert count_flips(untangled, faces) == 0 and np.array_equal(untangled[rim], moved[rim])
 
 
