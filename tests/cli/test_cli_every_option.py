@@ -144,6 +144,7 @@ TYPES = ("float", "integer", "text", "path")  # names of kinds of values in a re
 PICTURES = ("film", "report")  # from a mesh
 JOINED = (*PICTURES, "register", "distance", "group", "benchmark")
 NOT_WITH = {"--pattern": ("--image",), "--image": ("--pattern",), "--front": ("--up",), "--up": ("--front",)}
+NOT_WITH |= {"--quiet": ("--json",), "--json": ("--quiet",)}
 # Values that ask for minutes or for a machine that may not be there, and have tests of their own.
 ELSEWHERE = {
     "preview --backend auto", "preview --backend pyrender", "film --backend auto", "film --backend pyrender",
