@@ -151,7 +151,7 @@ def _most_usual(files: Mapping[str, Member]) -> Template:
         powers.append(np.concatenate([power_per_degree(column)[1:] for column in coefficients.T]))
     apart = np.linalg.norm(np.array(powers) - np.mean(powers, axis=0), axis=1)
     here, grid = list(files.values())[int(np.argmin(apart))].side(), feature_grid()
-    return Template(grid.vertices, grid.faces, here.on_grid()[0], tuple(here.features))
+    return Template(grid.vertices, grid.faces, here.on_grid[0], tuple(here.features))
 
 
 def _registered(one: Member, template: Template, options: Mapping[str, object]) -> tuple[Side, Registration]:
@@ -166,7 +166,7 @@ def _step(one: Member, template: Template, options: Mapping[str, object]) -> dic
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", OmtwarpWarning)  # those of the last round are said
         here, found = _registered(one, template, options)
-    values, known = here.moved(found.closed_sphere).on_grid()
+    values, known = here.moved(found.closed_sphere).on_grid
     return {"values": known[:, None] * values, "known": known, "back": way_back(here.points, found)}
 
 

@@ -25,7 +25,7 @@ from omtwarp.registration.group_template import Template
 from omtwarp.registration.landmarks import LandmarksLike, Pairs, pairs_of
 from omtwarp.registration.sides import Side, feature_weights_of, two_sides
 from omtwarp.registration.strain import kept_within, octaves
-from omtwarp.registration.warp import AREA_WEIGHT, COARSE, FINE, Warp, Warping
+from omtwarp.registration.warp import AREA_WEIGHT, COARSE, FINE, MATCHED, Warp, Warping
 from omtwarp.resampling.resample import PointsLike
 
 Floats = NDArray[np.float64]
@@ -41,8 +41,8 @@ class Registration:
         sphere: unit vectors, float64, shape [V, 3].
         start: the rotation that the warp started from, with its score and that of the next best one.
         doubtful: whether the two scores were so near to each other that further rotations were tried.
-        starts: for each rotation that was tried its ``score`` and, where several were, the ``energy`` at the end of the
-            coarse levels; the one with the least was taken.
+        starts: the ``score`` of the rotation and the ``energy`` at the end of the coarse levels for every start that
+            was tried, the match of places first; the one with the least energy was taken.
         correlations: of every feature, at the target's vertices: ``before`` (after the rotation) and ``after``.
         area_strain: log2 of the ratio of areas of every triangle on the spheres after and before, shape [F].
         stretch_strain: log2 of the ratio of the larger to the smaller stretch of every triangle, shape [F].
@@ -156,9 +156,11 @@ def register(
     Minimised is the sum over features of weight times mean squared difference on the target, plus ``stiffness`` / 2
     times the mean distortion of triangles between the sphere before and after, R + 1/R - 2 + 4.5 (D + 1/D - 2) of the
     ratios of stretches and areas, with a barrier that keeps it below what ``max_strain`` allows. It is minimised coarse
-    to fine on grids, from the rotation under which the features agree best; where the next best one agrees nearly as
-    well, the coarse levels are run from several, and that with the least energy is taken. The warp is then carried to
-    the map's own vertices, where flips and strain over the bound are removed.
+    to fine on grids, from two starts, of which the one with less energy after the coarse levels is taken: the rotation
+    under which the features agree best, and a match of places around which they look alike, found by a discrete
+    optimisation over all places (:mod:`omtwarp.registration.matching`). Where the next best rotation agrees nearly as
+    well, it and further ones are tried too. The warp is then carried to the map's own vertices, where flips and strain
+    over the bound are removed.
 
     Args:
         moving: a map, with its surface where no features are given (:func:`omtwarp.resampling.as_points` lists the
@@ -214,11 +216,15 @@ def register(
     rotations, doubtful = here.rotations(there)
     notify("register", 1, 3, {})
     coarser = min(len(grid.points) for grid in grids)
-    warping = Warping(there.on_grid()[0], weights, stiffness, max_strain, coarser, weight_of_areas)
-    tried = [_Try.of(warping, here, rotation, pairs) for rotation in rotations]
+    warping = Warping(there.on_grid[0], weights, stiffness, max_strain, coarser, weight_of_areas)
+    match = warping.match(*here.on_grid, pairs)
+    sides = [here.moved(grids[0].points @ rotation.rotation.T) for rotation in rotations]
+    nearest = min(range(len(rotations)), key=lambda k: match.apart(rotations[k].rotation))
+    tried = [_Try.of(warping, sides[nearest], rotations[nearest], pairs, match)]
+    tried += [_Try.of(warping, side, rotation, pairs) for side, rotation in zip(sides, rotations, strict=True)]
     best = min(tried, key=lambda one: one.warp.energy)
     notify("register", 2, 3, {})
-    warp = warping.run(*best.given, FINE, best.warp, best.marks)
+    warp = warping.run(*best.turned.on_grid, FINE, best.warp, best.marks)
     before = best.turned.points.grid.points
     surface = Surface(before, grids[0].triangles)
     sphere, distances = _arrived(surface, warp, best.marks, max_strain, weight_of_areas)
@@ -249,28 +255,26 @@ def register(
 
 @dataclass(frozen=True, eq=False)
 class _Try:
-    """A warp at the coarse levels from one rotation.
+    """A warp at the coarse levels from one start.
 
     Attributes:
-        rotation: the start.
+        rotation: of the sphere before.
         turned: what moves, after it.
-        given: its features on the feature grid, and where they are known.
         marks: landmarks after it.
         warp: of the last coarse level.
     """
 
     rotation: Best
     turned: Side
-    given: tuple[Floats, Floats]
     marks: Pairs | None
     warp: Warp
 
     @classmethod
-    def of(cls, warping: Warping, here: Side, rotation: Best, pairs: Pairs | None) -> _Try:
-        """Run the coarse levels from a rotation."""
-        turned = here.moved(here.points.grid.points @ rotation.rotation.T)
-        marks, given = pairs and pairs.turned(rotation.rotation), turned.on_grid()
-        return cls(rotation, turned, given, marks, warping.run(*given, COARSE, landmarks=marks))
+    def of(cls, warping: Warping, turned: Side, rotation: Best, pairs: Pairs | None, match: Warp | None = None) -> _Try:
+        """Run the coarse levels from a rotation, or the last of them from a match of places before it."""
+        marks = pairs and pairs.turned(rotation.rotation)
+        start, levels = (match.after(rotation.rotation), MATCHED) if match else (None, COARSE)
+        return cls(rotation, turned, marks, warping.run(*turned.on_grid, levels, start, marks))
 
 
 def _arrived(

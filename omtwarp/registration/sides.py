@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -54,8 +55,9 @@ class Side:
         columns = np.column_stack(list(self.features.values()))
         return np.asarray(found.matrix @ columns[: found.matrix.shape[1]]), ~found.empty
 
+    @functools.cached_property
     def on_grid(self) -> tuple[Floats, Floats]:
-        """Return the features on the feature grid, shape [N, K], and 1 where they are known, 0 elsewhere, shape [N]."""
+        """The features on the feature grid, shape [N, K], and 1 where they are known, 0 elsewhere, shape [N]."""
         values, known = self.at(_grid())
         return values, known.astype(np.float64)
 
@@ -70,7 +72,7 @@ class Side:
         grid = SpherePoints(_grid())
         columns: list[dict[str, Floats]] = []
         for side in (self, target):
-            values, known = side.on_grid()
+            values, known = side.on_grid
             values = np.where(known[:, None] > 0.0, values, known @ values / max(known.sum(), 1.0))
             columns.append(dict(zip(self.features, values.T, strict=True)))
         ours, theirs = columns

@@ -79,16 +79,12 @@ def kept_within(
     if flipped_faces(sphere, surface.faces).any():
         sphere = untangle(surface, sphere, device="cpu").sphere
     energy: ShapeEnergy | None = None
-    limit = NEAR_LIMIT * strain_limit(bound)
     near_held = np.zeros(surface.vertex_count, dtype=bool)
     if held is not None:
         near_held[held] = True
         near_held = grow(surface.faces, near_held, FREED_RINGS)
     for done in range(ROUNDS):
-        by_area, by_stretch = octaves(surface.vertices, sphere, surface.faces)
-        over = np.maximum(np.abs(by_area), by_stretch) > bound
-        if with_room:
-            over |= strain_limit(by_area) + strain_limit(by_stretch) > limit
+        over = _beyond(surface, sphere, bound, with_room)
         if not over.any():
             break
         energy = energy or ShapeEnergy(surface, resolve_device("cpu"), 1.0)
@@ -101,6 +97,20 @@ def kept_within(
             break
         sphere = _relaxed(energy, sphere, grow(surface.faces, chosen, FREED_RINGS))
     return sphere
+
+
+def has_room(surface: Surface, sphere: Floats, bound: float) -> bool:
+    """Say whether a minimisation with the barrier of a bound has room to begin at a warp, as of :func:`kept_within`."""
+    return not (flipped_faces(sphere, surface.faces) | _beyond(surface, sphere, bound, True)).any()
+
+
+def _beyond(surface: Surface, sphere: Floats, bound: float, with_room: bool) -> NDArray[np.bool_]:
+    """Return which triangles are strained more than they may be, shape [F]; arguments as of :func:`kept_within`."""
+    by_area, by_stretch = octaves(surface.vertices, sphere, surface.faces)
+    over = np.maximum(np.abs(by_area), by_stretch) > bound
+    if with_room:
+        over |= strain_limit(by_area) + strain_limit(by_stretch) > NEAR_LIMIT * strain_limit(bound)
+    return np.asarray(over)
 
 
 def _relaxed(energy: ShapeEnergy, sphere: Floats, freed: NDArray[np.bool_]) -> Floats:

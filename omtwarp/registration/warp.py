@@ -9,7 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.geometry.axes import fitted_rotation
 from omtwarp.location import Locator
+from omtwarp.mesh.arrays import normalised
 from omtwarp.mesh.shapes import icosphere
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.solver import OptimalMap, minimise
@@ -20,7 +22,8 @@ from omtwarp.registration.areas import warp_energy
 from omtwarp.registration.feature_term import FeatureField, FeatureTerm
 from omtwarp.registration.folding import smoothed, vertex_areas
 from omtwarp.registration.landmarks import LandmarkTerm, Pairs, TermSum
-from omtwarp.registration.strain import kept_within
+from omtwarp.registration.matching import Matching
+from omtwarp.registration.strain import has_room, kept_within
 
 Floats = NDArray[np.float64]
 
@@ -29,7 +32,10 @@ FEATURE_GRID = 32  # frequency of the icosphere that features are read from: its
 # (full width at half maximum), and how many times stiffer the grid is: shapes have less in common in detail, and a grid
 # that is stiff until the detail comes takes no detours.
 COARSE = ((8, 40.0, 16.0), (8, 40.0, 4.0), (8, 40.0, 2.0), (16, 20.0, 1.6))
+MATCHED = COARSE[-1:]  # of these, from a match of places
 FINE = ((16, 12.0, 1.6), (24, 8.0, 1.3), (32, 5.0, 1.0))
+MATCHED_GRID, PLACES = 3, 8  # frequencies of the grids of points that are matched, and of places where they may go
+MATCHED_WIDTH = 12.0  # degrees that features are smoothed to for the match
 ITERATIONS = 40  # at a level
 # Of areas against angles. With 6 an average of 32,492 vertices has 0.77 of HCP's labels where HCP's own spheres have
 # them, with 4.5 0.79 and with 1 as much; but with 1 the depth of two averages agrees to 0.962 where it could to 0.964.
@@ -51,6 +57,15 @@ class Warp:
     points: Floats
     energy: float = np.inf
     levels: list[Record] = field(default_factory=list)
+
+    def after(self, rotation: Floats) -> Warp:
+        """Return the same warp of a sphere that was rotated."""
+        turned = Surface(self.grid.vertices @ rotation.T, self.grid.faces)
+        return Warp(turned, self.points, self.energy, self.levels)
+
+    def apart(self, rotation: Floats) -> float:
+        """Return how far the warp moves its vertices from where a rotation does, the mean square of chords."""
+        return float(((self.grid.vertices @ rotation.T - self.points) ** 2).sum(axis=1).mean())
 
     def carry(self, points: Floats) -> Floats:
         """Return where the warp moves points of the sphere, unit vectors, shape [P, 3]."""
@@ -88,6 +103,16 @@ class Warping:
         self._finest = 2.0 * np.degrees(np.sqrt(8.0 * np.pi / (np.sqrt(3.0) * vertex_count)))
         self._fields: dict[float, FeatureField] = {}
 
+    def match(self, moving: Floats, counted: Floats, landmarks: Pairs | None = None) -> Warp:
+        """Return the warp of a coarse grid to where features look alike, which may flip triangles.
+
+        Args:
+            moving, counted, landmarks: as of :meth:`run`, in any position.
+        """
+        matching, width = _matching(), max(MATCHED_WIDTH, self._finest)
+        ours, theirs = self._smooth(moving, width), self._smooth(self._target, width)
+        return Warp(matching.points, matching.match(ours, counted, theirs, self._weights, landmarks))
+
     def run(
         self,
         moving: Floats,
@@ -102,19 +127,16 @@ class Warping:
             moving: features at the vertices of :attr:`grid` before the warp, shape [N, K].
             counted: 1 where these are known, 0 in filled holes, shape [N].
             levels: as of ``COARSE``; those finer than the meshes are left out.
-            start: a warp to go on from; none moves nothing.
-            landmarks: points before the warp, and their places; exact ones get there at the last level.
+            start: a warp to go on from, of :meth:`match` or of levels; none moves nothing.
+            landmarks: points before the warp, and their places; exact ones get there at the last level after others.
         """
-        warp = start
+        warp, last = start, start is not None and bool(start.levels)
         kept = [level for level in levels if level[1] >= self._finest]
-        if not kept and (start is None or landmarks is not None):
+        if not kept and (not last or landmarks is not None):
             kept = [levels[0]]
         for number, (frequency, width, stiffer) in enumerate(kept, start=1):
             grid = grid_of(frequency)
-            if warp is None:
-                points = grid.vertices
-            else:
-                points = kept_within(grid, warp.carry(grid.vertices), self._bound, with_room=True)
+            points = grid.vertices if warp is None else self._begun(grid, warp)
             values = np.column_stack([self._smooth(moving, width), counted])
             here = FeatureField(self.grid, values).at(grid.vertices)[0]
             # Of the target, where each place is to agree: what shrinks on the way counts less.
@@ -127,7 +149,7 @@ class Warping:
                 term = TermSum([term, pulls])
             minimised = self._minimiser(grid, term, scale)
             found = minimised(points)
-            if pulls is not None and start is not None and number == len(kept):
+            if pulls is not None and last and number == len(kept):
                 while pulls.pulled_on(found.sphere):
                     found = minimised(found.sphere)
             energy = float(found.history[-1]["energy"]) / scale
@@ -142,6 +164,21 @@ class Warping:
             warp = Warp(grid, found.sphere, energy, [*(warp.levels if warp else []), record])
         assert warp is not None
         return warp
+
+    def _begun(self, grid: Surface, warp: Warp) -> Floats:
+        """Carry a warp to a grid, and return where its vertices begin, within the bound with room, shape [V, 3].
+
+        A warp that is not brought within it is halved, towards the rotation that is nearest to it.
+        """
+        halvings = 6  # then what is left is a strain of a few hundredths
+        points = warp.carry(grid.vertices)
+        rigid = grid.vertices @ fitted_rotation(grid.vertices.T @ points)[0].T
+        for _ in range(halvings):
+            begun = kept_within(grid, points, self._bound, with_room=True)
+            if has_room(grid, begun, self._bound):
+                return begun
+            points = normalised(points + rigid)
+        return rigid
 
     def _minimiser(self, grid: Surface, term: VertexTerm, scale: float) -> Callable[[Floats], OptimalMap]:
         """Return what minimises the energy from a warp of a grid, with a penalty or constraints on areas if wanted."""
@@ -170,6 +207,12 @@ class Warping:
 def grid_of(frequency: int) -> Surface:
     """Return an icosphere, which is kept with the order of elimination that belongs to it."""
     return icosphere(frequency)
+
+
+@functools.cache
+def _matching() -> Matching:
+    """Return what matches points of a coarse grid with places, which is kept."""
+    return Matching(grid_of(MATCHED_GRID), grid_of(PLACES), feature_grid())
 
 
 def feature_grid() -> Surface:

@@ -25,7 +25,7 @@ from omtwarp.resampling import SpherePoints
 from omtwarp.spheres import mesh_grid
 
 
-@pytest.mark.parametrize("degrees", [10.0, 30.0])
+@pytest.mark.parametrize("degrees", [10.0, 40.0])
 def test_a_known_warp_is_found_again_there_and_back(degrees):
     """The rms distance from the truth is below a triangle's size, of which the warp moved vertices by many.
 
@@ -38,9 +38,21 @@ def test_a_known_warp_is_found_again_there_and_back(degrees):
     assert found.largest_strain <= 2.0
     assert rms(found.sphere, truth) < EDGE < rms(found.start.sphere, truth)
     for values in found.correlations.values():
-        assert values["after"] > max(0.95, values["before"])
+        assert values["after"] > max(0.9, values["before"])
     returned = Locator(truth, BALL.faces, device="cpu").find(found.sphere).on_sphere(BALL.faces, back.sphere)
     assert rms(returned, BALL.vertices) < EDGE
+
+
+@pytest.mark.parametrize(("degrees", "seed", "most_strain"), [(30.0, 2, 2.0), (40.0, 3, 3.0)])
+def test_warps_that_bring_folds_next_to_others_are_found_again(degrees, seed, most_strain):
+    """Of these the rotation is away by several triangles, and by more than a fold's width where it is farthest."""
+    surface, truth = folded(BALL, seed), flowed(BALL.vertices, degrees, seed + 1)
+    here, there = points_of(BALL.vertices, surface), points_of(truth, surface)
+    found = omtwarp.register(here, there, stiffness=0.3, max_strain=most_strain)
+    assert found.certificate.bijective and rms(found.sphere, truth) < EDGE
+    assert np.argmin([one["energy"] for one in found.starts]) == 0  # the match of places
+    farthest = np.arccos((found.start.sphere * truth).sum(axis=1).min())
+    assert np.degrees(farthest) > 26.0
 
 
 def test_strain_at_vertices_is_that_of_their_triangles():
@@ -91,8 +103,8 @@ def test_a_doubtful_start_is_tried_from_several_rotations():
         features={"height": height},
         to_features={"height": height},
     )
-    assert found.doubtful and len(found.starts) > 1
-    assert found.starts[0]["score"] >= found.starts[1]["score"]
+    assert found.doubtful and len(found.starts) > 2
+    assert found.starts[1]["score"] >= found.starts[2]["score"]
     assert found.correlations["height"]["after"] > 0.99
 
 
