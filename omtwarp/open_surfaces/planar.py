@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
@@ -24,6 +26,7 @@ Floats = NDArray[np.float64]
 # Weight of area against angle distortion where a map to the disk is minimised, since the disk is to keep areas, and the
 # largest number of steps. With 10 half of a caudate nucleus has area distortion 2.10, with this 2.005.
 AREA_WEIGHT, STEPS = 100.0, 150
+PATCHES = tuple(replace(schedule, weight=AREA_WEIGHT) for schedule in SCHEDULES)
 GAIN = 1e-4  # of the distortion: a step that is expected to gain less ends the minimisation
 LIFT = 0.25  # radius of the disk in the plane that touches the sphere where patches are untangled
 # Refinement until an area distortion is matched: how near, and how many weights are tried.
@@ -146,7 +149,7 @@ def _untangled_patches(points: Floats, held: NDArray[np.bool_], surface: Surface
     closed = Surface(vertices, np.concatenate([faces, fan]), np.concatenate([on_sphere, rest]))
     fixed, budget = np.concatenate([held, [True]]), RepairBudget(closed)
     sphere, plane = start, points
-    for schedule in SCHEDULES:
+    for schedule in PATCHES:
         flipped = flipped_in_plane(plane, faces)
         if not flipped.any():
             break
@@ -177,7 +180,7 @@ def untangle_on_cap(points: Floats, held: NDArray[np.bool_], surface: Surface) -
     vertices = np.concatenate([surface.vertices, surface.vertices.mean(axis=0, keepdims=True)])
     closed = Surface(vertices, np.concatenate([faces, fan]), areas)
     fixed, budget = np.concatenate([held, [True]]), RepairBudget(closed)
-    for schedule in SCHEDULES:
+    for schedule in PATCHES:
         flipped = flipped_faces(sphere, closed.faces)
         if not flipped[: len(faces)].any():
             break
