@@ -143,9 +143,9 @@ def run(
     """Warp a map's sphere until features of its surface lie where another map has them.
 
     Features are sulcal depth and curvature of both surfaces, or those given. The warp begins at the rotation under
-    which they agree best or at a match of places that look alike, flips no triangle, and strains none more than
-    --max-strain. Where the next best rotation agrees nearly as well the start is doubtful: several are tried, and the
-    output says so.
+    which they agree best or at a match of places that look alike, flips no triangle, and strains none more than is
+    allowed. Where the next best rotation agrees nearly as well the start is doubtful: several are tried, and the output
+    says so.
 
     Examples:
         omtwarp register left.npz --to right.npz -o registered.npz

@@ -109,7 +109,7 @@ class Warping:
         Args:
             moving, counted, landmarks: as of :meth:`run`, in any position.
         """
-        matching, width = _matching(), max(MATCHED_WIDTH, self._finest)
+        matching, width = _matching(FEATURE_GRID), max(MATCHED_WIDTH, self._finest)
         ours, theirs = self._smooth(moving, width), self._smooth(self._target, width)
         return Warp(matching.points, matching.match(ours, counted, theirs, self._weights, landmarks))
 
@@ -210,9 +210,9 @@ def grid_of(frequency: int) -> Surface:
 
 
 @functools.cache
-def _matching() -> Matching:
-    """Return what matches points of a coarse grid with places, which is kept."""
-    return Matching(grid_of(MATCHED_GRID), grid_of(PLACES), feature_grid())
+def _matching(frequency: int) -> Matching:
+    """Return what matches points of a coarse grid with places, by features on an icosphere; it is kept."""
+    return Matching(grid_of(MATCHED_GRID), grid_of(PLACES), grid_of(frequency))
 
 
 def feature_grid() -> Surface:
