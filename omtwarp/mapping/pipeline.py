@@ -471,7 +471,12 @@ class MapComputation:
             return
         initial = self.sphere
         if self.uses_newton:
-            self.transport_by_newton()
+            if self.mirror is None and not solves_with_scipy():
+                begin_saddle_order(self.surface)
+            if self.target is None:
+                self.transport_by_newton()
+            else:
+                self.transport_to_density(self.target)
             return
         # The kernels of the flow are read where they are used: they are a third of all that a map would import.
         from omtwarp.transport.flow import optimal_transport
@@ -504,17 +509,8 @@ class MapComputation:
     def transport_by_newton(self) -> None:
         """Compute the discrete optimal map: areas around vertices kept, and the cost at its minimum."""
         assert self.source is not None
-        if self.mirror is None and not solves_with_scipy():
-            begin_saddle_order(self.surface)
-        sphere, road = (self.sphere, "") if self.target is not None else self.nearby_map()
-        give_back()  # the largest matrices follow
-        solve = optimal_map
-        if self.mirror is not None and is_symmetric(self.mirror, sphere):
-            solve = partial(symmetric_optimal_map, self.mirror)
-        if self.target is not None:
-            self.transport_to_density(self.target, partial(solve, progress=self.progress))
-            return
-        solve = partial(solve, self.surface, start=self.source, device=self.device, progress=self.progress)
+        sphere, road = self.nearby_map()
+        solve = partial(self.minimisation(sphere), self.surface, start=self.source, device=self.device)
         optimal, term = minimised(self.surface, sphere, self.source, solve, self.keep_steps, road, device=self.device)
         weight = term.weight
         if self.options.cost is Cost.GEODESIC:
@@ -534,9 +530,17 @@ class MapComputation:
         }
         self.finish(Stage.OMT, sphere, len(self.history) - 1, **details)
 
-    def transport_to_density(self, target: TargetDensity, solve: Callable[..., OptimalMap]) -> None:
+    def minimisation(self, sphere: Floats) -> Callable[..., OptimalMap]:
+        """Return what finds the optimal map from a map near it: among symmetric maps where that one is symmetric."""
+        give_back()  # the largest matrices follow
+        if self.mirror is not None and is_symmetric(self.mirror, sphere):
+            return partial(symmetric_optimal_map, self.mirror, progress=self.progress)
+        return partial(optimal_map, progress=self.progress)
+
+    def transport_to_density(self, target: TargetDensity) -> None:
         """Compute the optimal map to a density, from Moser's map to it."""
         assert self.source is not None
+        solve = self.minimisation(self.sphere)
         sphere, at = self.sphere, partial(map_to_density, self.surface, start=self.source, device=self.device)
         for cost in dict.fromkeys((Cost.SQUARED, self.options.cost)):
             share = DISTANCE_SHAPE if cost is Cost.GEODESIC else 1.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -128,63 +129,77 @@ def match_in_plane(
 def _untangled_patches(points: Floats, held: NDArray[np.bool_], surface: Surface) -> Floats:
     """Untangle patches of a map to the disk with the boundary fixed.
 
-    The plane touches the sphere: the gnomonic projection keeps straight sides and orientations, and a vertex opposite
-    to the disk closes the surface. Arguments are those of :func:`untangle_in_plane`, and so is the map returned, which
-    may have flips left.
+    The plane touches the sphere: the gnomonic projection keeps straight sides and orientations. Arguments are those of
+    :func:`untangle_in_plane`, and so is the map returned, which may have flips left.
     """
-    apex, faces = len(points), surface.faces
+    faces = surface.faces
     covered = float(plane_areas(points[faces]).sum())
-    if not covered > 0.0:  # the boundary's vertices are all on one side
+    # Where it covers nothing, the boundary's vertices are all on one side.
+    if not flipped_in_plane(points, faces).any() or not covered > 0.0:
         return points
-    lifted = np.concatenate([LIFT * points, np.ones((apex, 1))], axis=1)
+    lifted = np.concatenate([LIFT * points, np.ones((len(points), 1))], axis=1)
     lifted /= np.linalg.norm(lifted, axis=1)[:, None]
-    start = np.concatenate([lifted, [[0.0, 0.0, -1.0]]])
-    (rim,) = boundary_loops(faces, apex)
-    fan = np.stack([np.roll(rim, -1), rim, np.full(len(rim), apex)], axis=1)
     wanted = surface.face_areas * (covered / surface.face_areas.sum())
     # An area in the plane is that on the sphere but for the cube of the height of its place.
     on_sphere = wanted * LIFT**2 * lifted[faces].mean(axis=1)[:, 2] ** 3
-    rest = np.full(len(fan), (SPHERE_AREA - on_sphere.sum()) / len(fan))
-    vertices = np.concatenate([surface.vertices, surface.vertices.mean(axis=0, keepdims=True)])
-    closed = Surface(vertices, np.concatenate([faces, fan]), np.concatenate([on_sphere, rest]))
-    fixed, budget = np.concatenate([held, [True]]), RepairBudget(closed)
-    sphere, plane = start, points
-    for schedule in PATCHES:
-        flipped = flipped_in_plane(plane, faces)
-        if not flipped.any():
-            break
-        seeds = np.concatenate([flipped, np.zeros(len(fan), dtype=bool)])
-        sphere, _ = untangle_patches(closed, sphere, seeds, schedule, resolve_device("cpu"), budget, fixed)
-        moved = (sphere != start).any(axis=1)[:apex, None]
-        plane = np.where(moved, sphere[:apex, :2] / sphere[:apex, 2:] / LIFT, points)
-    return plane
+
+    def laid(sphere: Floats) -> Floats:
+        moved = (sphere != lifted).any(axis=1)[:, None]
+        return np.where(moved, sphere[:, :2] / sphere[:, 2:] / LIFT, points)
+
+    def flipped(sphere: Floats, closed: NDArray) -> NDArray[np.bool_]:
+        wrong = flipped_in_plane(laid(sphere[:-1]), faces)
+        return np.pad(wrong, (0, len(closed) - len(faces)))
+
+    return laid(_untangled(lifted, held, surface, on_sphere, float(on_sphere.sum()), flipped))
 
 
 def untangle_on_cap(points: Floats, held: NDArray[np.bool_], surface: Surface) -> Floats:
     """Untangle the patches around flipped triangles of a map to a cap with the boundary fixed; flips may be left.
-
-    A fan around the south pole, which no cap contains, closes the surface.
 
     Args:
         points: a map to a cap around the north pole, shape [V, 3].
         held: vertices of the boundary, shape [V].
         surface: what is mapped, with the areas that those on the cap are to be in proportion to.
     """
+    if not flipped_faces(points, surface.faces).any():
+        return points
+    of_cap = float(triangle_solid_angles(*(points[surface.faces[:, k]] for k in range(3))).sum())
+    areas = surface.face_areas * (of_cap / surface.face_areas.sum())
+    return _untangled(points, held, surface, areas, of_cap, flipped_faces)
+
+
+def _untangled(
+    points: Floats,
+    held: NDArray[np.bool_],
+    surface: Surface,
+    areas: Floats,
+    covered: float,
+    flipped: Callable[[Floats, NDArray], NDArray[np.bool_]],
+) -> Floats:
+    """Untangle patches of a map to a part of the sphere with the boundary fixed; flips may be left.
+
+    Args:
+        points: unit vectors, shape [V, 3], none near the south pole, around which a fan of triangles closes the map.
+        held: vertices of the boundary, shape [V].
+        surface: what is mapped.
+        areas: that its triangles are to have, shape [F].
+        covered: their sum.
+        flipped: takes a map and faces, those of the fan last, and returns which are turned over.
+    """
     faces, apex = surface.faces, len(points)
     (rim,) = boundary_loops(faces, apex)
     fan = np.stack([np.roll(rim, -1), rim, np.full(len(rim), apex)], axis=1)
-    sphere = np.concatenate([points, [[0.0, 0.0, -1.0]]])
-    of_cap = float(triangle_solid_angles(*(points[faces[:, k]] for k in range(3))).sum())
-    rest = np.full(len(fan), max(SPHERE_AREA - of_cap, TINY) / len(fan))
-    areas = np.concatenate([surface.face_areas * (of_cap / surface.face_areas.sum()), rest])
+    rest = np.full(len(fan), max(SPHERE_AREA - covered, TINY) / len(fan))
     vertices = np.concatenate([surface.vertices, surface.vertices.mean(axis=0, keepdims=True)])
-    closed = Surface(vertices, np.concatenate([faces, fan]), areas)
+    closed = Surface(vertices, np.concatenate([faces, fan]), np.concatenate([areas, rest]))
+    sphere = np.concatenate([points, [[0.0, 0.0, -1.0]]])
     fixed, budget = np.concatenate([held, [True]]), RepairBudget(closed)
     for schedule in PATCHES:
-        flipped = flipped_faces(sphere, closed.faces)
-        if not flipped[: len(faces)].any():
+        wrong = flipped(sphere, closed.faces)
+        if not wrong[: len(faces)].any():
             break
-        sphere, _ = untangle_patches(closed, sphere, flipped, schedule, resolve_device("cpu"), budget, fixed)
+        sphere, _ = untangle_patches(closed, sphere, wrong, schedule, resolve_device("cpu"), budget, fixed)
     return sphere[:apex]
 
 

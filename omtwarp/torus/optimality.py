@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.device.arrays import sent
 from omtwarp.device.start import wp
 from omtwarp.device.threads import Arguments, blas_threads, launch_parts
 from omtwarp.mesh.arrays import TINY, Floats, Ints
@@ -128,7 +129,7 @@ class _Dual:
         self.own = 0.5 * (moved**2).sum(axis=1)
         self.tolerance = TOLERANCE * float(self.mass @ self.own) / float(self.mass.sum())
         back = np.linalg.inv(lattice)
-        self._home = _on_host(x - np.floor(x @ back) @ lattice, wp.vec2d)
+        self._home = sent(x - np.floor(x @ back) @ lattice, wp.vec2d)
         corner = y[surface.faces] + shift
         middle = corner.mean(axis=1)
         corner -= (np.floor(middle @ back) @ lattice)[:, None]
@@ -140,9 +141,9 @@ class _Dual:
         along = np.roll(self._corner, -1, axis=1) - self._corner
         # |z|²/2 - ψ(z) on an edge: the first is what it is, and ψ has the slopes y - x at the ends of the edge.
         bulges = -0.5 * (along**2).sum(axis=2) - 0.5 * ((slope - np.roll(slope, -1, axis=1)) * along).sum(axis=2)
-        self._bulges = _on_host(bulges, wp.vec3d)
-        self._corners = _on_host(self._corner, wp.vec2d)
-        self._slopes = _on_host((self._corner - slope).mean(axis=1), wp.vec2d)
+        self._bulges = sent(bulges, wp.vec3d)
+        self._corners = sent(self._corner, wp.vec2d)
+        self._slopes = sent((self._corner - slope).mean(axis=1), wp.vec2d)
         self._half_squares = 0.5 * (self._corner**2).sum(axis=2)
         self._leaves = leaf_count(len(corner))
         self._fit = _EdgeFit(surface, x, y, shift)
@@ -154,12 +155,12 @@ class _Dual:
     def bound(self, potential: Floats) -> _Bound:
         """Return the best image of every point, over all of the torus."""
         count = len(self.own)
-        mesh = [self._corners, _on_host(self._half_squares - potential[self._faces], wp.vec3d), self._bulges]
+        mesh = [self._corners, sent(self._half_squares - potential[self._faces], wp.vec3d), self._bulges]
         nodes = wp.empty(2 * self._leaves, dtype=vec7d, device="cpu")
         inputs = [*mesh, self._slopes, len(self._faces), self._leaves]
         wp.launch(build_plane_nodes, dim=len(nodes), inputs=inputs, outputs=[nodes], device="cpu")
         own = self.own - potential
-        seeds, copies = _on_host(own, wp.float64), _on_host(self._copies(potential), wp.vec2d)
+        seeds, copies = sent(own, wp.float64), sent(self._copies(potential), wp.vec2d)
         found = [wp.empty(count, dtype=kind, device="cpu") for kind in (wp.float64, wp.int32, wp.vec3d)]
 
         def arguments(part: slice) -> Arguments:
@@ -185,10 +186,6 @@ class _Dual:
         steps = [(i, j) for i in range(-far[0], far[0] + 1) for j in range(-far[1], far[1] + 1)]
         vectors = np.array(steps) @ self.lattice
         return vectors[np.argsort((vectors**2).sum(axis=1), kind="stable")]
-
-
-def _on_host(values: Floats, dtype: type) -> wp.array:
-    return wp.array(np.ascontiguousarray(values), dtype=dtype, device="cpu")
 
 
 class _EdgeFit:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.device.arrays import Workspace
+from omtwarp.device.arrays import Workspace, sent
 from omtwarp.device.start import wp
 from omtwarp.device.threads import Arguments, cut, launch_parts
 from omtwarp.errors import OmtwarpError
@@ -42,11 +42,8 @@ class PatchMatrix:
         edges = np.stack([low[order[0::2]], high[order[0::2]]], axis=1)
         edge_corners = inner[order].astype(np.int32).reshape(-1, 2)
 
-        def shared(values: NDArray[np.int32], dtype: type) -> wp.array:
-            return wp.array(values, dtype=dtype, device="cpu", copy=False)
-
-        self._sides = [shared(edges, wp.vec2i), shared(own, wp.vec3i), shared(edge_corners, wp.vec2i)]
-        self._rows = [shared(offsets, wp.int32), shared(corners, wp.int32)]
+        self._sides = [sent(edges, wp.vec2i), sent(own, wp.vec3i), sent(edge_corners, wp.vec2i)]
+        self._rows = [sent(offsets, wp.int32), sent(corners, wp.int32)]
         self._blocks = [wp.empty((n, 4), dtype=wp.float64, device="cpu") for n in (count, len(edges))]
         factor = mesh_factor(
             count, edges, lambda: part_dissection(surface, patches.vertices[:count], edges), 2, Workspace()
@@ -76,7 +73,7 @@ class PatchMatrix:
 
     def _assembled(self, blocks: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Sum blocks of triangles, [F, 21], to those of vertices, [V, 2, 2], and of edges, [E, 2, 2]."""
-        source = wp.array(np.ascontiguousarray(blocks), dtype=wp.float64, device="cpu", copy=False)
+        source = sent(blocks, wp.float64)
         of_vertices, of_edges = self._blocks
         (offsets, corners), (edges, faces, edge_corners) = self._rows, self._sides
 
