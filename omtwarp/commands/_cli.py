@@ -1,4 +1,4 @@
-"""The command line: ``omtwarp COMMAND ...``, one module of :mod:`omtwarp.commands` for every command."""
+"""The command line: ``omtwarp COMMAND ...``, the commands of :mod:`omtwarp.commands`."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ import gc
 import os
 import re
 import sys
-from collections.abc import Iterable, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Protocol, cast
+from typing import TYPE_CHECKING, cast
 
 import typer
 
@@ -21,6 +20,9 @@ from omtwarp.commands._streams import say, standard_streams, warnings_as_lines
 from omtwarp.errors import INTERRUPTED, OmtwarpError, unexpected
 from omtwarp.files.interruptions import LINE, ending_the_process
 from omtwarp.files.output import keeping
+
+if TYPE_CHECKING:
+    from typer._click.formatting import HelpFormatter  # click's own in versions without a copy of it
 
 SUMMARIES = {
     "map": "Map surfaces to the sphere, with their areas preserved.",
@@ -41,7 +43,7 @@ SUMMARIES = {
     "demo": "Make a shape, map it, texture it and draw it.",
     "benchmark": "Time every stage and its memory on meshes of several sizes.",
 }
-"""One line about every command, short enough for a terminal of 80 columns; each is ``run`` in a module of its name."""
+"""One line about every command, short enough for a terminal of 80 columns; see :func:`function_of`."""
 
 GROUPS = {
     "Input": (
@@ -80,25 +82,10 @@ GROUPS = {
 """Options by the heading that help shows them under; others are shown last."""
 
 
-class Formatter(Protocol):
-    """A writer of help: click's ``HelpFormatter``, of which typer has a copy of its own in some versions."""
-
-    current_indent: int
-
-    def section(self, name: str) -> AbstractContextManager[None]:
-        """Begin a section."""
-
-    def write_dl(self, rows: Sequence[tuple[str, str]]) -> None:
-        """Write names and their descriptions."""
-
-    def write(self, string: str) -> None:
-        """Write a text."""
-
-
 class Command(typer.core.TyperCommand):
     """A command whose help has groups of options, and whose epilog is examples, one a line."""
 
-    def format_options(self, ctx: object, formatter: Formatter) -> None:
+    def format_options(self, ctx: object, formatter: HelpFormatter) -> None:
         """Write arguments, then the groups of options."""
         context = cast(typer.Context, ctx)
         rows: dict[str, list[tuple[str, str]]] = {}
@@ -133,7 +120,7 @@ class Command(typer.core.TyperCommand):
         pieces = super().collect_usage_pieces(cast(typer.Context, ctx))
         return [re.sub(r"^\{(.*)\}(\.*)$", r"\1\2", piece) for piece in pieces]
 
-    def format_epilog(self, ctx: object, formatter: Formatter) -> None:
+    def format_epilog(self, ctx: object, formatter: HelpFormatter) -> None:
         """Write the examples."""
         if self.epilog:
             with formatter.section("Examples"):

@@ -315,12 +315,3 @@ def _bars(quiet: bool) -> Iterator[Progress | None]:
             bars.update(tasks[stage], completed=done, total=total or None, words=words)
 
         yield report
-
-
-def steps(progress: Progress | None, stage: str, total: int) -> Callable[[int], None]:
-    """Make a function that shows how many of a command's steps are done, if progress is shown at all."""
-
-    def notify(done: int) -> None:
-        tell(progress, stage, done, total, {})
-
-    return notify

@@ -8,12 +8,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, TypeVar, cast
 
-import typer
-
-from omtwarp.commands._options import Printing, Source, output_option
-from omtwarp.commands._streams import input_file, is_standard_output, progress_bar, say, warnings_as_lines
+from omtwarp.commands._options import Printing, Source
+from omtwarp.commands._streams import is_standard_output, progress_bar, say, warnings_as_lines
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output, make_folder
 from omtwarp.options import Domain, MapOptions, SurfaceKeywords, WeightsAt, parse_device
@@ -25,6 +23,10 @@ if TYPE_CHECKING:
     from omtwarp.maps.torus_map import TorusMap
     from omtwarp.measures import TargetDensity
     from omtwarp.mesh.surface import Surface
+
+
+Output = TypeVar("Output", Path, Path | None)
+Target = TypeVar("Target")
 
 
 def facts_of(result: MapResult | TorusMap, output: Path, report: Path | None = None) -> dict:
@@ -213,7 +215,7 @@ def of_a_map(path: Path) -> list[str]:
     return ["a map's file, of which only the mesh is read"] if is_map else []
 
 
-def outputs_of(meshes: Sequence[Path], output: Path | None, suffix: str) -> list[Path | None]:
+def outputs_of(meshes: Sequence[Path], output: Output, suffix: str) -> list[Output]:
     """Return the output path of every mesh: the named file for one mesh, files in the named directory for several.
 
     Raises:
@@ -224,32 +226,12 @@ def outputs_of(meshes: Sequence[Path], output: Path | None, suffix: str) -> list
         return [output] * len(meshes)
     if is_standard_output(output):
         raise OmtwarpError(f"{len(meshes)} files cannot go to standard output: name a directory with -o")
-    targets = [output / f"{mesh.stem}{suffix}" for mesh in meshes]
+    targets: list[Output] = [output / f"{mesh.stem}{suffix}" for mesh in meshes]
     twice = next((target for k, target in enumerate(targets) if target in targets[:k]), None)
     if twice is not None:
         raise OmtwarpError(f"two meshes would both be written as '{twice}': rename one, or map them by themselves")
     make_folder(output)
-    return list(targets)
-
-
-def each(meshes: Sequence[Path], targets: Sequence[Path | None], action: Callable[[Path, Path | None], None]) -> None:
-    """Process every mesh; with several, one that fails does not stop the others.
-
-    Raises:
-        OmtwarpError: the only mesh fails, with its own message; or some of several fail, each with a message before.
-    """
-    failed = []
-    for mesh, target in zip(meshes, targets, strict=True):
-        try:
-            action(mesh, target)
-        except OmtwarpError as error:
-            if len(meshes) == 1:
-                raise
-            words = str(error)
-            say(words if str(mesh) in words else f"{mesh}: {words}")
-            failed.append(str(mesh))
-    if failed:
-        raise OmtwarpError(f"{len(failed)} of {len(meshes)} meshes failed: {', '.join(failed)}")
+    return targets
 
 
 def targets_of(source: Source, output: Path, suffix: str, allowed: tuple[str, ...], *inputs: Path | None) -> list[Path]:
@@ -270,8 +252,7 @@ def targets_of(source: Source, output: Path, suffix: str, allowed: tuple[str, ..
         raise OmtwarpError(
             f"one map '{source.finished}' cannot be that of {len(meshes)} meshes: give one mesh, or no map"
         )
-    named = outputs_of(meshes, output, suffix) if len(meshes) > 1 else [output]
-    targets = [target for target in named if target is not None]
+    targets = outputs_of(meshes, output, suffix) if len(meshes) > 1 else [output]
     for target in targets:
         check_output(target, allowed, *source.files, *inputs)
     return targets
@@ -279,9 +260,10 @@ def targets_of(source: Source, output: Path, suffix: str, allowed: tuple[str, ..
 
 def show_each(
     meshes: Sequence[Path] | None,
-    targets: Sequence[Path],
-    action: Callable[[Path | None, Path], tuple[Mapping[str, object], str]],
+    targets: Iterable[Target],
+    action: Callable[[Path | None, Target], tuple[Mapping[str, object], str]],
     printing: Printing,
+    failure: Callable[[Mapping[str, object]], str] = lambda facts: "",
 ) -> None:
     """Process every mesh and print the outcomes; with several, one that fails does not stop the others.
 
@@ -289,29 +271,36 @@ def show_each(
         meshes: the inputs; none where a finished map takes their place.
         targets: what is written for each.
         action: processes one mesh, or None for the map, and returns the facts about it and a line for readers.
-        printing: whether facts are printed as JSON, as a list for several meshes, or lines.
+        printing: whether facts are printed as JSON or lines. JSON is a list for several meshes, an object for one, and
+            an empty list where that one fails.
+        failure: says, from the facts about a mesh, what is wrong with it; empty where nothing is.
 
     Raises:
-        OmtwarpError: as of :func:`each`.
+        OmtwarpError: the only mesh fails, with its own message; or some of several fail, each with a message before.
     """
+    given: Sequence[Path | None] = meshes or [None]
     known: list[Mapping[str, object]] = []
-
-    def one(mesh: Path | None, target: Path | None) -> None:
-        assert target is not None
-        facts, line = action(mesh, target)
-        known.append(facts)
-        if not printing.as_json and not printing.quiet:
-            print(line)
-
-    given = meshes or []
+    failed: list[str] = []
     try:
-        if given:
-            each(given, targets, one)
-        else:
-            one(None, targets[0])
+        for mesh, target in zip(given, targets, strict=True):
+            try:
+                facts, line = action(mesh, target)
+                known.append(facts)
+                if not printing.as_json and not printing.quiet:
+                    print(line)
+                if wrong := failure(facts):
+                    raise OmtwarpError(wrong)
+            except OmtwarpError as error:
+                if len(given) == 1:
+                    raise
+                words = str(error)
+                say(words if str(mesh) in words else f"{mesh}: {words}")
+                failed.append(str(mesh))
     finally:
-        if printing.as_json and (known or len(given) > 1):
-            print(report_text(known if len(given) > 1 else known[0]), end="")
+        if printing.as_json:
+            print(report_text(known[0] if len(given) == 1 and known else known), end="")
+    if failed:
+        raise OmtwarpError(f"{len(failed)} of {len(given)} meshes failed: {', '.join(failed)}")
 
 
 def start_device(device: str) -> None:
@@ -469,101 +458,3 @@ def say_stages(result: MapResult | TorusMap) -> None:
         words += [f"{kind} {stage[kind]['surface']:.4f}" for kind in ("area", "angle")]
         words += [f"flips {stage['flips']}"] if "flips" in stage else []
         say(f"{stage['name']}: {', '.join(words)}")
-
-
-@dataclass(frozen=True)
-class Pair:
-    """A sphere that is moved, another one, their surfaces, data at their vertices, and where the moved one goes.
-
-    Options:
-        source: A map (.npz), or a sphere as a mesh; - is standard input.
-        output: .npz for the whole map, or a mesh suffix for the sphere; - is standard output.
-        surface (MESH): The surface of MOVING, where MOVING is a sphere without one.
-        to_surface (MESH): The surface of the other sphere, where that is no .npz.
-        feature (FILE): Compare by these data at MOVING's vertices; repeat for more features.
-        to_feature (FILE): The same data at the other sphere's vertices, in this order.
-        radius: Radius of a sphere that is written as a mesh; FreeSurfer's is 100.
-    """
-
-    source: Annotated[Path, typer.Argument(metavar="MOVING", callback=input_file)]
-    output: Annotated[Path, output_option(".npz")]
-    surface: Path | None = None
-    to_surface: Path | None = None
-    feature: list[Path] | None = None
-    to_feature: list[Path] | None = None
-    radius: Annotated[float, typer.Option(min=1e-06, max=1000000000.0)] = 1.0
-
-    @property
-    def as_map(self) -> bool:
-        """Whether a whole map is written."""
-        return self.output.suffix.lower() == ".npz"
-
-    def check(self, other: Path | None) -> None:
-        """Make sure that the output can be written, and that no part of a brain meets another one.
-
-        Args:
-            other: the file of the other sphere, None where it is made.
-
-        Raises:
-            OmtwarpError: the output cannot be written, or is a map where there is none, or the parts differ.
-        """
-        from omtwarp.mesh.neuro import require_same_structure
-        from omtwarp.mesh.write import SUFFIXES
-
-        check_output(self.output, (".npz", *SUFFIXES), self.source, self.surface)
-        if self.as_map and self.source.suffix.lower() != ".npz":
-            raise OmtwarpError(f"cannot write '{self.output}': a whole map needs a map (.npz) as input")
-        for ours in (self.source, self.surface):
-            for theirs in (other, self.to_surface):
-                require_same_structure(ours, theirs)
-
-    def features(self, other: Path | None) -> tuple[dict[str, NDArray] | None, dict[str, NDArray] | None]:
-        """Read the data of both sides by name, None where there are none; arguments and errors as of :meth:`check`."""
-        files = (self.source, self.surface), (other, self.to_surface)
-        ours, theirs = read_features(self.feature or [], self.to_feature or [], *files)
-        return ours or None, theirs or None
-
-    def write(self, moved: Callable[[MapResult], MapResult], sphere: NDArray, faces: NDArray) -> None:
-        """Write the moved map, or its sphere as a mesh.
-
-        Args:
-            moved: moves the map.
-            sphere, faces: what a mesh holds, shapes [V, 3] and [F, 3].
-        """
-        from omtwarp.maps.result import MapResult
-        from omtwarp.mesh.write import write_mesh
-
-        if self.as_map:
-            moved(MapResult.load(self.source)).save(self.output)
-        else:
-            write_mesh(self.output, self.radius * sphere, faces, spherical=True, like=self.source)
-
-
-def read_features(
-    ours: list[Path], theirs: list[Path], here: Iterable[Path | None], there: Iterable[Path | None]
-) -> tuple[dict[str, NDArray], dict[str, NDArray]]:
-    """Read the data of both sides; return their columns by name, with the same names in the same order.
-
-    Args:
-        ours, theirs: files of data.
-        here, there: the spheres and surfaces that they belong to, which may say what part of the brain that is.
-
-    Raises:
-        OmtwarpError: a file cannot be read, or the two sides have different numbers of files or columns.
-    """
-    from omtwarp.mesh.data import read_data
-    from omtwarp.mesh.neuro import structure_of
-
-    if len(ours) != len(theirs):
-        raise OmtwarpError(f"{len(ours)} features here and {len(theirs)} there: give as many --to-feature as --feature")
-    mine: dict[str, NDArray] = {}
-    others: dict[str, NDArray] = {}
-    parts = [next(filter(None, map(structure_of, files)), None) if ours else None for files in (here, there)]
-    for file, their_file in zip(ours, theirs, strict=True):
-        one, other = read_data(file, parts[0]).values, read_data(their_file, parts[1]).values
-        if one.shape[1] != other.shape[1]:
-            raise OmtwarpError(f"'{file}' and '{their_file}' hold different numbers of features")
-        for column, its_own in zip(one.T, other.T, strict=True):
-            name = f"{file} ({len(mine) + 1})"
-            mine[name], others[name] = column, its_own
-    return mine, others

@@ -68,7 +68,7 @@ class Workload:
     cold: bool = False
 
 
-def run(
+def run_benchmark(
     *,
     workload: Workload,
     mapping: Annotated[MapOptions, Only(("refine",))],

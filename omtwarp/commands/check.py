@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,7 +10,7 @@ import typer
 
 from omtwarp.commands._options import Printing, output_option
 from omtwarp.commands._streams import input_file, say, step_times
-from omtwarp.commands._work import each, of_a_map, outputs_of, report_text
+from omtwarp.commands._work import of_a_map, outputs_of, show_each
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from omtwarp.mesh.validate import Defect
 
 
-def run(
+def run_check(
     *,
     meshes: Annotated[list[Path], typer.Argument(metavar="MESH", callback=input_file)],
     repair: bool = False,
@@ -48,23 +49,21 @@ def run(
     for target in targets:
         if target is not None:
             check_output(target, SUFFIXES, *meshes)
-    known: list[dict] = []
 
-    def examine(mesh: Path, target: Path | None) -> None:
-        known.append(facts_of(mesh, repair, target, verbose=printing.verbose))
-        if not printing.as_json and not printing.quiet:
-            print("\n".join(lines_about(known[-1])))
-        count = len(known[-1]["defects"])
-        if count:
-            saved = f"; what could be repaired was saved as '{target}'" if target is not None else ""
-            left, where = ((" left" if repair else ""), ("" if printing.as_json or printing.quiet else ", see above"))
-            raise OmtwarpError(f"{mesh}: {count} kind{'s' * (count > 1)} of defect{left}{where}{saved}")
+    def examine(mesh: Path | None, target: Path | None) -> tuple[dict, str]:
+        assert mesh is not None
+        facts = facts_of(mesh, repair, target, verbose=printing.verbose)
+        return facts, "\n".join(lines_about(facts))
 
-    try:
-        each(meshes, targets, examine)
-    finally:
-        if printing.as_json:
-            print(report_text(known[0] if len(meshes) == 1 and known else known), end="")
+    def failure(facts: Mapping) -> str:
+        count = len(facts["defects"])
+        if not count:
+            return ""
+        saved = f"; what could be repaired was saved as '{facts['output']['path']}'" if "output" in facts else ""
+        left, where = ((" left" if repair else ""), ("" if printing.as_json or printing.quiet else ", see above"))
+        return f"{facts['mesh']}: {count} kind{'s' * (count > 1)} of defect{left}{where}{saved}"
+
+    show_each(meshes, targets, examine, printing, failure)
 
 
 def facts_of(mesh: Path, repair: bool, target: Path | None, *, verbose: bool) -> dict:

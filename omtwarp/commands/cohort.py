@@ -66,7 +66,7 @@ class Running:
     repair: bool = False
 
 
-def run(
+def run_cohort(
     *,
     manifest: Annotated[str, typer.Argument(metavar="MANIFEST")],
     output: Annotated[Path, output_option(metavar="DIR")],

@@ -1,15 +1,15 @@
-"""``omtwarp map``: a mesh in, its map to the sphere out."""
+"""``omtwarp map`` and ``demo``: a mesh in, its map to the sphere out; and every step, on a generated shape."""
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
 from omtwarp.commands._options import ROUTE, Only, Printing, named, output_option
-from omtwarp.commands._painted import standing
 from omtwarp.commands._streams import input_file
 from omtwarp.commands._work import (
     facts_of,
@@ -23,13 +23,12 @@ from omtwarp.commands._work import (
     start_device,
     summary,
 )
+from omtwarp.commands.texture import standing
 from omtwarp.errors import OmtwarpError
-from omtwarp.files.output import check_output, staged
-from omtwarp.options import CutAlong, Domain, FillArea, MapOptions, SurfaceKeywords, WeightsAt
+from omtwarp.files.output import check_output, folder_of_results, make_folder, staged
+from omtwarp.options import CutAlong, Device, Domain, FillArea, MapOptions, SurfaceKeywords, WeightsAt
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     import numpy as np
     from numpy.typing import NDArray
 
@@ -120,28 +119,7 @@ class Mass:
         return as_target(self.density, self.target_floor)
 
 
-@dataclass(frozen=True)
-class Poles:
-    """Which axes of the mesh point to the north pole and to longitude 0.
-
-    Options:
-        up (AXIS): The axis of the mesh towards the north pole; its shortest by default.
-        front (AXIS): The axis towards longitude 0; guessed where --up is given.
-    """
-
-    up: str | None = None
-    front: str | None = None
-
-    def turned(self, result: MapResult | TorusMap) -> MapResult | TorusMap:
-        """Return a map with the axes that are given where they belong, as it is where none is.
-
-        Raises:
-            OmtwarpError: as of :func:`standing`.
-        """
-        return result if self.up is None and self.front is None else standing(result, None, self.up, self.front)
-
-
-def run(
+def run_map(
     *,
     meshes: Annotated[list[Path], typer.Argument(metavar="MESH", callback=input_file)],
     output: Annotated[Path, output_option(".npz")],
@@ -153,7 +131,8 @@ def run(
     smoothing: Annotated[int | None, typer.Option(min=0, max=1000)] = None,
     beside: bool = False,
     radius: Annotated[float, typer.Option(min=1e-06, max=1000000000.0)] = 1.0,
-    poles: Poles,
+    up: str | None = None,
+    front: str | None = None,
     printing: Printing,
 ) -> None:
     """Map a surface to the unit sphere, with its area preserved.
@@ -187,21 +166,28 @@ def run(
         meshes: Closed triangle meshes of any format; - is standard input.
         repair: Repair the mesh first: equal vertices, orientation, small holes, largest component; prints what it did.
         radius: Radius of a sphere that is written as a mesh; FreeSurfer's is 100.
+        up (AXIS): The axis of the mesh towards the north pole; its shortest by default.
+        front (AXIS): The axis towards longitude 0; guessed where --up is given.
     """
 
     from omtwarp.mesh.neuro import structure_of
+    from omtwarp.mesh.write import SUFFIXES
 
     if topology.torus and beside:
         raise OmtwarpError("--beside is for maps to the sphere: a ring torus is written by itself")
-    targets = [target for target in outputs_of(meshes, output, ".ply" if beside else ".npz") if target is not None]
+    targets = outputs_of(meshes, output, ".ply" if beside else ".npz")
     reports = outputs_of(meshes, report, ".json")
-    check_outputs(meshes, targets, reports, beside)
+    for target, report_target in zip(targets, reports, strict=True):
+        check_output(target, (".ply",) if beside else (".npz", *SUFFIXES), *meshes)
+        if report_target is not None:
+            check_output(report_target, (".json",), *meshes, target)
     any_surface = topology.keywords()
     start_device(mapping.device)
     goal = mass.target()
 
-    def map_one(mesh: Path | None, target: Path) -> tuple[dict, str]:
+    def map_one(mesh: Path | None, files: tuple[Path, Path | None]) -> tuple[dict, str]:
         assert mesh is not None
+        target, report_target = files
         sound = read_sound_mesh(mesh, repair, any_surface=any_surface is not None, smoothing=smoothing)
         structure = structure_of(mesh)
         weights, belong = weights_of(mass, sound, structure)
@@ -215,13 +201,13 @@ def run(
             target=goal,
         )
         require_bijective(result)
-        result = poles.turned(result)
+        if up is not None or front is not None:
+            result = standing(result, None, up, front)
         if structure is not None:
             result.report["structure"] = structure
         result, file_faces = with_copies(result, sound, any_surface is None)
         with staged(target) as file:
             save(result, file, like=mesh, radius=radius, beside=beside, file_faces=file_faces)
-        report_target = reports[targets.index(target)]
         if report_target is not None:
             write_json_report(report_target, result, mesh, sound.notes)
         if printing.verbose:
@@ -229,29 +215,7 @@ def run(
         facts = facts_of(result, target, report_target)
         return facts, summary(facts)
 
-    show_each(meshes, targets, map_one, printing)
-
-
-def check_outputs(
-    meshes: Sequence[Path], targets: Sequence[Path | None], reports: Sequence[Path | None], beside: bool
-) -> None:
-    """Make sure that maps and their reports can be written, before anything long is computed.
-
-    Args:
-        meshes: the inputs, which must not be replaced.
-        targets, reports: files of the maps and of the reports, one for each mesh; None for none.
-        beside: whether a map is a mesh with its sphere at the vertices.
-
-    Raises:
-        OmtwarpError: an unknown suffix, a place that cannot be written to, or an input as the output.
-    """
-    from omtwarp.mesh.write import SUFFIXES
-
-    for target, report in zip(targets, reports, strict=True):
-        if target is not None:
-            check_output(target, (".ply",) if beside else (".npz", *SUFFIXES), *meshes)
-        if report is not None:
-            check_output(report, (".json",), *meshes, target)
+    show_each(meshes, zip(targets, reports, strict=True), map_one, printing)
 
 
 def write_json_report(file: Path, result: MapResult | TorusMap, mesh: Path, notes: list[str]) -> None:
@@ -364,3 +328,73 @@ def image_of(result: MapResult) -> NDArray:
 
     disk = getattr(result, "disk", None)
     return result.sphere if disk is None else np.concatenate([disk, np.zeros((len(disk), 1))], axis=1)
+
+
+UP, FRONT, VIEW = "z", "-y", (40.0, 15.0)
+"""The creature stands on its feet and looks past the viewer's right shoulder."""
+
+
+NAMES = ("creature.ply", "map.npz", "report.json", "globe.glb", "globe.png", "circles.png", "comparison.png")
+
+
+def run_demo(
+    *,
+    output: Annotated[Path, output_option(metavar="DIRECTORY")] = Path("out"),
+    faces: Annotated[int, typer.Option(min=2000, max=2000000)] = 20000,
+    device: Device = MapOptions.device,
+    printing: Printing,
+) -> None:
+    """Make a shape, map it, texture it and draw it: mesh, map, report, textured model and pictures.
+
+    Examples:
+        omtwarp demo -o out
+
+    Options:
+        output: Folder of the results.
+        faces: Roughly how many faces the shape has.
+    """
+    start_device(device)
+    make_folder(output)
+    with folder_of_results(output, *NAMES):
+        _make(output, faces, device, printing)
+
+
+def _make(output: Path, faces: int, device: str, printing: Printing) -> None:
+    """Make the files of the demo; arguments are those of the command."""
+    from omtwarp.mesh.shapes import demo_shape
+    from omtwarp.mesh.write import write_mesh
+    from omtwarp.render import comparison, preview
+    from omtwarp.texturing import rasterize, texture
+
+    files = [check_output(output / name) for name in NAMES]
+    mesh_file, map_file, report_file, model_file, globe_file, circles_file, comparison_file = files
+    start = time.perf_counter()
+
+    def notify(text: str) -> None:
+        if not printing.quiet and not printing.as_json:
+            print(f"{time.perf_counter() - start:6.1f} s  {text}", flush=True)
+
+    surface = demo_shape(faces)
+    write_mesh(mesh_file, surface.vertices, surface.faces)
+    notify(f"{mesh_file}: a creature of {surface.face_count} faces")
+    result = cast("MapResult", make_map(surface, MapOptions(device=device), quiet=printing.quiet))
+    with staged(map_file) as file:
+        save(result, file)
+    with staged(report_file) as file:
+        file.write_text(report_text({**result.report, "history": result.history}), "utf-8")
+    if printing.verbose:
+        say_stages(result)
+    facts = facts_of(result, map_file, report_file)
+    notify(summary(facts_of(result, map_file)))
+    globe = texture(result, pattern="globe", rotate=[0.0, -90.0, 0.0], device=device)  # Africa on its flank
+    globe.export(model_file)
+    notify(f"{model_file}: a globe pulled back to it")
+    circles = texture(result, pattern="circles", device=device)
+    for file_to_be, textured in ((globe_file, globe), (circles_file, circles)):
+        preview(textured.trimesh(), file_to_be, up=UP, front=FRONT, views=VIEW, device=device)
+        notify(f"{file_to_be}")
+    circles_picture = rasterize("circles", 2048, device=device)
+    comparison(result, comparison_file, image=circles_picture, up=UP, front=FRONT, views=VIEW, device=device)
+    notify(f"{comparison_file}: the conformal and the area-preserving map")
+    if printing.as_json:
+        print(report_text(facts | {"output": str(output), "files": [str(file) for file in files]}), end="")

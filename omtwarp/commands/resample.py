@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from omtwarp.commands._options import Printing, named, output_option
-from omtwarp.commands._streams import STREAM, input_file, output_file, progress_bar, steps
+from omtwarp.commands._streams import STREAM, input_file, output_file, step_times
 from omtwarp.commands._work import show_facts, start_device
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output
@@ -87,7 +87,7 @@ class Given:
         return replace(given, structure=given.structure or structure)
 
 
-def run(
+def run_resample(
     *,
     source: Annotated[str, typer.Argument(metavar="SOURCE", callback=input_file)],
     to: Annotated[str, typer.Option(metavar="TARGET", callback=input_file)],
@@ -140,18 +140,17 @@ def run(
     as_labels = given.labels or (data is not None and data.is_labels)  # of which the one of largest overlap is taken
     chosen = method or (Interpolation.CONSERVATIVE if as_labels else Interpolation.BARYCENTRIC)
     start_device(device)
-    with progress_bar(printing.quiet, printing.verbose) as progress:
-        notify = steps(progress, "resample", 3)
+    with step_times(printing.verbose) as done:
         ends = [file_points(source, surface), file_points(to, None)]
-        notify(1)
+        done("read")
         resampling = resample(*ends, method=chosen, device=device)
-        notify(2)
+        done("resample")
         if data is not None:
             _write(output, resampling, data, as_labels)
         else:
             _write_surface(output, resampling, like, to)
         extras.write(resampling, there if structure_of(there) else like)
-        notify(3)
+        done("write")
     show_facts(_record(resampling, output, data), _line(resampling, output, data, as_labels), printing)
 
 

@@ -1,20 +1,43 @@
-"""``omtwarp texture``: a picture or pattern on the sphere, pulled back to the surface."""
+"""``omtwarp texture``, ``unwrap`` and ``transfer``: texture coordinates, pictures and materials through maps."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from omtwarp.commands._options import Printing, RouteOptions, Source, output_option
-from omtwarp.commands._painted import painted_map, standing, with_objects
-from omtwarp.commands._streams import step_times, warnings_as_lines
-from omtwarp.commands._work import map_from, require_bijective, show_each, sizes, start_device, targets_of, with_files
+from omtwarp.commands._options import Only, Printing, RouteOptions, Source, output_option
+from omtwarp.commands._streams import input_file, say, step_times, warnings_as_lines
+from omtwarp.commands._work import (
+    make_map,
+    map_from,
+    require_bijective,
+    require_whole,
+    say_made,
+    show_each,
+    show_facts,
+    sizes,
+    start_device,
+    targets_of,
+    with_files,
+)
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output
-from omtwarp.options import AtlasName, Coordinates, Keep, PatternName, ProjectionName, TextureFormat
+from omtwarp.options import (
+    AtlasName,
+    Coordinates,
+    Device,
+    Domain,
+    Keep,
+    MapOptions,
+    PatternName,
+    ProjectionName,
+    TextureFormat,
+)
 
 if TYPE_CHECKING:
     import numpy as np
@@ -22,8 +45,160 @@ if TYPE_CHECKING:
 
     from omtwarp.maps.result import MapResult
     from omtwarp.maps.torus_map import TorusMap
+    from omtwarp.mesh.surface import Surface
     from omtwarp.options import MapOptions
     from omtwarp.texturing import PaintedMesh, TexturedSurface
+
+
+def read_sound_painted(path: Path, repair: bool) -> tuple[PaintedMesh, Surface]:
+    """Read a mesh with its coordinates and materials, and make sure that it can be mapped.
+
+    Raises:
+        OmtwarpError: the file cannot be read, or its mesh cannot be mapped.
+    """
+    from omtwarp.mesh.surface import Surface
+    from omtwarp.mesh.validate import require_valid
+    from omtwarp.texturing import read_painted_mesh
+
+    mesh = read_painted_mesh(path)
+    notes, origins = list(mesh.notes), None
+    if repair:
+        from omtwarp.mesh.repair import repair as repair_mesh
+
+        repaired = repair_mesh(mesh.vertices, mesh.faces)
+        if repaired.actions:
+            origins = dataclasses.replace(repaired.origins, given=len(mesh.vertices))
+            mesh = mesh.on(repaired.vertices, repaired.faces, repaired.face_origin)
+            notes += repaired.actions
+    for note in notes:
+        say(f"{path}: {note}")
+    surface = Surface(*require_valid(mesh.vertices, mesh.faces, str(path)))
+    surface.checked, surface.origins = True, origins
+    return mesh, surface
+
+
+def with_objects(path: Path | None, result: MapResult | TorusMap) -> PaintedMesh:
+    """Return the surface of a map as a plain mesh, with the names of objects in the file that it is from.
+
+    Faces that the file has not get its first name.
+
+    Args:
+        path: the file; one that is no OBJ has no names.
+        result: the map that was made of it.
+    """
+    import numpy as np
+
+    from omtwarp.texturing import PaintedMesh
+    from omtwarp.texturing.read import read_objects
+
+    mesh = PaintedMesh(result.vertices, result.faces)
+    names, numbers = ((), None) if path is None else read_objects(path)
+    if numbers is None:
+        return mesh
+    origin = np.arange(len(result.faces)) if result.origins is None else result.origins.face_origin
+    return dataclasses.replace(mesh, objects=names, face_object=np.where(origin < 0, 0, numbers[origin]))
+
+
+def painted_map(
+    path: Path, source: Source, mapping: MapOptions, printing: Printing
+) -> tuple[PaintedMesh, MapResult | TorusMap]:
+    """Return a mesh with its materials and its map, which is read where it is finished and computed otherwise.
+
+    Raises:
+        OmtwarpError: the mesh or the map cannot be used, or the map is of another mesh.
+    """
+
+    if source.finished is None:
+        mesh, surface = read_sound_painted(path, source.repair)
+        return mesh, mapped_surface(surface, path, mapping, printing)
+    from omtwarp.maps.torus_map import read_map
+    from omtwarp.texturing import read_painted_mesh
+
+    result = read_map(source.finished)
+    require_bijective(result, source.finished)
+    mesh = read_painted_mesh(path)
+    if source.repair and len(mesh.faces) != len(result.faces):
+        mesh, _ = read_sound_painted(path, source.repair)
+    try:
+        mesh.on(result.vertices, result.faces)
+    except OmtwarpError as error:
+        raise OmtwarpError(f"{source.finished} and {path}: {error}") from None
+    return mesh, result
+
+
+def painted_maps(
+    files: Sequence[tuple[Path, Path | None]], *, repair: bool, device: str, printing: Printing
+) -> list[tuple[PaintedMesh, MapResult]]:
+    """Return meshes with their materials and maps of the whole sphere; all are read before the first is mapped.
+
+    Args:
+        files: of meshes, each with that of its finished map, or None for one that is computed.
+        repair: whether to repair meshes first.
+        device: where kernels run.
+        printing: what is said about new maps.
+
+    Raises:
+        OmtwarpError: a mesh or a map cannot be used, a map is of another mesh, or does not cover the sphere.
+    """
+    known, sound, mapping = {}, {}, MapOptions(device=device)
+    for number, (path, of_map) in enumerate(files):
+        if of_map is None:
+            sound[number] = read_sound_painted(path, repair)
+        else:
+            mesh, result = painted_map(path, Source(finished=of_map, repair=repair), mapping, printing)
+            known[number] = mesh, require_whole(result, of_map)
+    for number, (mesh, surface) in sound.items():
+        known[number] = mesh, mapped_surface(surface, files[number][0], mapping, printing)
+    return [known[number] for number in range(len(files))]
+
+
+def standing(
+    result: MapResult | TorusMap, source: Path | None, up: str | None, front: str | None
+) -> MapResult | TorusMap:
+    """Turn a map so that pictures on its sphere stand upright on the surface, with their middle in front.
+
+    The sphere is turned as near as it can be to the directions that points have from the surface's centre, with the
+    upward axis at the north pole, where the upper border of a picture is, and the front axis at longitude 0.
+
+    Args:
+        result: a map; one that is not to a single whole sphere is returned as it is.
+        source: the file of the mesh, or of the map: this keeps its poles, which may be aligned, unless axes are given.
+        up: the axis upwards, guessed from the shape by default.
+        front: the axis towards the viewer, guessed in the same way.
+
+    Raises:
+        OmtwarpError: an axis has another name, the two are parallel, or axes are given for another domain.
+    """
+    import numpy as np
+
+    from omtwarp.geometry.axes import rotation_onto_axes
+    from omtwarp.maps.result import MapResult
+    from omtwarp.mesh.surface import Surface
+    from omtwarp.render.camera import Camera, camera_axes
+    from omtwarp.render.scene import SurfaceView
+    from omtwarp.render.upright import posed
+
+    given = up is not None or front is not None
+    if source is not None and source.suffix.lower() == ".npz" and not given:
+        return result
+    if not isinstance(result, MapResult) or result.domain != Domain.SPHERE or result.part is not None:
+        if given:
+            raise OmtwarpError("--up and --front are for maps of one surface to the whole sphere: leave them out")
+        return result
+    pose = posed(SurfaceView(result.vertices, result.faces), up, front)
+    right, above, ahead = camera_axes(Camera(azimuth=0.0, elevation=0.0), pose.up or "y", pose.front).T
+    surface = Surface(result.vertices, result.faces)
+    turn, certain = rotation_onto_axes(surface, result.sphere, np.stack([ahead, right, above]))
+    return result.turned(turn.T) if certain else result
+
+
+def mapped_surface(surface: Surface, path: Path, mapping: MapOptions, printing: Printing) -> MapResult:
+    """Map the surface of a file, and say how well."""
+    start_device(mapping.device)
+    made = cast("MapResult", make_map(surface, mapping, quiet=printing.quiet))
+    require_bijective(made)
+    say_made(made, path, printing)
+    return made
 
 
 def texture_width(text: str | None) -> str | None:
@@ -130,7 +305,7 @@ class Picture:
         return sides
 
 
-def run(
+def run_texture(
     *,
     output: Annotated[Path, output_option(".glb")],
     source: Source,
@@ -323,3 +498,106 @@ def one_number(text: str, option: str) -> float:
     if not abs(number) < float("inf"):
         raise OmtwarpError(f"{option} '{text}': not a number of degrees")
     return number
+
+
+def run_unwrap(
+    *,
+    output: Annotated[Path, output_option(".glb")],
+    source: Source,
+    aspect: Annotated[float, typer.Option(min=0.1, max=10.0)] = 1.0,
+    margin: Annotated[float, typer.Option(min=0.0, max=0.1)] = 1.0 / 128.0,
+    up: str | None = None,
+    front: str | None = None,
+    mapping: Annotated[MapOptions, Only(("refine", "device"))],
+    printing: Printing,
+) -> None:
+    """Give a mesh texture coordinates through its map, for programs that paint or bake: no cuts, no texture.
+
+    Examples:
+        omtwarp unwrap bunny.ply -o bunny.obj
+        omtwarp unwrap --map bunny.npz -o bunny.glb
+
+    Options:
+        output: .glb or .obj; a directory of .glb for several meshes.
+        aspect: Width of the picture over its height; 1.5 wastes no space.
+        margin: Margin around each chart, in heights of the picture.
+        up (AXIS): The axis that points upwards: y, z, -x, ...; guessed by default.
+        front (AXIS): The axis that points at the viewer in the front view.
+    """
+    from omtwarp.texturing.unwrap import laid_out
+
+    targets = targets_of(source, output, ".glb", (".glb", ".obj"))
+    start_device(mapping.device)
+
+    def unwrap_one(mesh: Path | None, target: Path) -> tuple[dict[str, object], str]:
+        result = map_from(mesh, source, mapping, printing)
+        require_bijective(result, source.finished)
+        result = standing(result, source.finished or mesh, up, front)
+        made, charts = laid_out(result, aspect=aspect, margin=margin)
+        named = with_objects(mesh, result)
+        made = replace(made, objects=named.objects, face_object=named.face_object)
+        files = made.export(target, keep=(mesh, source.finished))
+        facts = {"output": str(target), "files": [str(file) for file in files], "vertices": len(made.vertices)}
+        facts |= {"faces": len(made.faces), "charts": charts}
+        line = f"{target}: {len(made.vertices)} vertices, {len(made.faces)} faces, "
+        return facts, line + f"{charts} chart{'s' if charts > 1 else ''}{with_files(files)}"
+
+    show_each(source.meshes, targets, unwrap_one, printing)
+
+
+@dataclass(frozen=True)
+class How:
+    """Options of :func:`omtwarp.transfer_texture`, by their names there.
+
+    Options:
+        aligned: The maps are aligned already; do not rotate them.
+        mirror: Also try TO's mirror image, and take it if it fits better.
+        uv: Texture coordinates; own are those of TO.
+        atlas: Layout of the texture, where --uv is not own.
+        size: Width of the texture in texels.
+    """
+
+    aligned: bool = False
+    mirror: bool = False
+    uv: Annotated[Coordinates, typer.Option("--uv")] = Coordinates.ATLAS
+    atlas: AtlasName = AtlasName.CUBE
+    size: Annotated[int | None, typer.Option(min=16)] = None
+
+
+def run_transfer(
+    *,
+    source: Annotated[Path, typer.Argument(metavar="FROM", callback=input_file)],
+    target: Annotated[Path, typer.Argument(metavar="TO", callback=input_file)],
+    output: Annotated[Path, output_option(".glb")],
+    printing: Printing,
+    map_of_source: Annotated[Path | None, typer.Option("--map-from", metavar="NPZ", callback=input_file)] = None,
+    map_of_target: Annotated[Path | None, typer.Option("--map-to", metavar="NPZ", callback=input_file)] = None,
+    how: How,
+    repair: bool = False,
+    device: Device = MapOptions.device,
+) -> None:
+    """Carry the texture of one mesh over to another, each mapped to the sphere and the two aligned.
+
+    Examples:
+        omtwarp transfer scan.glb template.ply -o painted.glb
+
+    Options:
+        source: A mesh with a texture or colours, or -.
+        target: The mesh that gets the texture, or -.
+        output: .glb or .obj.
+        map_of_source: A finished map of FROM.
+        map_of_target: A finished map of TO.
+        repair: Repair the mesh first: equal vertices, orientation, small holes, largest component; prints what it did.
+    """
+    from omtwarp.transfer import transfer_texture
+
+    check_output(output, (".glb", ".obj"), source, target, map_of_source, map_of_target)
+    (painted, result), (plain, other) = painted_maps(
+        [(source, map_of_source), (target, map_of_target)], repair=repair, device=device, printing=printing
+    )
+    with warnings_as_lines():
+        made = transfer_texture(painted, result, other, onto=plain, device=device, **vars(how))
+    files = made.export(output, keep=(source, target, map_of_source, map_of_target))
+    facts: dict[str, object] = {"output": str(output), "files": [str(file) for file in files], "from": str(source)}
+    facts |= {"vertices": len(other.vertices), "faces": len(other.faces)}
+    show_facts(facts, f"{output}: {sizes(other)}, with the texture of {source}{with_files(files)}", printing)

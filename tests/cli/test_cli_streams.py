@@ -98,6 +98,13 @@ def test_check_of_several_meshes_as_json(folder, monkeypatch, capfdbinary):
     assert status == 0 and json.loads(out)["vertices"] == 42
 
 
+@pytest.mark.parametrize("words", [["check"], ["map", "-o", "map.npz"], ["texture", "-o", "made.glb"]])
+def test_json_of_a_single_mesh_that_fails_is_an_empty_list(folder, monkeypatch, capfdbinary, words):
+    """A script can parse what it gets, whatever the exit status."""
+    status, out, err = run(monkeypatch, capfdbinary, [words[0], "none.ply", *words[1:], "--json"])
+    assert status == 1 and json.loads(out) == [] and "none.ply: no such file" in err
+
+
 def test_maps_of_several_meshes(folder, monkeypatch, capfdbinary):
     words = ["map", "ball.ply", "ball.off", "-o", "maps", "--until", "conformal", "--device", "cpu"]
     status, _, err = run(monkeypatch, capfdbinary, words)
@@ -277,7 +284,7 @@ def test_no_example_is_shown_twice():
 def test_verbose_says_how_long_stages_took(folder, monkeypatch, capfdbinary):
     status, out, err = run(monkeypatch, capfdbinary, ["align", "map.npz", "-o", "turned.npz", "-v"])
     assert status == 0 and b"turned.npz: turned by" in out
-    assert re.fullmatch(r"omtwarp: align: \d+\.\d\d s\n", err)
+    assert re.fullmatch("".join(rf"omtwarp: {step}: \d+\.\d\d s\n" for step in ("read", "align", "write")), err)
 
 
 def test_a_mesh_beside_its_map_needs_a_use(folder, monkeypatch, capfdbinary):

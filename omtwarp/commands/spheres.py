@@ -1,4 +1,4 @@
-"""``omtwarp register``: a map's sphere, warped until its surface's features lie where another map has them."""
+"""``omtwarp align`` and ``register``: a map's sphere turned or warped until it matches another."""
 
 from __future__ import annotations
 
@@ -11,19 +11,165 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from omtwarp.commands._options import Printing, named
-from omtwarp.commands._streams import input_file, is_standard_output, progress_bar, warnings_as_lines
-from omtwarp.commands._work import Pair, show_facts
-from omtwarp.commands.film import FILMS
+from omtwarp.commands._options import Printing, named, output_option
+from omtwarp.commands._streams import input_file, is_standard_output, progress_bar, step_times, warnings_as_lines
+from omtwarp.commands._work import show_facts
+from omtwarp.commands.pictures import FILMS
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_folder, check_output
-from omtwarp.options import Side
+from omtwarp.options import AlignBy, Side
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from omtwarp.maps.result import MapResult
     from omtwarp.registration import GroupRegistration, Registration, SequenceRegistration
     from omtwarp.resampling import SpherePoints
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A sphere that is moved, another one, their surfaces, data at their vertices, and where the moved one goes.
+
+    Options:
+        source: A map (.npz), or a sphere as a mesh; - is standard input.
+        output: .npz for the whole map, or a mesh suffix for the sphere; - is standard output.
+        surface (MESH): The surface of MOVING, where MOVING is a sphere without one.
+        to_surface (MESH): The surface of the other sphere, where that is no .npz.
+        feature (FILE): Compare by these data at MOVING's vertices; repeat for more features.
+        to_feature (FILE): The same data at the other sphere's vertices, in this order.
+        radius: Radius of a sphere that is written as a mesh; FreeSurfer's is 100.
+    """
+
+    source: Annotated[Path, typer.Argument(metavar="MOVING", callback=input_file)]
+    output: Annotated[Path, output_option(".npz")]
+    surface: Path | None = None
+    to_surface: Path | None = None
+    feature: list[Path] | None = None
+    to_feature: list[Path] | None = None
+    radius: Annotated[float, typer.Option(min=1e-06, max=1000000000.0)] = 1.0
+
+    @property
+    def as_map(self) -> bool:
+        """Whether a whole map is written."""
+        return self.output.suffix.lower() == ".npz"
+
+    def check(self, other: Path | None) -> None:
+        """Make sure that the output can be written, and that no part of a brain meets another one.
+
+        Args:
+            other: the file of the other sphere, None where it is made.
+
+        Raises:
+            OmtwarpError: the output cannot be written, or is a map where there is none, or the parts differ.
+        """
+        from omtwarp.mesh.neuro import require_same_structure
+        from omtwarp.mesh.write import SUFFIXES
+
+        check_output(self.output, (".npz", *SUFFIXES), self.source, self.surface)
+        if self.as_map and self.source.suffix.lower() != ".npz":
+            raise OmtwarpError(f"cannot write '{self.output}': a whole map needs a map (.npz) as input")
+        for ours in (self.source, self.surface):
+            for theirs in (other, self.to_surface):
+                require_same_structure(ours, theirs)
+
+    def features(self, other: Path | None) -> tuple[dict[str, NDArray] | None, dict[str, NDArray] | None]:
+        """Read the data of both sides: their columns by name, with the same names in the same order; None for none.
+
+        Args:
+            other: as of :meth:`check`.
+
+        Raises:
+            OmtwarpError: a file cannot be read, or the two sides have different numbers of files or columns.
+        """
+        from omtwarp.mesh.data import read_data
+        from omtwarp.mesh.neuro import structure_of
+
+        ours, theirs = self.feature or [], self.to_feature or []
+        if len(ours) != len(theirs):
+            raise OmtwarpError(
+                f"{len(ours)} features here and {len(theirs)} there: give as many --to-feature as --feature"
+            )
+        mine: dict[str, NDArray] = {}
+        others: dict[str, NDArray] = {}
+        sides = (self.source, self.surface), (other, self.to_surface)
+        parts = [next(filter(None, map(structure_of, files)), None) if ours else None for files in sides]
+        for file, their_file in zip(ours, theirs, strict=True):
+            one, its_own = read_data(file, parts[0]).values, read_data(their_file, parts[1]).values
+            if one.shape[1] != its_own.shape[1]:
+                raise OmtwarpError(f"'{file}' and '{their_file}' hold different numbers of features")
+            for here, there in zip(one.T, its_own.T, strict=True):
+                name = f"{file} ({len(mine) + 1})"
+                mine[name], others[name] = here, there
+        return mine or None, others or None
+
+    def write(self, moved: Callable[[MapResult], MapResult], sphere: NDArray, faces: NDArray) -> None:
+        """Write the moved map, or its sphere as a mesh.
+
+        Args:
+            moved: moves the map.
+            sphere, faces: what a mesh holds, shapes [V, 3] and [F, 3].
+        """
+        from omtwarp.maps.result import MapResult
+        from omtwarp.mesh.write import write_mesh
+
+        if self.as_map:
+            moved(MapResult.load(self.source)).save(self.output)
+        else:
+            write_mesh(self.output, self.radius * sphere, faces, spherical=True, like=self.source)
+
+
+def run_align(
+    *,
+    pair: Pair,
+    to: Annotated[str, typer.Option(metavar="axes|FILE|GRID", callback=input_file)] = "axes",
+    by: AlignBy = AlignBy.AUTO,
+    mirror: bool = False,
+    degree: Annotated[int, typer.Option(min=1, max=64)] = 16,
+    printing: Printing,
+) -> None:
+    """Rotate a map's sphere by its shape's own axes, or to another map.
+
+    By axes, the longest axis of the first-order ellipsoid points to longitude 0, the shortest to the north pole. To
+    another map, features are correlated over all rotations: distance from the centre of the surface, area over area on
+    the sphere, or those given.
+
+    Examples:
+        omtwarp align left.npz --to right.npz -o aligned.npz
+        omtwarp align lh.npz --to axes -o lh.sphere.surf.gii --radius 100
+
+    Options:
+        to: The shape's own axes, another map or sphere (- is standard input), or a grid such as fsaverage5.
+        by: What to compare; vertices needs equal faces; auto takes it for two maps of one surface.
+        mirror: Also try the mirror image, and take it if it fits better.
+        degree: Highest degree of the spherical harmonics.
+    """
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    from omtwarp.alignment import align
+    from omtwarp.resampling import as_points, file_points
+    from omtwarp.spheres import is_named
+
+    other = None if to == "axes" or is_named(to) else Path(to)
+    pair.check(other)
+    with step_times(printing.verbose) as done:
+        moving = file_points(pair.source, pair.surface)
+        fixed = "axes" if to == "axes" else as_points(to) if other is None else file_points(other, pair.to_surface)
+        mine, others = pair.features(other)
+        done("read")
+        with warnings_as_lines():
+            alignment = align(moving, fixed, features=mine, to_features=others, by=by, mirror=mirror, degree=degree)
+        done("align")
+        faces = moving.grid.own_triangles[:, ::-1] if alignment.mirrored else moving.grid.own_triangles
+        pair.write(alignment.turned, alignment.sphere, faces)
+        done("write")
+    turn = alignment.rotation if not alignment.mirrored else alignment.rotation @ np.diag([-1.0, 1.0, 1.0])
+    degrees = np.degrees(Rotation.from_matrix(turn).magnitude())
+    margin = f", {alignment.margin:.3f} above the next best" if np.isfinite(alignment.margin) else ""
+    line = f"{pair.output}: turned by {degrees:.3f} degrees{', mirrored' * alignment.mirrored}; by {alignment.method} "
+    line += f"({alignment.basis}), score {alignment.score:.6f}{margin}"
+    show_facts({"output": str(pair.output), **alignment.to_dict()}, line, printing)
 
 
 @dataclass(frozen=True)
@@ -128,7 +274,7 @@ class Strength:
         return dict(vars(self))
 
 
-def run(
+def run_register(
     *,
     pair: Pair,
     several: Several,

@@ -1,24 +1,159 @@
-"""``omtwarp group``: mean, components and differences of a group of maps."""
+"""``omtwarp spharm``, ``distance`` and ``group``: shapes in spherical harmonics, how far two are apart, and groups."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from omtwarp.commands._options import Printing, output_option
-from omtwarp.commands._streams import STREAM, input_file, input_table, progress_bar, say
-from omtwarp.commands._work import load_whole_map, show_facts, start_device
+from omtwarp.commands._options import Printing, Source, output_option
+from omtwarp.commands._streams import STREAM, input_file, input_table, progress_bar, say, step_times
+from omtwarp.commands._work import load_whole_map, map_from, require_whole, show_facts, start_device
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
-from omtwarp.files.output import check_folder, folder_of_results
+from omtwarp.files.output import check_folder, check_output, folder_of_results, staged
 from omtwarp.options import Device, MapOptions
 
 if TYPE_CHECKING:
+    from omtwarp.shape_analysis.expansion import Expansion
     from omtwarp.shape_analysis.group import GroupStudy
+
+
+EXPANSIONS = (".coef", ".csv", ".npz")
+
+
+class Fit(StrEnum):
+    """How coefficients are found; the values are those of :func:`omtwarp.shape_analysis.expansion.expand`."""
+
+    LEAST_SQUARES = "least-squares"
+    QUADRATURE = "quadrature"
+
+
+def run_spharm(
+    *,
+    output: Annotated[Path, output_option(".csv")],
+    mesh: Annotated[Path | None, typer.Argument(metavar="MESH", callback=input_file)] = None,
+    finished: Annotated[Path | None, typer.Option("--map", metavar="NPZ", callback=input_file)] = None,
+    degree: Annotated[int, typer.Option(metavar="L", min=0, max=500)] = 15,
+    fit: Fit = Fit.LEAST_SQUARES,
+    reconstruction: Path | None = None,
+    repair: bool = False,
+    device: Device = MapOptions.device,
+    printing: Printing,
+) -> None:
+    """Expand a surface in spherical harmonics over its map to the sphere (SPHARM).
+
+    Holes are expanded as they were filled, but count for nothing in the error.
+
+    Harmonics are real and orthonormal, without the Condon-Shortley phase; a .coef file has SPHARM-PDM's own order and
+    signs.
+
+    Examples:
+        omtwarp spharm left.npz -o left.coef --degree 15 --reconstruction smooth.ply
+        omtwarp spharm left.npz -o left.csv --fit quadrature --json
+
+    Options:
+        output: .coef as SPHARM-PDM has it, .csv, or .npz with everything; - is standard output, as .csv.
+        degree: Highest degree of the harmonics.
+        fit: How to fit: least squares at the vertices, or integrals over the triangles.
+        reconstruction (MESH): Also write the surface that the coefficients describe.
+        mesh: A closed triangle mesh, or -; not needed with --map.
+        finished: A finished map (from 'omtwarp map') instead of a new one; - is standard input.
+        repair: Repair the mesh first: equal vertices, orientation, small holes, largest component; prints what it did.
+    """
+    import numpy as np
+
+    from omtwarp.mesh.surface import Surface
+    from omtwarp.mesh.write import SUFFIXES as MESH_SUFFIXES
+    from omtwarp.mesh.write import write_mesh
+    from omtwarp.shape_analysis.expansion import expand
+    from omtwarp.spheres import mesh_grid
+
+    check_output(output, EXPANSIONS, mesh, finished)
+    if reconstruction is not None:
+        check_output(reconstruction, tuple(MESH_SUFFIXES), mesh, finished, output)
+    start_device(device)
+    result = map_from(mesh, Source(finished=finished, repair=repair), MapOptions(device=device), printing)
+    result = require_whole(result, finished or mesh)
+    whole = result.closed()
+    mesh_grid(whole.sphere, whole.faces, str(finished or mesh))  # harmonics need a map that covers the sphere once
+    with step_times(printing.verbose) as done:
+        expansion = expand(whole.sphere, whole.vertices, degree, faces=whole.faces, method=fit.value)
+        done("expand")
+        again = expansion.at(result.sphere)
+        done("reconstruct")
+    areas = Surface(result.vertices, result.faces).vertex_areas
+    error = float(np.sqrt(areas @ ((again - result.vertices) ** 2).sum(axis=1) / areas.sum()))
+    _save_expansion(output, expansion)
+    if reconstruction is not None:
+        write_mesh(reconstruction, again, result.faces)
+    size = float(np.sqrt(expansion.power()[1:].sum() / (4.0 * np.pi)))
+    line = f"{output}: degree {degree}, root mean square error {error:.6g} of a size of {size:.6g}"
+    show_facts({"degree": degree, "rms_error": error, "power": expansion.power()}, line, printing)
+
+
+def _save_expansion(path: Path, expansion: Expansion) -> None:
+    """Write coefficients in the format of the file's suffix."""
+    import numpy as np
+
+    from omtwarp.files.inputs import write_arrays
+    from omtwarp.geometry.harmonics import degrees
+    from omtwarp.shape_analysis.expansion import write_coef
+
+    suffix = path.suffix.lower()
+    if suffix == ".coef":
+        write_coef(path, expansion)
+        return
+    degree = degrees(expansion.degree)
+    order = np.arange(len(degree)) - degree * (degree + 1)
+    if suffix == ".npz":
+        power = expansion.power()
+        write_arrays(path, {"coefficients": expansion.coefficients, "degree": degree, "order": order, "power": power})
+        return
+    with staged(path) as file:
+        rows = zip(degree.tolist(), order.tolist(), expansion.coefficients.tolist(), strict=True)
+        lines = [f"{n},{m}," + ",".join(map(repr, row)) for n, m, row in rows]
+        file.write_text("degree,order,x,y,z\n" + "\n".join(lines) + "\n", "utf-8")
+
+
+def run_distance(
+    *,
+    first: Annotated[Path, typer.Argument(metavar="A", callback=input_file)],
+    second: Annotated[Path, typer.Argument(metavar="B", callback=input_file)],
+    degree: Annotated[int, typer.Option(metavar="L", min=1, max=64)] = 12,
+    scale: bool = False,
+    device: Device = MapOptions.device,
+    printing: Printing,
+) -> None:
+    """Measure the distance of two shapes, whatever their positions and rotations.
+
+    There are two measures: the root mean square distance of corresponding points, from coefficients of spherical
+    harmonics; and the root of the least transport cost between the densities of their conformal maps, in radians.
+
+    Examples:
+        omtwarp distance left.npz right.npz --json
+
+    Options:
+        first: A map (.npz); - is standard input.
+        second: Another map (.npz).
+        degree: Highest degree of the harmonics.
+        scale: Scale both shapes to the same size before coefficients are compared.
+    """
+    from omtwarp.shape_analysis.distance import shape_distance
+
+    start_device(device)
+    ends = load_whole_map(first), load_whole_map(second)
+    with progress_bar(printing.quiet, printing.verbose) as progress:
+        distances = shape_distance(*ends, degree=degree, scale=scale, device=device, progress=progress)
+    coefficients, transport = f"{distances.coefficients:.6g}", f"{distances.transport:.6g}"
+    if printing.quiet and not printing.as_json:
+        print(coefficients, transport)
+    line = f"coefficients {coefficients} (the surfaces' unit), transport {transport} radians"
+    show_facts({"first": str(first), "second": str(second), **distances.to_dict()}, line, printing)
 
 
 @dataclass(frozen=True)
@@ -44,7 +179,7 @@ class Study:
     transport: bool = False
 
 
-def run(
+def run_group(
     *,
     sources: Annotated[list[str], typer.Argument(metavar="MANIFEST|MAPS")],
     output: Annotated[Path, output_option(metavar="DIR")],
@@ -93,7 +228,7 @@ def run(
     if mirrored:
         say(f"warning: {mirrored}")
     facts = {"output": str(output), "files": [file.name for file in files], "shapes": len(paths)}
-    show_facts(facts | _findings(found, names), _line(found, output), printing)
+    show_facts(facts | _findings(found, names), _group_line(found, output), printing)
 
 
 def _findings(study: GroupStudy, names: Sequence[str]) -> dict[str, object]:
@@ -110,7 +245,7 @@ def _findings(study: GroupStudy, names: Sequence[str]) -> dict[str, object]:
     }
 
 
-def _line(study: GroupStudy, output: Path) -> str:
+def _group_line(study: GroupStudy, output: Path) -> str:
     shares = ", ".join(f"{100 * share:.0f} %" for share in study.components.explained)
     line = f"{output / 'report.html'}: {len(study.from_mean)} shapes, components with {shares} of the variance"
     least = ", ".join(f"{name} {effect.p_values.min():.3g}" for name, effect in study.effects.items())
