@@ -33,7 +33,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 import omtwarp
-from omtwarp.open_surfaces.planar import flipped_in_plane
+from omtwarp.open_surfaces.held import flipped_in_plane
 from omtwarp.topology.kind import boundary_loops
 
 STEPS, ENOUGH = 100, 1e-6

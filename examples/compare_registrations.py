@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 import omtwarp
-from omtwarp.flips.predicates import flipped_faces
+from omtwarp.flips.exact import flipped_faces
 from omtwarp.geometry.harmonics import real_harmonics
 from omtwarp.mesh.data import VertexData, write_data
 from omtwarp.mesh.surface import triangle_areas

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 import omtwarp
-from omtwarp.flips.predicates import count_flips
+from omtwarp.flips.exact import count_flips
 from omtwarp.metrics import distortion
 from omtwarp.transport.flow import optimal_transport
 from omtwarp.transport.paper import paper_flow

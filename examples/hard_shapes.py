@@ -21,8 +21,7 @@ import numpy as np
 
 import omtwarp
 from omtwarp.mesh import shapes
-from omtwarp.mesh.checks import as_surface
-from omtwarp.mesh.surface import Surface
+from omtwarp.mesh.surface import Surface, as_surface
 
 ROUNDS, SPINES, SPINE_LENGTH, SPHERE_FREQUENCY = 6, 50, 3.0, 16
 ORDINARY: dict[str, Callable[[int], Surface]] = {

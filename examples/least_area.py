@@ -22,8 +22,7 @@ from collections.abc import Iterator
 import numpy as np
 
 import omtwarp
-from omtwarp.mesh.checks import as_surface
-from omtwarp.mesh.surface import Surface
+from omtwarp.mesh.surface import Surface, as_surface
 from omtwarp.optimal.refinement import least_distortion
 
 SIDES, HEIGHT = 24, 1.0  # of the prism

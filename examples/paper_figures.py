@@ -351,7 +351,7 @@ def cost_curve(path: Path, meshes: Meshes, number: int) -> None:
     """
     import convergence
 
-    from omtwarp.flips.predicates import count_flips
+    from omtwarp.flips.exact import count_flips
     from omtwarp.metrics.optimality import optimality
     from omtwarp.transport.flow import MAXIMUM_ITERATIONS
 

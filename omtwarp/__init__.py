@@ -13,7 +13,7 @@ import importlib
 from types import ModuleType as _ModuleType
 from typing import TYPE_CHECKING
 
-from omtwarp.maps.display import Displayable as _Displayable
+from omtwarp.maps import Displayable as _Displayable
 
 # The module that every public name comes from; `shapes` is itself a module.
 _PUBLIC = {

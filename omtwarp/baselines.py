@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from omtwarp.conformal.centring import centre_points
-from omtwarp.conformal.haker import most_regular_face
+from omtwarp.conformal.maps import most_regular_face
 from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import TINY, Floats
-from omtwarp.mesh.checks import MeshLike, as_surface
-from omtwarp.mesh.surface import Surface, triangle_areas
+from omtwarp.mesh.surface import MeshLike, Surface, as_surface, triangle_areas
 from omtwarp.options import Progress, tell
 from omtwarp.solvers.poisson import Factorization, LaplacianSolver
 

@@ -15,8 +15,7 @@ from omtwarp.geometry.spherical import TINY
 from omtwarp.location import walk
 from omtwarp.measures import TargetDensity
 from omtwarp.mesh.arrays import Floats
-from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
-from omtwarp.mesh.surface import SPHERE_AREA
+from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, as_sphere, as_surface
 from omtwarp.options import Progress, Record, tell
 from omtwarp.solvers.poisson import PoissonSolver, cotangent_solver, solve_arrays
 

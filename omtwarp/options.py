@@ -22,7 +22,7 @@ from typing import (
     get_type_hints,
 )
 
-from omtwarp.device.names import Solver, parse_device
+from omtwarp.device import Solver, parse_device
 from omtwarp.errors import OmtwarpError, choose, shown
 
 Record: TypeAlias = dict[str, float]

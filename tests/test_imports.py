@@ -47,7 +47,7 @@ HEAVY_ROOMS = {
     },
     "omtwarp.optimal": {"omtwarp.start.hierarchical"},
     "omtwarp.start": {"omtwarp.start.hierarchical"},
-    "omtwarp.open_surfaces": {"omtwarp.start.hemispherical"},
+    "omtwarp.open_surfaces": {"omtwarp.start.hierarchical"},
     # A driver waits for processes, and draws pictures, and registers a group, at the end.
     "omtwarp.cohort": {"omtwarp.cohort.page", "omtwarp.registration"},
     # A picture by OpenGL needs no Warp, and the process that draws it nothing but its own modules.

@@ -16,11 +16,10 @@ from sphere_truths import SHARED, apart, judge, mean_edge, random_rotation, ring
 
 import omtwarp
 from omtwarp.errors import OmtwarpError
-from omtwarp.flips.predicates import count_flips
+from omtwarp.flips.exact import count_flips
 from omtwarp.mapping.pipeline import map_to_sphere
-from omtwarp.mesh.checks import as_surface
 from omtwarp.mesh.shapes import blob, demo_shape, icosphere, random_sphere, tube
-from omtwarp.mesh.surface import Surface
+from omtwarp.mesh.surface import Surface, as_surface
 from omtwarp.metrics.certificate import certify_triangles
 from omtwarp.metrics.optimality import map_optimality
 from omtwarp.optimal.nested import smoothed

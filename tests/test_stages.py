@@ -152,7 +152,7 @@ def test_a_surface_is_examined_once(monkeypatch):
     assert not surface.checked
     omtwarp.moser_map(surface, START, device="cpu")
     assert surface.checked
-    monkeypatch.setattr("omtwarp.mesh.checks.require_valid", lambda *_: pytest.fail("examined again"))
+    monkeypatch.setattr("omtwarp.mesh.surface.require_valid", lambda *_: pytest.fail("examined again"))
     omtwarp.moser_map(surface, START, device="cpu")
 
 

@@ -16,11 +16,11 @@ import numpy as np
 
 from omtwarp.benchmark.roofline import LaunchRecorder, copy_bandwidth
 from omtwarp.benchmark.runner import made
-from omtwarp.device.graphs import step_by_step
-from omtwarp.device.names import core_count
+from omtwarp.device import core_count
 from omtwarp.device.policy import is_cuda, resolve_device
 from omtwarp.device.prewarm import prewarm
 from omtwarp.device.start import wp
+from omtwarp.device.threads import step_by_step
 from omtwarp.errors import OmtwarpError
 from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.maps.result import MapResult

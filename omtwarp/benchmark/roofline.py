@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from omtwarp.benchmark.measure import Facts
-from omtwarp.device.graphs import step_by_step
 from omtwarp.device.start import wp
+from omtwarp.device.threads import step_by_step
 from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mesh.surface import Surface
 

@@ -20,10 +20,9 @@ from omtwarp.geometry import cotangent_laplacian
 from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mesh import shapes
 from omtwarp.mesh.arrays import Floats
-from omtwarp.mesh.checks import MeshLike, as_surface
 from omtwarp.mesh.quarter import quarter
 from omtwarp.mesh.read import read_mesh
-from omtwarp.mesh.surface import Surface
+from omtwarp.mesh.surface import MeshLike, Surface, as_surface
 from omtwarp.options import Record
 from omtwarp.solvers.cholesky import MultifrontalCholesky, surface_dissection
 from omtwarp.solvers.cholesky.saddle import expand

@@ -33,12 +33,11 @@ from omtwarp.files.output import digest_of, staged
 from omtwarp.mapping.any_surface import map_surface
 from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.checks import MeshLike
 from omtwarp.mesh.neuro import structure_of
 from omtwarp.mesh.read import read_joined_mesh, read_mesh
 from omtwarp.mesh.repair import NOTED_LOSS, repair
 from omtwarp.mesh.shapes import blob
-from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
+from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, triangle_areas
 from omtwarp.mesh.write import write_mesh
 from omtwarp.options import Domain, FillArea, MapKeywords
 

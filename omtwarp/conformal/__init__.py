@@ -1,8 +1,7 @@
 """Section 4.1: the conformal map to the sphere, its centring and its density."""
 
 from omtwarp.conformal.centring import CentredMap, centre_points, mobius_centring
-from omtwarp.conformal.haker import ConformalMap, conformal_map, density
-from omtwarp.conformal.harmonic import HarmonicMap, harmonic_points
+from omtwarp.conformal.maps import ConformalMap, HarmonicMap, conformal_map, density, harmonic_points
 
 __all__ = [
     "CentredMap",

@@ -19,7 +19,7 @@ from omtwarp.device.start import KERNEL_OPTIONS, ONE, TWO, wp
 from omtwarp.device.sums import GROUP, LANES, RowSums, first_row, partial_count
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import Floats, real_numbers
-from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface, as_unit_vectors
+from omtwarp.mesh.surface import MeshLike, as_sphere, as_surface, as_unit_vectors
 from omtwarp.options import Progress, Record, tell
 
 wp.set_module_options(KERNEL_OPTIONS)

@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator
 from contextvars import ContextVar
 
-from omtwarp.device.names import Solver, parse_device
+from omtwarp.device import Solver, parse_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError, choose
 

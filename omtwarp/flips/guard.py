@@ -13,7 +13,7 @@ import numpy as np
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import list_threads, resolve_device
 from omtwarp.device.start import KERNEL_OPTIONS, ZERO, wp
-from omtwarp.flips.rings import is_bijective
+from omtwarp.flips.exact import is_bijective
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import Surface
 
@@ -211,7 +211,7 @@ class StepGuard:
 
         As exact as floating point is.
 
-        :func:`omtwarp.flips.predicates.count_flips` decides exactly.
+        :func:`omtwarp.flips.exact.count_flips` decides exactly.
         """
         self._counters.zero_()
         wp.launch(

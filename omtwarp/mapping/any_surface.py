@@ -19,16 +19,22 @@ from omtwarp.maps.result import MapResult, MeshReport, StageReport, SurfaceRepor
 from omtwarp.maps.torus_map import TorusMap
 from omtwarp.measures import face_weights
 from omtwarp.mesh.arrays import Floats, edge_keys
-from omtwarp.mesh.checks import MeshLike
 from omtwarp.mesh.origins import Derived, Origins
 from omtwarp.mesh.quarter import PARTS, quarter
-from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
+from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, triangle_areas
 from omtwarp.mesh.validate import unit_coordinates
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.open_surfaces.caps import disk_to_cap, hemisphere_to_disk, pack_caps
-from omtwarp.open_surfaces.exact_areas import Quartered, exact_in_plane, exact_on_cap, shares_of_polygons
+from omtwarp.open_surfaces.held import (
+    Quartered,
+    exact_in_plane,
+    exact_on_cap,
+    match_in_plane,
+    shares_of_polygons,
+    untangle_in_plane,
+    untangle_on_cap,
+)
 from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetric_map
-from omtwarp.open_surfaces.planar import match_in_plane, untangle_in_plane, untangle_on_cap
 from omtwarp.optimal.refinement import refinement_weight
 from omtwarp.options import (
     AreaMatch,
@@ -48,8 +54,7 @@ from omtwarp.options import (
 )
 from omtwarp.spheres import triangle_solid_angles
 from omtwarp.texturing.density import TargetLike
-from omtwarp.topology.doubling import Double, double, quartered_double, split_chords
-from omtwarp.topology.filling import FilledSurface, fill_holes
+from omtwarp.topology.closing import Double, FilledSurface, double, fill_holes, quartered_double, split_chords
 from omtwarp.topology.handles import cut_handles, cut_open, slit_open
 from omtwarp.topology.kind import (
     Part,

@@ -19,17 +19,16 @@ from omtwarp.device.policy import resolve_device, solves_with_scipy, solving_wit
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
+from omtwarp.flips.exact import Examined, examine, is_bijective
 from omtwarp.flips.guard import hold_back
-from omtwarp.flips.rings import Examined, examine, is_bijective
 from omtwarp.geometry.axes import principal_axes, rotation_onto_axes, towards_coordinates, turned_towards
 from omtwarp.geometry.space_order import OrderedSurface, in_space_order
 from omtwarp.mapping.verdict import judge, refusal
 from omtwarp.maps.result import MapReport, MapResult, StageRecord, renumbered
 from omtwarp.measures import TargetDensity, mass_distortion, weighted_surface
 from omtwarp.mesh.arrays import TINY, Floats, normalised
-from omtwarp.mesh.checks import MeshLike, as_surface, as_unit_vectors
 from omtwarp.mesh.quarter import quarter
-from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_surface, as_unit_vectors
 from omtwarp.metrics.certificate import Certificate, certify_triangles
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.metrics.optimality import Optimality, optimality, relative_curl
@@ -62,7 +61,7 @@ from omtwarp.options import (
 from omtwarp.solvers.mesh_factor import begin_saddle_order
 from omtwarp.start.choice import bijective_start
 from omtwarp.texturing.density import TargetLike, as_target
-from omtwarp.topology.doubling import Double, quartered_double
+from omtwarp.topology.closing import Double, quartered_double
 from omtwarp.transport.cost import AreaMonitor, transport_cost
 from omtwarp.untangling.untangle import RepairBudget, untangle
 from omtwarp.version import package_version

@@ -15,8 +15,8 @@ from omtwarp.mesh.arrays import TINY, Floats
 from omtwarp.mesh.origins import named_face, named_vertex
 from omtwarp.mesh.quarter import PARTS
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
+from omtwarp.optimal.refinement import not_matched
 from omtwarp.options import AreaMatch, MapOptions, Method, Refinement, Stage
-from omtwarp.refine.matching import not_matched
 from omtwarp.spheres import triangle_solid_angles
 
 # Mean of r + 1/r, r the area of a triangle's image over the area wanted. Smooth shapes of a few hundred triangles are

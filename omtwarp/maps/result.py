@@ -17,7 +17,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import open_input, read_arrays, write_arrays
 from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.files.output import as_path
-from omtwarp.maps.display import Displayable
+from omtwarp.maps import Displayable
 from omtwarp.mesh.arrays import (
     Floats,
     Ints,

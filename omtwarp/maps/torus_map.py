@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.flips.predicates import flipped_faces
+from omtwarp.flips.exact import flipped_faces
 from omtwarp.maps.result import (
     OF_TORUS_MAPS,
     MapResult,

@@ -10,11 +10,10 @@ from numpy.typing import ArrayLike
 from omtwarp.device.arrays import triangles, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import KERNEL_OPTIONS, wp
-from omtwarp.flips.rings import Examined, examine
+from omtwarp.flips.exact import Examined, examine
 from omtwarp.geometry.spherical import triple_product
 from omtwarp.mesh.arrays import Floats, Ints, real_numbers, require_unit_length
-from omtwarp.mesh.checks import MeshLike, as_faces, as_triangles
-from omtwarp.mesh.surface import SPHERE_AREA, triangle_areas
+from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, as_faces, as_triangles, triangle_areas
 
 wp.set_module_options(KERNEL_OPTIONS)
 

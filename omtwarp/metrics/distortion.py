@@ -22,7 +22,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, wp
 from omtwarp.geometry.spherical import TINY, solid_angle, triple_product
 from omtwarp.mesh.arrays import Floats, in_range, real_numbers, require_unit_length
-from omtwarp.mesh.checks import MeshLike, as_faces, as_triangles
+from omtwarp.mesh.surface import MeshLike, as_faces, as_triangles
 
 wp.set_module_options(KERNEL_OPTIONS)
 

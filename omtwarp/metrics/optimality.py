@@ -52,8 +52,7 @@ from omtwarp.errors import OmtwarpError, choose
 from omtwarp.geometry import DifferentialOperators
 from omtwarp.geometry.axes import turned_towards
 from omtwarp.mesh.arrays import TINY, Floats, Ints, real_number, real_numbers, whole_number
-from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
-from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
+from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_sphere, as_surface, triangle_areas
 from omtwarp.metrics import optimality_kernels as kernels
 from omtwarp.metrics.ascent import ascend
 from omtwarp.metrics.optimality_dual import Bound, SourceBound, SourceDual, TransportDual

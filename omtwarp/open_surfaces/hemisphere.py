@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.flips.rings import is_bijective
+from omtwarp.flips.exact import is_bijective
 from omtwarp.geometry.axes import turned_about_pole
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import Surface
 from omtwarp.open_surfaces.symmetric import ACROSS, folded_map
 from omtwarp.options import Progress
-from omtwarp.topology.doubling import Double
+from omtwarp.topology.closing import Double
 from omtwarp.untangling.untangle import RepairBudget, untangle
 
 
@@ -108,7 +108,7 @@ def symmetric_start(
     Returns:
         The map, shape [W, 3]; None where float64 has no room for one.
     """
-    from omtwarp.start.hemispherical import hemispherical_embedding  # its kernels are read for few surfaces
+    from omtwarp.start.hierarchical import hemispherical_embedding  # its kernels are read for few surfaces
 
     own = double.half
     faces, areas = surface.faces[: surface.face_count // 2], surface.face_areas[: surface.face_count // 2]

@@ -24,10 +24,10 @@ from omtwarp.optimal.sphere import GeodesicCost, Sphere, SphereShape
 from omtwarp.options import Cost, Progress
 from omtwarp.refine.energy import DistortionEnergy
 from omtwarp.solvers.cholesky import dissect
+from omtwarp.solvers.cholesky.saddle import COORDINATES, SaddleMatrix
 from omtwarp.solvers.mesh_factor import SaddlePointFactor, cell_saddle_factor, solve_parts, vertex_saddle_factor
-from omtwarp.solvers.saddle_matrix import COORDINATES, SaddleMatrix
-from omtwarp.solvers.triangle_newton.motion_kernels import from_tangent, to_tangent
-from omtwarp.topology.doubling import Double
+from omtwarp.solvers.motion_kernels import from_tangent, to_tangent
+from omtwarp.topology.closing import Double
 from omtwarp.untangling.steps import FlipFreeSteps
 
 Floats = NDArray[np.float64]
@@ -122,7 +122,7 @@ def symmetric_exact_map(
 
     Args:
         double: the surface and its copy, their triangles cut into four, see
-            :func:`omtwarp.topology.doubling.quartered_double`.
+            :func:`omtwarp.topology.closing.quartered_double`.
         quartered: the double as parts of 2F triangles, V vertices, with the areas that are to be kept.
         sphere: a symmetric map without flips to begin with, shape [V, 3].
         start: the points x that are transported, symmetric, shape [V, 3].

@@ -144,7 +144,7 @@ class Cells(Protocol):
         """Return the sum of the potentials of the cells that a triangle belongs to, shape [F]."""
 
     def slopes(self, of_triangles: wp.array, out: wp.array) -> None:
-        """Write the derivatives of the areas as :class:`omtwarp.solvers.saddle_matrix.SaddleMatrix` has them.
+        """Write the derivatives of the areas as :class:`omtwarp.solvers.cholesky.saddle.SaddleMatrix` has them.
 
         Args:
             of_triangles: derivatives of the triangles' areas by their corners, vec2d, shape [F, 3].

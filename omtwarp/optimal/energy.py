@@ -7,7 +7,7 @@ conformal sphere and is mapped to y_v. With a_v(y) the solid angle of the triang
 
 where S is angle plus area distortion of the triangles (:mod:`omtwarp.refine.energy`) and β is small. Some modes of a
 mesh change neither C nor these areas; S determines them. The formulas are the same where other cells than the triangles
-around vertices keep their areas (:mod:`omtwarp.optimal.cells`), and on a torus (:mod:`omtwarp.optimal.plane`).
+around vertices keep their areas (:mod:`omtwarp.optimal.cells`).
 
 The cost is written with the areas of the image in place of the masses, C' = Σ a_v d(x_v, y_v)² / 12π. On maps that keep
 the areas C' = C, so that the problem is the same. But the multipliers p_v of C' belong to the points x_v, and do not
@@ -19,12 +19,18 @@ each vertex,
     H_v = a_v / 6π · (second derivative of d²/2 - ψ) = a_v / 6π · (derivative of the inverse map y -> x),
 
 symmetric and positive at the optimum (Ma, Trudinger and Wang 2005): :func:`omtwarp.optimal.kernels.cost_metric`.
+
+Where vertices move, what their places cost and how triangles are shaped are three protocols, of which a sphere
+(:mod:`omtwarp.optimal.sphere`) and the plane (:mod:`omtwarp.optimal.plane`) have each a class. Points and vectors of
+vertices are arrays on the device, of vec3d on the sphere and vec2d in the plane. Every point has a frame, two
+directions of unit length at right angles: matrices are written in coordinates along them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,18 +40,108 @@ from omtwarp.device.start import wp
 from omtwarp.device.sums import Reading, sums_for
 from omtwarp.device.threads import Arguments, cut, launch_parts
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.surface import SPHERE_AREA
+from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.cells import Cells
 from omtwarp.optimal.combination import combine, scaled
-from omtwarp.optimal.domain import Domain, Shape, ShapeTerms, VertexCost
 from omtwarp.optimal.kernels import area_errors, raise_diagonal, vertex_entries
 from omtwarp.solvers.cholesky import NotPositiveDefinite
+from omtwarp.solvers.cholesky.saddle import COORDINATES, SaddleMatrix
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
-from omtwarp.solvers.saddle_matrix import COORDINATES, SaddleMatrix
-from omtwarp.solvers.triangle_newton.newton_kernels import gather_edge_blocks
+from omtwarp.solvers.newton import gather_edge_blocks
 from omtwarp.untangling.steps import FlipFreeSteps
 
 Numbers = NDArray[np.float64]
+
+
+class Domain(Protocol):
+    """Where the vertices of one surface's maps move: V vertices, F triangles, D coordinates a point.
+
+    Attributes:
+        surface: what is mapped.
+        device: a Warp device.
+    """
+
+    surface: Surface
+    device: wp.Device
+
+    def sent(self, values: Numbers) -> wp.array:
+        """Return points or vectors of the vertices, shape [V, D], as an array on the device."""
+
+    def flipped(self, points: Numbers) -> NDArray[np.bool_]:
+        """Return a mask of the triangles that are turned over, shape [F]."""
+
+    def areas(self, points: wp.array) -> wp.array:
+        """Return the area of every triangle, negative where it is turned over, float64, shape [F]."""
+
+    def area_slopes(self, points: wp.array) -> wp.array:
+        """Return the derivatives of every area by its corners, in their frames, vec2d, shape [F, 3]."""
+
+    def coordinates(self, points: wp.array, vectors: wp.array) -> wp.array:
+        """Return vectors, shape [V], in the frames at ``points``, float64, shape [V, 2]."""
+
+    def vectors(self, points: wp.array, coordinates: wp.array) -> wp.array:
+        """Return the vectors with these coordinates, float64, shape [V, 2], in the frames at ``points``, shape [V]."""
+
+    def steps(self) -> FlipFreeSteps:
+        """Return an object that moves maps along vectors without flipping triangles."""
+
+
+class VertexCost(Protocol):
+    """A cost of every vertex's place; arrays are float64 on the device."""
+
+    def values(self, points: wp.array) -> wp.array:
+        """Return the cost of every vertex, shape [V]."""
+
+    def gradient(
+        self, points: wp.array, masses: wp.array, potential: wp.array, further: wp.array, weight: float
+    ) -> wp.array:
+        """Return the gradient of Σ masses_v cost_v + Σ potential_f area_f by the vertices, shape [V].
+
+        Masses, shape [V], and the potential of every triangle, shape [F], are taken as constant. ``weight`` times a
+        further gradient is added.
+        """
+
+    def hessian(self, points: wp.array, masses: wp.array, least: float) -> wp.array:
+        """Return the second derivative of what :meth:`gradient` differentiates, at the optimum, shape [V, 4].
+
+        Of each 2x2 matrix row by row, in the frame of the point. Eigenvalues are raised to ``least`` times twice the
+        mass.
+        """
+
+
+class ShapeTerms(Protocol):
+    """The distortion of one map.
+
+    Attributes:
+        angle, area: mean distortions of the triangles, less 2.
+        d_volume: what steps keep positive of every triangle, float64, shape [F], on the device.
+    """
+
+    @property
+    def angle(self) -> float: ...
+
+    @property
+    def area(self) -> float: ...
+
+    @property
+    def d_volume(self) -> wp.array: ...
+
+    def total(self, weight: float) -> float:
+        """Return angle plus ``weight`` times area distortion, and what keeps triangles from turning over."""
+
+
+class Shape(Protocol):
+    """The distortion of the triangles of one surface's maps."""
+
+    def begin(self, points: wp.array, reading: Reading) -> Callable[[Numbers], ShapeTerms]:
+        """Begin to measure the distortion of a map; return what makes its terms of the numbers that are read."""
+
+    def gradient(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
+        """Return the gradient by the vertices of the total of ``terms``."""
+
+    def hessian(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
+        """Return every triangle's Hessian in its corners' frames, semidefinite: on and above the diagonal, [F, 21]."""
+
 
 # λ of the shape term: weight of the area distortion of triangles against angle distortion, large enough that no
 # slivers arise.
@@ -108,7 +204,7 @@ class TransportEnergy:
         device: a Warp device.
         reading: numbers on their way from the device.
         matrix: of the last Newton step.
-        exact_tolerance: largest relative error after :func:`omtwarp.optimal.restoration.restore_areas`.
+        exact_tolerance: largest relative error after :func:`omtwarp.optimal.exact.restore_areas`.
         has_local_steps: whether :class:`omtwarp.optimal.local.LocalSteps` may move single vertices of the maps; they
             know the energy of :func:`omtwarp.optimal.sphere.energy_on_sphere` alone.
     """
@@ -297,6 +393,3 @@ class TransportEnergy:
         """Return the step of every vertex, vec3d, or vec2d in the plane, shape [V], from a system's solution."""
         first = COORDINATES * self.surface.vertex_count
         return self.domain.vectors(points, solution[:first].reshape((-1, COORDINATES)))
-
-
-__all__ = ["AREA_WEIGHT", "LEAST_EIGENVALUE", "MapTerms", "TransportEnergy"]

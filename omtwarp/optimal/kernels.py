@@ -7,8 +7,8 @@ to be 3 m_v; P_v is the potential of the target at y_v. See :mod:`omtwarp.optima
 # mypy: ignore-errors
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import TINY, logarithm, oriented_volume
-from omtwarp.solvers.triangle_newton.newton_kernels import vertex_block
-from omtwarp.solvers.triangle_newton.triangle import first_tangent
+from omtwarp.solvers.newton import vertex_block
+from omtwarp.solvers.triangle import first_tangent
 
 wp.set_module_options(KERNEL_OPTIONS)
 

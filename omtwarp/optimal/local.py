@@ -29,7 +29,7 @@ from omtwarp.optimal.sphere import GeodesicCost, SphereShape
 from omtwarp.refine.energy import Terms
 from omtwarp.solvers.cholesky.envelope import COLUMNS, Envelopes
 from omtwarp.solvers.cholesky.saddle import UNKNOWNS
-from omtwarp.solvers.triangle_newton.small_patches import lanes_on, launch_patches
+from omtwarp.solvers.patches import lanes_on, launch_patches
 
 Numbers = NDArray[np.float64]
 

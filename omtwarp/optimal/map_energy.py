@@ -9,8 +9,7 @@ from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.mesh.arrays import real_number, real_numbers
-from omtwarp.mesh.checks import MeshLike, as_surface, as_unit_vectors
-from omtwarp.mesh.surface import SPHERE_AREA
+from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, as_surface, as_unit_vectors
 from omtwarp.optimal.energy import AREA_WEIGHT
 from omtwarp.optimal.solver import SHAPE_WEIGHT
 from omtwarp.optimal.sphere import energy_on_sphere

@@ -13,17 +13,17 @@ from omtwarp.geometry.spherical import logarithm, oriented_volume
 from omtwarp.mesh import surface
 from omtwarp.optimal.kernels import Fit, area_gradient, cost_slope, moving_cost, neighbour_fit, raised_fit
 from omtwarp.refine.kernels import distortion_gradient, distortion_hessian, distortion_terms
-from omtwarp.solvers.cholesky.envelope_kernels import (
+from omtwarp.solvers.cholesky.envelope import (
     add_saddle_block,
     clear_row,
     factorise_saddle_envelope,
     meet,
     solve_saddle_envelope,
 )
-from omtwarp.solvers.triangle_newton.motion_kernels import keeps_volume
-from omtwarp.solvers.triangle_newton.newton_kernels import packed
-from omtwarp.solvers.triangle_newton.patch_kernels import SUFFICIENT_DECREASE
-from omtwarp.solvers.triangle_newton.triangle import first_tangent, in_tangent
+from omtwarp.solvers.motion_kernels import keeps_volume
+from omtwarp.solvers.newton import packed
+from omtwarp.solvers.patches import SUFFICIENT_DECREASE
+from omtwarp.solvers.triangle import first_tangent, in_tangent
 from omtwarp.untangling.kernels import solid_angle
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -44,7 +44,7 @@ class SaddlePatches:
     corners: wp.array[wp.int32]  # 3 t + k of corner k of triangle t, vertex by vertex, [3 T]
     frames: wp.array[wp.vec3d]
     areas: wp.array[wp.float64]
-    first: wp.array[wp.int32]  # as of omtwarp.solvers.cholesky.envelope_kernels, [P]
+    first: wp.array[wp.int32]  # as of omtwarp.solvers.cholesky.envelope, [P]
     last: wp.array[wp.int32]
     rows: wp.array[wp.int64]
     free: wp.array[wp.bool]  # which vertices move, [P]
@@ -76,7 +76,7 @@ class LocalEnergy:
 class LocalScratch:
     """Memory that the threads of a launch share; each works on the part of its patch."""
 
-    gates: wp.array[wp.int32]  # as of omtwarp.solvers.cholesky.envelope_kernels.meet
+    gates: wp.array[wp.int32]  # as of omtwarp.solvers.cholesky.envelope.meet
     numbers: wp.array2d[wp.float64]  # of every patch, [count, 4]
     shape: wp.array[wp.float64]  # distortion of every triangle, [T]
     solid: wp.array[wp.float64]  # its solid angle
@@ -89,7 +89,7 @@ class LocalScratch:
     worth: wp.array[wp.float64]  # what a vertex adds to the merit
     right: wp.array[wp.vec3d]
     step: wp.array[wp.vec3d]
-    diagonal: wp.array[wp.mat33d]  # of the matrix, as of omtwarp.solvers.cholesky.envelope_kernels, [P]
+    diagonal: wp.array[wp.mat33d]  # of the matrix, as of omtwarp.solvers.cholesky.envelope, [P]
     left: wp.array[wp.float64]
 
 

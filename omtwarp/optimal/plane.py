@@ -3,6 +3,8 @@
 A map of least cost to a torus is the gradient of a convex function |x|²/2 + φ with φ periodic, so that each point is
 moved to the nearest copy of its image (D. Cordero-Erausquin, "Sur le transport de mesures périodiques", Comptes Rendus
 329, 1999): y_v - x_v in the universal cover stands in place of a geodesic.
+
+The corner k of face f lies at ``points[faces[f][k]] + shift[f, k]`` in the plane.
 """
 
 from __future__ import annotations
@@ -13,19 +15,344 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.device.start import wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.device.sums import Reading
+from omtwarp.geometry.spherical import TINY
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
-from omtwarp.optimal import plane_kernels as kernels
-from omtwarp.optimal.domain import ShapeTerms
-from omtwarp.solvers.triangle_newton.frames import triangle_frames
+from omtwarp.optimal.energy import ShapeTerms
+from omtwarp.optimal.kernels import Fit, raised_fit, weighted_fit
+from omtwarp.solvers.motion_kernels import keeps_volume
+from omtwarp.solvers.triangle import triangle_frames
 from omtwarp.untangling.steps import FlipFreeSteps
+
+wp.set_module_options(KERNEL_OPTIONS)
+
+
+@wp.func
+def turned(v: wp.vec2d) -> wp.vec2d:
+    """Return a vector turned by +90 degrees."""
+    return wp.vec2d(-v[1], v[0])
+
+
+@wp.func
+def area_by_corner(p: wp.vec2d, q: wp.vec2d) -> wp.vec2d:
+    """Return the gradient of the area of the triangle (own, p, q) by its first corner."""
+    return HALF * turned(q - p)
+
+
+@wp.func
+def corner_place(points: wp.array[wp.vec2d], shift: wp.array2d[wp.vec2d], faces: wp.array[wp.vec3i], f: int, k: int):
+    """Return where the corner k of a triangle lies in the plane."""
+    return points[faces[f][k]] + shift[f, k]
+
+
+@wp.func
+def sides(points: wp.array[wp.vec2d], shift: wp.array2d[wp.vec2d], faces: wp.array[wp.vec3i], f: int):
+    """Return the second and the third corner of a triangle as seen from the first."""
+    a = corner_place(points, shift, faces, f, 0)
+    b = corner_place(points, shift, faces, f, 1) - a
+    c = corner_place(points, shift, faces, f, 2) - a
+    return b, c
+
+
+@wp.func
+def jacobian(frame: wp.vec3d, b: wp.vec2d, c: wp.vec2d):
+    """Return the two columns of the Jacobian of a triangle with sides b and c, and its determinant."""
+    one = frame[0] * b
+    two = frame[1] * b + frame[2] * c
+    return one, two, one[0] * two[1] - one[1] * two[0]
+
+
+@wp.kernel
+def plane_triangles(
+    points: wp.array[wp.vec2d],
+    shift: wp.array2d[wp.vec2d],
+    faces: wp.array[wp.vec3i],
+    frames: wp.array[wp.vec3d],
+    # Data out:
+    areas: wp.array[wp.float64],
+    angle: wp.array[wp.float64],
+    area: wp.array[wp.float64],
+):
+    """Compute every triangle's signed area, and its distortions of angle and of area, each less 2.
+
+    Distortion is infinite where the triangle is turned over.
+    """
+    f = wp.tid()
+    frame = frames[f]
+    b, c = sides(points, shift, faces, f)
+    one, two, d = jacobian(frame, b, c)
+    areas[f] = HALF * (b[0] * c[1] - b[1] * c[0])
+    if d > ZERO:
+        # The distortion above 2, without cancellation where it is close to 0.
+        sheer = one - wp.vec2d(two[1], -two[0])
+        angle[f] = wp.dot(sheer, sheer) / d
+        area[f] = (d - ONE) * (d - ONE) / d
+    else:
+        angle[f] = wp.float64(wp.inf)
+        area[f] = wp.float64(wp.inf)
+
+
+@wp.kernel
+def plane_gradients(
+    points: wp.array[wp.vec2d],
+    shift: wp.array2d[wp.vec2d],
+    faces: wp.array[wp.vec3i],
+    frames: wp.array[wp.vec3d],
+    weights: wp.array[wp.float64],
+    area_weight: wp.float64,
+    # Data out:
+    gradients: wp.array2d[wp.vec2d],
+):
+    """Compute the gradient of weighted distortion by the corners, shape [F, 3]."""
+    f = wp.tid()
+    frame = frames[f]
+    b, c = sides(points, shift, faces, f)
+    one, two, d = jacobian(frame, b, c)
+    square = wp.dot(one, one) + wp.dot(two, two)
+    by_ratio = -square / (d * d) + area_weight * (ONE - ONE / (d * d))
+    by_one = weights[f] * (TWO / d * one - by_ratio * turned(two))
+    by_two = weights[f] * (TWO / d * two + by_ratio * turned(one))
+    by_b = frame[0] * by_one + frame[1] * by_two
+    by_c = frame[2] * by_two
+    gradients[f, 0] = -(by_b + by_c)
+    gradients[f, 1] = by_b
+    gradients[f, 2] = by_c
+
+
+@wp.kernel
+def plane_hessians(
+    points: wp.array[wp.vec2d],
+    shift: wp.array2d[wp.vec2d],
+    faces: wp.array[wp.vec3i],
+    frames: wp.array[wp.vec3d],
+    weights: wp.array[wp.float64],
+    area_weight: wp.float64,
+    # Data out:
+    hessians: wp.array2d[wp.float64],
+):
+    """Compute positive semidefinite Hessians of the distortion, entries on and above the diagonal, shape [F, 21].
+
+    With the Jacobian J and its determinant D the energy is |J|² / D + λ (D + 1 / D). Both terms are convex in (J, D);
+    the Hessian leaves out the curvature of D, which is not.
+    """
+    f = wp.tid()
+    frame = frames[f]
+    b, c = sides(points, shift, faces, f)
+    one, two, d = jacobian(frame, b, c)
+    square = wp.dot(one, one) + wp.dot(two, two)
+    twice = TWO * area_weight / (d * d * d)
+    at = int(0)
+    for p in range(6):
+        k = p // 2
+        x = p - 2 * k
+        first, second = -frame[0], -frame[1] - frame[2]
+        if k == 1:
+            first, second = frame[0], frame[1]
+        elif k == 2:
+            first, second = ZERO, frame[2]
+        slope = first * two[1] - second * one[1]  # of the determinant
+        if x == 1:
+            slope = second * one[0] - first * two[0]
+        along = first * one[x] + second * two[x]
+        for q in range(p, 6):
+            m = q // 2
+            y = q - 2 * m
+            first_q, second_q = -frame[0], -frame[1] - frame[2]
+            if m == 1:
+                first_q, second_q = frame[0], frame[1]
+            elif m == 2:
+                first_q, second_q = ZERO, frame[2]
+            slope_q = first_q * two[1] - second_q * one[1]
+            if y == 1:
+                slope_q = second_q * one[0] - first_q * two[0]
+            along_q = first_q * one[y] + second_q * two[y]
+            both = ZERO
+            if x == y:
+                both = first * first_q + second * second_q
+            mixed = both - (along * slope_q + along_q * slope) / d + square * slope * slope_q / (d * d)
+            hessians[f, at] = weights[f] * (TWO * mixed / d + twice * slope * slope_q)
+            at += 1
+
+
+@wp.kernel
+def sum_at_vertices(
+    offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    values: wp.array[wp.vec2d],
+    # Data out:
+    sums: wp.array[wp.vec2d],
+):
+    """Sum the values of the corners around every vertex."""
+    v = wp.tid()
+    total = wp.vec2d()
+    for k in range(offsets[v], offsets[v + 1]):
+        total += values[corners[k]]
+    sums[v] = total
+
+
+@wp.kernel
+def plane_areas(
+    points: wp.array[wp.vec2d],
+    shift: wp.array2d[wp.vec2d],
+    faces: wp.array[wp.vec3i],
+    # Data out:
+    areas: wp.array[wp.float64],
+):
+    """Compute every triangle's signed area, shape [F]."""
+    f = wp.tid()
+    b, c = sides(points, shift, faces, f)
+    areas[f] = HALF * (b[0] * c[1] - b[1] * c[0])
+
+
+@wp.kernel
+def plane_area_slopes(
+    points: wp.array[wp.vec2d],
+    shift: wp.array2d[wp.vec2d],
+    faces: wp.array[wp.vec3i],
+    # Data out:
+    slopes: wp.array2d[wp.vec2d],
+):
+    """Compute the derivatives of every area by its corners, shape [F, 3]."""
+    f = wp.tid()
+    for k in range(3):
+        after = corner_place(points, shift, faces, f, (k + 1) % 3)
+        slopes[f, k] = area_by_corner(after, corner_place(points, shift, faces, f, (k + 2) % 3))
+
+
+@wp.kernel
+def plane_transport_gradient(
+    start: wp.array[wp.vec2d],
+    points: wp.array[wp.vec2d],
+    shift: wp.array2d[wp.vec2d],
+    faces: wp.array[wp.vec3i],
+    masses: wp.array[wp.float64],
+    potential: wp.array[wp.float64],
+    offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    further: wp.array[wp.vec2d],
+    weight: wp.float64,
+    # Data out:
+    gradient: wp.array[wp.vec2d],
+):
+    """Compute the gradient of Σ masses_v |y_v - x_v|² + Σ P_f area_f by the vertices, shape [V].
+
+    ``weight`` times a further gradient is added.
+    """
+    v = wp.tid()
+    total = TWO * masses[v] * (points[v] - start[v])
+    for c in range(offsets[v], offsets[v + 1]):
+        f = corners[c] // 3
+        k = corners[c] - 3 * f
+        after = corner_place(points, shift, faces, f, (k + 1) % 3)
+        total += potential[f] * area_by_corner(after, corner_place(points, shift, faces, f, (k + 2) % 3))
+    gradient[v] = total + weight * further[v]
+
+
+@wp.kernel
+def plane_costs(
+    start: wp.array[wp.vec2d],
+    points: wp.array[wp.vec2d],
+    # Data out:
+    costs: wp.array[wp.float64],
+):
+    """Compute the squared distance that every vertex moves, shape [V]."""
+    v = wp.tid()
+    costs[v] = wp.length_sq(points[v] - start[v])
+
+
+@wp.kernel
+def taken_apart(
+    vectors: wp.array[wp.vec2d],
+    # Data out:
+    numbers: wp.array2d[wp.float64],
+):
+    """Write the two coordinates of every vector, shape [V, 2]."""
+    v = wp.tid()
+    numbers[v, 0] = vectors[v][0]
+    numbers[v, 1] = vectors[v][1]
+
+
+@wp.kernel
+def put_together(
+    numbers: wp.array2d[wp.float64],
+    # Data out:
+    vectors: wp.array[wp.vec2d],
+):
+    """Make a vector of every two coordinates, shape [V]."""
+    v = wp.tid()
+    vectors[v] = wp.vec2d(numbers[v, 0], numbers[v, 1])
+
+
+@wp.kernel
+def move_in_plane(
+    points: wp.array[wp.vec2d],
+    direction: wp.array[wp.vec2d],
+    share: wp.array[wp.float64],
+    length: wp.float64,
+    # Data out:
+    moved: wp.array[wp.vec2d],
+):
+    """Move every vertex by its share of a step."""
+    v = wp.tid()
+    moved[v] = points[v] + length * share[v] * direction[v]
+
+
+@wp.kernel
+def plane_trouble(
+    areas: wp.array[wp.float64],
+    before: wp.array[wp.float64],
+    # Data out:
+    trouble: wp.array[wp.float64],
+):
+    """Mark with 1 where a step turns a triangle over or takes nearly all its area, shape [F]."""
+    f = wp.tid()
+    trouble[f] = ZERO
+    if not keeps_volume(areas[f], before[f]):
+        trouble[f] = ONE
+
+
+@wp.kernel
+def plane_cost_metric(
+    start: wp.array[wp.vec2d],
+    points: wp.array[wp.vec2d],
+    shift: wp.array2d[wp.vec2d],
+    faces: wp.array[wp.vec3i],
+    masses: wp.array[wp.float64],
+    offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    least: wp.float64,
+    # Data out:
+    metric: wp.array2d[wp.float64],
+):
+    """Compute the derivative of the inverse map y -> x at every vertex, fitted to its neighbours, scaled, shape [V, 4].
+
+    It is made symmetric and its eigenvalues raised to ``least``: see :func:`omtwarp.optimal.cost_metric`.
+    """
+    v = wp.tid()
+    fit = Fit()
+    for k in range(offsets[v], offsets[v + 1]):
+        f = corners[k] // 3
+        own = corners[k] - 3 * f
+        other = (own + 1) % 3
+        w = faces[f][other]
+        apart = shift[f, other] - shift[f, own]
+        d = points[w] - points[v] + apart
+        e = start[w] - start[v] + apart
+        weight = ONE / wp.max(wp.dot(d, d), TINY)
+        fit += weighted_fit(weight, d[0], d[1], e[0], e[1])
+    entries = TWO * masses[v] * raised_fit(fit, least)
+    metric[v, 0] = entries[0]
+    metric[v, 1] = entries[1]
+    metric[v, 2] = entries[1]
+    metric[v, 3] = entries[2]
+
 
 Floats = NDArray[np.float64]
 
 
 class Plane:
-    """The plane as the :class:`omtwarp.optimal.domain.Domain` of one surface's maps.
+    """The plane as the :class:`omtwarp.optimal.energy.Domain` of one surface's maps.
 
     Args:
         surface: V vertices and F faces; areas in the plane add up to 4π, as its own do.
@@ -67,25 +394,25 @@ class Plane:
     def areas(self, points: wp.array) -> wp.array:
         """Return the signed area of every triangle, float64, shape [F]."""
         areas = self.empty(wp.float64, self.surface.face_count)
-        self.launch(kernels.plane_areas, points, [], [areas])
+        self.launch(plane_areas, points, [], [areas])
         return areas
 
     def area_slopes(self, points: wp.array) -> wp.array:
         """Return the derivatives of every area by its corners, vec2d, shape [F, 3]."""
         slopes = self.empty(wp.vec2d, self.surface.face_count, 3)
-        self.launch(kernels.plane_area_slopes, points, [], [slopes])
+        self.launch(plane_area_slopes, points, [], [slopes])
         return slopes
 
     def coordinates(self, points: wp.array, vectors: wp.array) -> wp.array:
         """Return the vectors, float64, shape [V, 2]: in the plane all frames are the axes."""
         out = self.empty(wp.float64, len(vectors), 2)
-        self.at_vertices(kernels.taken_apart, [vectors], [out])
+        self.at_vertices(taken_apart, [vectors], [out])
         return out
 
     def vectors(self, points: wp.array, coordinates: wp.array) -> wp.array:
         """Return the coordinates as vec2d, shape [V]: in the plane all frames are the axes."""
         out = self.empty(wp.vec2d, len(coordinates))
-        self.at_vertices(kernels.put_together, [coordinates], [out])
+        self.at_vertices(put_together, [coordinates], [out])
         return out
 
     def steps(self) -> FlipFreeSteps:
@@ -113,13 +440,13 @@ class PlaneSteps(FlipFreeSteps):
     def _moved(self, points: wp.array, direction: wp.array, share: wp.array | None, length: float) -> wp.array:
         whole = wp.full(len(points), 1.0, dtype=wp.float64, device=self._plane.device) if share is None else share
         moved = self._plane.empty(wp.vec2d, len(points))
-        self._plane.at_vertices(kernels.move_in_plane, [points, direction, whole, wp.float64(length)], [moved])
+        self._plane.at_vertices(move_in_plane, [points, direction, whole, wp.float64(length)], [moved])
         return moved
 
     def _marks(self, moved: wp.array, volume: wp.array) -> wp.array:
         areas = self._plane.areas(moved)
         marks, device = self._plane.empty(wp.float64, len(areas)), self._plane.device
-        wp.launch(kernels.plane_trouble, dim=len(areas), inputs=[areas, volume], outputs=[marks], device=device)
+        wp.launch(plane_trouble, dim=len(areas), inputs=[areas, volume], outputs=[marks], device=device)
         return marks
 
 
@@ -137,7 +464,7 @@ class PlaneCost:
     def values(self, points: wp.array) -> wp.array:
         """Return |y_v - x_v|², shape [V]."""
         costs = self._plane.empty(wp.float64, len(points))
-        self._plane.at_vertices(kernels.plane_costs, [self._start, points], [costs])
+        self._plane.at_vertices(plane_costs, [self._start, points], [costs])
         return costs
 
     def gradient(
@@ -147,7 +474,7 @@ class PlaneCost:
         plane = self._plane
         gradient = plane.empty(wp.vec2d, len(points))
         mesh = [self._start, points, plane.shift, plane.mesh.faces, masses, potential, *plane.mesh.vertex_corners]
-        plane.at_vertices(kernels.plane_transport_gradient, [*mesh, further, wp.float64(weight)], [gradient])
+        plane.at_vertices(plane_transport_gradient, [*mesh, further, wp.float64(weight)], [gradient])
         return gradient
 
     def hessian(self, points: wp.array, masses: wp.array, least: float) -> wp.array:
@@ -155,7 +482,7 @@ class PlaneCost:
         metric, mesh = self._plane.empty(wp.float64, len(points), 4), self._plane.mesh
         weights = [masses, *mesh.vertex_corners, wp.float64(least)]
         inputs = [self._start, points, self._plane.shift, mesh.faces, *weights]
-        self._plane.at_vertices(kernels.plane_cost_metric, inputs, [metric])
+        self._plane.at_vertices(plane_cost_metric, inputs, [metric])
         return metric
 
 
@@ -193,7 +520,7 @@ class PlaneShape:
         """Begin to measure the distortion of a map."""
         count = self._plane.surface.face_count
         areas, angle, area = (self._plane.empty(wp.float64, count) for _ in range(3))
-        self._plane.launch(kernels.plane_triangles, points, [self._frames], [areas, angle, area])
+        self._plane.launch(plane_triangles, points, [self._frames], [areas, angle, area])
         mean_angle, mean_area = (reading.dot(self._weights, distortion) for distortion in (angle, area))
         return lambda numbers: PlaneTerms(float(numbers[mean_angle]), float(numbers[mean_area]), areas)
 
@@ -201,13 +528,13 @@ class PlaneShape:
         """Return the gradient by the vertices, vec2d, shape [V]."""
         plane, weights = self._plane, [self._frames, self._weights, wp.float64(weight)]
         out, sums = plane.empty(wp.vec2d, plane.surface.face_count, 3), plane.empty(wp.vec2d, len(points))
-        plane.launch(kernels.plane_gradients, points, weights, [out])
-        plane.at_vertices(kernels.sum_at_vertices, [*plane.mesh.vertex_corners, out.flatten()], [sums])
+        plane.launch(plane_gradients, points, weights, [out])
+        plane.at_vertices(sum_at_vertices, [*plane.mesh.vertex_corners, out.flatten()], [sums])
         return sums
 
     def hessian(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
         """Return every triangle's Hessian without the areas' own curvature, shape [F, 21]."""
         hessians = self._plane.empty(wp.float64, self._plane.surface.face_count, 21)
         weights = [self._frames, self._weights, wp.float64(weight)]
-        self._plane.launch(kernels.plane_hessians, points, weights, [hessians])
+        self._plane.launch(plane_hessians, points, weights, [hessians])
         return hessians

@@ -24,17 +24,16 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.mesh.arrays import real_number, real_numbers, whole_number
-from omtwarp.mesh.checks import MeshLike, as_surface, as_unit_vectors
 from omtwarp.mesh.patches import Patches
-from omtwarp.mesh.surface import SPHERE_AREA
+from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, as_surface, as_unit_vectors
 from omtwarp.optimal.combination import combine, scaled
 from omtwarp.optimal.energy import AREA_WEIGHT, MapTerms, TransportEnergy
 from omtwarp.optimal.kernels import single_gains
 from omtwarp.optimal.local import LocalSteps, freed_vertices
 from omtwarp.optimal.sphere import energy_on_sphere
 from omtwarp.options import Cost, Progress, Record
-from omtwarp.solvers.saddle_matrix import COORDINATES
-from omtwarp.solvers.triangle_newton.line_search import SUFFICIENT_DECREASE
+from omtwarp.solvers.cholesky.saddle import COORDINATES
+from omtwarp.solvers.newton import SUFFICIENT_DECREASE
 
 Numbers = NDArray[np.float64]
 

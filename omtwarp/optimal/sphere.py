@@ -11,16 +11,15 @@ from omtwarp.device.arrays import empty, vectors
 from omtwarp.device.start import wp
 from omtwarp.device.sums import Reading
 from omtwarp.device.threads import Arguments, cut, launch_parts
-from omtwarp.flips.predicates import flipped_faces
+from omtwarp.flips.exact import flipped_faces
 from omtwarp.mesh.arrays import normalised
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.cells import Cells, MeasuredRings, RingCells
-from omtwarp.optimal.domain import ShapeTerms
-from omtwarp.optimal.energy import AREA_WEIGHT, MapTerms, TransportEnergy
+from omtwarp.optimal.energy import AREA_WEIGHT, MapTerms, ShapeTerms, TransportEnergy
 from omtwarp.optimal.kernels import area_slopes, cost_metric, transport_gradient, vertex_costs
 from omtwarp.refine.energy import DistortionEnergy, Terms
-from omtwarp.refine.vertex_term import VertexTerm
-from omtwarp.solvers.triangle_newton.motion_kernels import from_tangent, to_tangent
+from omtwarp.refine.further import VertexTerm
+from omtwarp.solvers.motion_kernels import from_tangent, to_tangent
 from omtwarp.untangling.kernels import solid_angles
 from omtwarp.untangling.steps import FlipFreeSteps
 
@@ -28,7 +27,7 @@ Numbers = NDArray[np.float64]
 
 
 class Sphere:
-    """The unit sphere as the :class:`omtwarp.optimal.domain.Domain` of one surface's maps.
+    """The unit sphere as the :class:`omtwarp.optimal.energy.Domain` of one surface's maps.
 
     Args:
         surface: V vertices, F faces.

@@ -14,6 +14,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.sums import Reading
 from omtwarp.device.threads import Arguments, cut, launch_parts
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, scaled_areas
+from omtwarp.refine.further import StrainBarrier, VertexDerivatives, VertexTerm, tangent_blocks
 from omtwarp.refine.kernels import (
     distortion_summands,
     gather_tangent,
@@ -21,9 +22,7 @@ from omtwarp.refine.kernels import (
     triangle_hessian,
     triangle_terms,
 )
-from omtwarp.refine.strain import StrainBarrier
-from omtwarp.refine.vertex_term import VertexDerivatives, VertexTerm, tangent_blocks
-from omtwarp.solvers.triangle_newton.frames import triangle_frames
+from omtwarp.solvers.triangle import triangle_frames
 
 
 @dataclass(frozen=True)
@@ -83,7 +82,7 @@ class TriangleKernels:
 
     Args:
         faces: their corners among the points given, vec3i, shape [F].
-        frames: see :func:`omtwarp.solvers.triangle_newton.frames.triangle_frames`, vec3d, shape [F].
+        frames: see :func:`omtwarp.solvers.triangle.triangle_frames`, vec3d, shape [F].
         areas: on the original surface, float64, shape [F].
         rows: corners of the triangles around the first points, those with a gradient: offsets and corners, int32.
         workspace: on the CPU, memory for the results of :meth:`gradient` and :meth:`hessian`. On CUDA, where
@@ -168,7 +167,7 @@ class DistortionEnergy:
         surface: the original surface, V vertices and F faces.
         device: a Warp device.
         areas: what every triangle counts in the sums, scaled to 4π in all, shape [F]; its measure where left out.
-        most_strain: a limit of the strain of triangles (:mod:`omtwarp.refine.strain`), which a barrier keeps.
+        most_strain: a limit of the strain of triangles (:mod:`omtwarp.refine.further`), which a barrier keeps.
         vertex_term: a further energy, at the vertices. This and the barrier need a device that is the host.
 
     Attributes:

@@ -7,8 +7,8 @@ brings the image's total flat area to 4π. Angle distortion is fro / D, area dis
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, THREE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import oriented_volume
 from omtwarp.mesh import surface
-from omtwarp.solvers.triangle_newton.newton_kernels import packed
-from omtwarp.solvers.triangle_newton.triangle import (
+from omtwarp.solvers.newton import packed
+from omtwarp.solvers.triangle import (
     first_column,
     first_tangent,
     first_weights,

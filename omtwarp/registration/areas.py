@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from omtwarp.device.policy import resolve_device
 from omtwarp.mesh.surface import Surface
 from omtwarp.optimal.cells import MeasuredRings, RingCells
-from omtwarp.optimal.restoration import restore_areas
+from omtwarp.optimal.exact import restore_areas
 from omtwarp.optimal.sphere import ShapeEnergy
-from omtwarp.refine.vertex_term import VertexTerm
+from omtwarp.refine.further import VertexTerm
 from omtwarp.spheres import triangle_solid_angles
 
 Floats = NDArray[np.float64]

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from omtwarp.location import Locator
 from omtwarp.mesh.surface import Surface
-from omtwarp.refine.vertex_term import VertexDerivatives
+from omtwarp.refine.further import VertexDerivatives
 
 Floats = NDArray[np.float64]
 
@@ -67,7 +67,7 @@ def _slopes(surface: Surface, values: Floats) -> Floats:
 class FeatureTerm:
     """Σ_k weight_k mean (t_k(x) - m_k)²: features m of what moves against the field t where its vertices x are.
 
-    It is a :class:`omtwarp.refine.vertex_term.VertexTerm`. The Hessian is that of Gauss and Newton, without the
+    It is a :class:`omtwarp.refine.further.VertexTerm`. The Hessian is that of Gauss and Newton, without the
     curvature of the field, and so has no negative part.
 
     Args:

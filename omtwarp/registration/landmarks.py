@@ -17,7 +17,7 @@ from omtwarp.files.inputs import read_bytes
 from omtwarp.location import Locator
 from omtwarp.mesh.arrays import TINY, normalised, real_number, real_numbers, whole_numbers
 from omtwarp.mesh.surface import Surface
-from omtwarp.refine.vertex_term import VertexDerivatives, VertexTerm
+from omtwarp.refine.further import VertexDerivatives, VertexTerm
 
 Floats = NDArray[np.float64]
 
@@ -144,7 +144,7 @@ def _even(curve: Floats, count: int) -> Floats:
 class LandmarkTerm:
     """Σ_i weight_i |y_i - place_i|², y_i where a warp of a grid takes point i, linearly in its triangle.
 
-    It is a :class:`omtwarp.refine.vertex_term.VertexTerm`. A square of a mean of three corners' moves is at most the
+    It is a :class:`omtwarp.refine.further.VertexTerm`. A square of a mean of three corners' moves is at most the
     mean of their squares, with the same weights: that bound is the matrix. Points that are to meet their places are
     pulled past them, by what is left after each minimisation more: the method of multipliers.
 

@@ -7,14 +7,14 @@ from numpy.typing import NDArray
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.flips.predicates import flipped_faces
+from omtwarp.flips.exact import flipped_faces
 from omtwarp.mesh.arrays import TINY
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.optimal.local import LocalSteps
 from omtwarp.optimal.solver import LEAST_PENALTY
 from omtwarp.optimal.sphere import ShapeEnergy
-from omtwarp.refine.strain import strain_limit
+from omtwarp.refine.further import strain_limit
 from omtwarp.untangling.untangle import untangle
 
 Floats = NDArray[np.float64]
@@ -71,7 +71,7 @@ def kept_within(
         bound: of both numbers of :func:`octaves`, in size.
         held: vertices that are not to move where nothing is flipped; by default all may.
         with_room: whether both numbers together are to leave a minimisation with the barrier of the bound room to begin
-            (:mod:`omtwarp.refine.strain`), which is more than that each is within the bound.
+            (:mod:`omtwarp.refine.further`), which is more than that each is within the bound.
 
     Returns:
         Unit vectors, shape [V, 3]; where no more is gained some triangles may stay over the bound.

@@ -16,8 +16,7 @@ from omtwarp.mesh.shapes import icosphere
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.solver import OptimalMap, minimise
 from omtwarp.options import Record
-from omtwarp.refine.strain import strain_limit
-from omtwarp.refine.vertex_term import VertexTerm
+from omtwarp.refine.further import VertexTerm, strain_limit
 from omtwarp.registration.areas import warp_energy
 from omtwarp.registration.feature_term import FeatureField, FeatureTerm
 from omtwarp.registration.folding import smoothed, vertex_areas

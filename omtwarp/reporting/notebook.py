@@ -67,7 +67,7 @@ def view_page(result: MapResult, stages: list[Stage], poster: str) -> str:
 
 
 def plot(result: MapResult | TorusMap, *, pattern: str = PATTERN, **options: Unpack[PreviewOptions]) -> Image:
-    """Draw a map; see :meth:`omtwarp.maps.display.Displayable.plot`."""
+    """Draw a map; see :meth:`omtwarp.maps.Displayable.plot`."""
     picture_width = 1024  # texels around the sphere of the texture of still pictures
     options.setdefault("size", (640, 480))
     image = options.pop("image", None)
@@ -80,7 +80,7 @@ def plot(result: MapResult | TorusMap, *, pattern: str = PATTERN, **options: Unp
 
 
 def to_pyvista(result: MapResult | TorusMap) -> pyvista.PolyData:
-    """Make PyVista's mesh of a map; see :meth:`omtwarp.maps.display.Displayable.to_pyvista`."""
+    """Make PyVista's mesh of a map; see :meth:`omtwarp.maps.Displayable.to_pyvista`."""
     try:
         import pyvista
     except ImportError:
@@ -94,7 +94,7 @@ def to_pyvista(result: MapResult | TorusMap) -> pyvista.PolyData:
 
 
 def to_polyscope(result: MapResult | TorusMap, name: str = "surface") -> polyscope.SurfaceMesh:
-    """Register a map with Polyscope; see :meth:`omtwarp.maps.display.Displayable.to_polyscope`."""
+    """Register a map with Polyscope; see :meth:`omtwarp.maps.Displayable.to_polyscope`."""
     try:
         import polyscope
     except ImportError:

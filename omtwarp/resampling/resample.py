@@ -22,11 +22,10 @@ from omtwarp.files.output import as_path, staged
 from omtwarp.location import Locator
 from omtwarp.maps.result import OF_MAPS, MapResult
 from omtwarp.mesh.arrays import Floats, Ints, real_numbers, whole_numbers
-from omtwarp.mesh.checks import MeshLike
 from omtwarp.mesh.data import read_data
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.read import read_mesh
-from omtwarp.mesh.surface import triangle_areas
+from omtwarp.mesh.surface import MeshLike, triangle_areas
 from omtwarp.options import Domain, Interpolation, InterpolationLike
 from omtwarp.resampling.averages import average_sphere, is_average
 from omtwarp.resampling.overlap_kernels import box_polygons, count_overlaps, list_overlaps

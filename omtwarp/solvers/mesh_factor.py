@@ -26,9 +26,8 @@ from omtwarp.solvers.cholesky import (
     part_dissection,
     surface_dissection,
 )
-from omtwarp.solvers.cholesky.saddle import expand, expand_with_cells
+from omtwarp.solvers.cholesky.saddle import COORDINATES, SaddleMatrix, expand, expand_with_cells
 from omtwarp.solvers.cudss import CudssFactor
-from omtwarp.solvers.saddle_matrix import COORDINATES, SaddleMatrix
 
 if TYPE_CHECKING:
     from scipy.sparse.linalg import SuperLU

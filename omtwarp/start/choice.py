@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from omtwarp.conformal import conformal_map
-from omtwarp.conformal.harmonic import harmonic_points
+from omtwarp.conformal.maps import harmonic_points
 from omtwarp.errors import OmtwarpError
-from omtwarp.flips.rings import examine, is_bijective
+from omtwarp.flips.exact import examine, is_bijective
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.options import Progress

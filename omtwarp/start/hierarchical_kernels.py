@@ -2,7 +2,7 @@
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import TINY
-from omtwarp.start.decimation_kernels import MAX_VALENCE
+from omtwarp.start.decimation import MAX_VALENCE
 
 wp.set_module_options(KERNEL_OPTIONS)
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, BinaryIO, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp.device.names import core_count
+from omtwarp.device import core_count
 from omtwarp.errors import OmtwarpError, brief
 from omtwarp.files.inputs import open_input
 from omtwarp.files.limits import LARGEST_PICTURE_FILE, LONGEST_SIDE, MOST_TEXELS

@@ -29,7 +29,7 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
-from omtwarp.flips.predicates import flipped_faces
+from omtwarp.flips.exact import flipped_faces
 from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints
 
 HALVINGS = 4  # of the difference from the linear map, before the map is linear there

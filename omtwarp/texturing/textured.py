@@ -17,8 +17,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import as_path
 from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh.arrays import Bytes, Floats, HasTriangles, Ints, real_number, real_numbers
-from omtwarp.mesh.checks import as_faces, as_unit_vectors
-from omtwarp.mesh.surface import unit_normals, vertex_normals
+from omtwarp.mesh.surface import as_faces, as_unit_vectors, unit_normals, vertex_normals
 from omtwarp.mesh.write import write_mesh
 from omtwarp.options import AtlasLike, PatternLike, ProjectionLike, TextureFormat
 from omtwarp.texturing.adaptive import BentLook, bake_bytes

@@ -32,7 +32,7 @@ from omtwarp.mesh.origins import Derived
 from omtwarp.mesh.surface import Surface
 from omtwarp.mesh.validate import components_of
 from omtwarp.options import CutAlong
-from omtwarp.topology.filling import fill_holes
+from omtwarp.topology.closing import fill_holes
 from omtwarp.topology.kind import boundary_loops
 
 

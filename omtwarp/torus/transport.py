@@ -17,14 +17,19 @@ from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.cells import Cells, MeasuredRings, RingCells, TriangleCells
 from omtwarp.optimal.energy import AREA_WEIGHT, TransportEnergy
-from omtwarp.optimal.exact import CELL_GAIN, ITERATIONS, minimise_cells
+from omtwarp.optimal.exact import CELL_GAIN, ITERATIONS, minimise_cells, restore_areas
 from omtwarp.optimal.nested import shape_term_by_law
 from omtwarp.optimal.plane import Plane, PlaneCost, PlaneShape
-from omtwarp.optimal.refinement import MATCH_TOLERANCE, MATCH_TRIALS, TRIANGLE_WEIGHT, refinement_weight
-from omtwarp.optimal.restoration import restore_areas
+from omtwarp.optimal.refinement import (
+    MATCH_TOLERANCE,
+    MATCH_TRIALS,
+    MOST_WEIGHT,
+    TRIANGLE_WEIGHT,
+    match_area,
+    refinement_weight,
+)
 from omtwarp.optimal.solver import GAIN, OptimalMap, minimise
 from omtwarp.options import AreaMatch, Progress, Record, parse_refinement
-from omtwarp.refine.matching import MOST_WEIGHT, match_area
 from omtwarp.torus.harmonic import FlatTorus
 
 Floats = NDArray[np.float64]

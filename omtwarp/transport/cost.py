@@ -8,8 +8,7 @@ from numpy.typing import ArrayLike
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, wp
 from omtwarp.device.sums import RowSums
 from omtwarp.errors import choose
-from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
-from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_sphere, as_surface
 from omtwarp.options import Cost
 
 wp.set_module_options(KERNEL_OPTIONS)

@@ -15,35 +15,31 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from omtwarp.device.arrays import vectors
-from omtwarp.device.graphs import Graph
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.sums import RowSums, partial_count
-from omtwarp.device.threads import Arguments, blas_threads, launch_parts
+from omtwarp.device.threads import Arguments, Graph, blas_threads, launch_parts
 from omtwarp.errors import choose
 from omtwarp.flips.guard import StepGuard
 from omtwarp.measures import TargetDensity
 from omtwarp.mesh.arrays import Floats, Ints, real_number, whole_number
-from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
-from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_sphere, as_surface
 from omtwarp.metrics.optimality import relative_curl
 from omtwarp.options import Cost, Progress, Record, Scheme, tell
 from omtwarp.transport.cost import LARGEST_ERROR
-from omtwarp.transport.descent_kernels import (
+from omtwarp.transport.kernels import (
     Ending,
     FlowState,
-    begin_iteration,
-    inner_products,
-    judge_step,
-    keep_accepted,
-    turn_direction,
-)
-from omtwarp.transport.kernels import (
     advect_points,
+    begin_iteration,
     cost_and_force,
     divide_by_area,
     face_centres,
+    inner_products,
+    judge_step,
+    keep_accepted,
     longest_edges,
+    turn_direction,
     values_at_points,
 )
 from omtwarp.wavelets import SphereHierarchy, SphereSampler, WaveletPreconditioner, level_for, sphere_hierarchy

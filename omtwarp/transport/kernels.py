@@ -1,12 +1,237 @@
-"""Kernels of the Lagrangian transport flow: its cost, its force and the motion along a stream function."""
+"""Kernels of the Lagrangian transport flow: its cost, its force, the motion along a stream function, and its descent.
 
-from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, wp
-from omtwarp.geometry.spherical import logarithm
+The descent decides on the device: inner products, directions, and acceptance of steps.
+"""
+
+from enum import IntEnum
+
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
+from omtwarp.device.sums import GROUP, LANES, column_sum, first_row
+from omtwarp.geometry.spherical import TINY, logarithm
 from omtwarp.transport.cost import area_error, centre
-from omtwarp.transport.descent_kernels import FlowState
 from omtwarp.wavelets.kernels import triangle_near
 
 wp.set_module_options(KERNEL_OPTIONS)
+
+
+class Ending(IntEnum):
+    """Why a descent ended; 0 while it goes on."""
+
+    SMALL_CURL = 1
+    SETTLED = 2
+    NO_STEP = 3
+    AREAS = 4
+    ITERATIONS = 5
+
+
+@wp.struct
+class FlowState:
+    """The state and the parameters of a descent; a single one, on the device."""
+
+    # Set at the start:
+    most: wp.int32  # iterations
+    conjugate: wp.int32  # 0 for steepest descent
+    tolerance: wp.float64  # of the relative curl
+    cost_tolerance: wp.float64  # three steps that together lower the cost by less than this share of it end the descent
+    negligible: wp.float64  # share of the cost that a step has to be expected to gain
+    scale: wp.float64  # of the preconditioned gradient: the second derivative of the cost along it
+    longest: wp.float64
+    first_cost: wp.float64
+    largest_error: wp.float64  # bound on the area error, without any gain
+    area_price: wp.float64  # how much that bound grows for a gain of the whole cost
+    # Changes during the descent:
+    cost: wp.float64
+    area_error: wp.float64
+    last_gain: wp.float64  # of cost, by the step before
+    last_gains: wp.float64  # by the two before
+    gains: wp.float64  # by the three before
+    step: wp.float64
+    square: wp.float64  # of the gradient
+    slope: wp.float64  # of the cost along the direction
+    factor: wp.float64  # of the last direction in this one
+    iteration: wp.int32
+    trials: wp.int32
+    shortened: wp.int32  # trials refused for their areas
+    accepted: wp.int32
+    finished: wp.int32
+    ended: wp.int32  # an Ending
+
+
+@wp.kernel
+def inner_products(
+    gradient: wp.array[wp.float64],
+    preconditioned: wp.array[wp.float64],
+    ascent: wp.array[wp.float64],
+    previous: wp.array[wp.float64],
+    direction: wp.array[wp.float64],
+    # Data out:
+    sums: wp.array2d[wp.float64],
+):
+    """Compute the products of the gradient with preconditioned gradient, ascent and last direction.
+
+    The fourth product is that of the previous gradient and ascent.
+    """
+    thread = wp.tid()
+    with_preconditioned = wp.float64(0.0)
+    with_ascent = wp.float64(0.0)
+    with_direction = wp.float64(0.0)
+    across = wp.float64(0.0)
+    i = first_row(thread)
+    for _ in range(GROUP):
+        if i < gradient.shape[0]:
+            g, a = gradient[i], ascent[i]
+            with_preconditioned += g * preconditioned[i]
+            with_ascent += g * a
+            with_direction += g * direction[i]
+            across += previous[i] * a
+        i += LANES
+    sums[thread, 0] = with_preconditioned
+    sums[thread, 1] = with_ascent
+    sums[thread, 2] = with_direction
+    sums[thread, 3] = across
+
+
+@wp.kernel
+def begin_iteration(
+    products: wp.array2d[wp.float64],
+    held: wp.array[wp.int32],
+    # Data in and out:
+    state: wp.array[FlowState],
+    # Data out:
+    records: wp.array2d[wp.float64],
+    running: wp.array[wp.int32],
+    searching: wp.array[wp.int32],
+):
+    """Write the record, test for the end, and choose the direction.
+
+    Polak and Ribière's conjugate directions, restarted when they stop pointing downhill.
+    """
+    s = state[0]
+    size = column_sum(products, 0)
+    square = column_sum(products, 1)
+    curl = wp.sqrt(wp.max(size / s.scale, ZERO) / wp.max(s.scale * s.cost, TINY))
+    row = s.iteration % records.shape[0]
+    records[row, 0] = s.cost
+    records[row, 1] = curl
+    records[row, 2] = s.step
+    records[row, 3] = wp.float64(held[0])
+    records[row, 4] = s.area_error
+
+    s.accepted = 0
+    s.trials = 0
+    s.shortened = 0
+    # A cost below fifty times the round-off of float64 is none.
+    if curl <= s.tolerance or s.cost <= wp.float64(1e-14) or size <= ZERO:
+        s.finished = 1
+        s.ended = Ending.SMALL_CURL
+    elif s.gains <= s.cost_tolerance * s.cost:
+        s.finished = 1
+        s.ended = Ending.SETTLED
+    elif s.iteration == s.most:
+        s.finished = 1
+        s.ended = Ending.ITERATIONS
+    searching[0] = 1 - s.finished
+
+    s.factor = ZERO
+    if s.iteration > 0 and s.conjugate == 1:
+        s.factor = wp.max(ZERO, (square - column_sum(products, 3)) / s.square)
+    s.slope = s.factor * column_sum(products, 2) - square
+    if s.slope > -wp.float64(0.1) * square:
+        s.factor = ZERO
+        s.slope = -square
+    s.square = square
+    s.iteration = s.iteration + 1
+    # The records are full: let the host read them.
+    running[0] = 1 - s.finished
+    if s.iteration % records.shape[0] == 0:
+        running[0] = 0
+    state[0] = s
+
+
+@wp.kernel
+def turn_direction(
+    gradient: wp.array[wp.float64],
+    ascent: wp.array[wp.float64],
+    state: wp.array[FlowState],
+    # Data in and out:
+    direction: wp.array[wp.float64],
+    # Data out:
+    previous: wp.array[wp.float64],
+):
+    """Compute direction <- factor * direction - ascent; and the gradient becomes the previous one."""
+    i = wp.tid()
+    direction[i] = state[0].factor * direction[i] - ascent[i]
+    previous[i] = gradient[i]
+
+
+@wp.kernel
+def judge_step(
+    measured: wp.array2d[wp.float64],
+    total_area: wp.float64,
+    # Data in and out:
+    state: wp.array[FlowState],
+    # Data out:
+    running: wp.array[wp.int32],
+    searching: wp.array[wp.int32],
+):
+    """Accept a step, or choose the length of the next trial, or give up."""
+    s = state[0]
+    cost = column_sum(measured, 0)
+    # The minimum of the parabola through the cost, its slope and the trial is the next length.
+    bend = (cost - s.cost - s.slope * s.step) / (s.step * s.step)
+    best = TWO * s.step
+    if bend > ZERO:
+        best = -s.slope / (TWO * bend)
+    s.trials = s.trials + 1
+    over = int(0)
+    # A step has to reach this share of the gain by the slope (Armijo).
+    if cost <= s.cost + wp.float64(0.1) * s.slope * s.step:
+        s.area_error = column_sum(measured, 1) / total_area
+        if s.area_error <= s.largest_error + s.area_price * (ONE - cost / s.first_cost):
+            s.accepted = 1
+            over = 1
+        elif s.shortened == 3:  # steps that lose too much area are halved so often
+            over = 1
+        else:
+            # The area error of a step grows with the square of its length, the gain with the length.
+            s.shortened = s.shortened + 1
+            s.step = HALF * s.step
+    else:
+        s.step = wp.max(wp.min(best, HALF * s.step), wp.float64(0.1) * s.step)
+        if -s.slope * s.step < s.negligible * s.cost:
+            over = 1
+    # Step trials, lengths of a step, at most: halved so often, it is below 1e-9 of the first
+    if s.trials == 30:
+        over = 1
+    if over == 1:
+        searching[0] = 0
+        if s.accepted == 1:
+            gain = s.cost - cost
+            s.gains = s.last_gains + gain
+            s.last_gains = s.last_gain + gain
+            s.last_gain = gain
+            s.cost = cost
+            s.step = wp.min(wp.min(wp.max(best, HALF * s.step), TWO * s.step), s.longest)
+        else:
+            # Either the area error is too large, or no step along the best direction lowers the cost.
+            s.finished = 1
+            running[0] = 0
+            s.ended = Ending.AREAS
+            if s.shortened == 0:
+                s.ended = Ending.NO_STEP
+    state[0] = s
+
+
+@wp.kernel
+def keep_accepted(
+    trial: wp.array[wp.vec3d],
+    state: wp.array[FlowState],
+    # Data in and out:
+    points: wp.array[wp.vec3d],
+):
+    i = wp.tid()
+    if state[0].accepted == 1:
+        points[i] = trial[i]
 
 
 @wp.kernel

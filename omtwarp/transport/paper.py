@@ -41,15 +41,205 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from omtwarp.device.start import wp
+from omtwarp.device.start import KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.geometry import DifferentialOperators, circumcentric_coordinates
-from omtwarp.mesh.arrays import TINY, Floats, real_number, whole_number, whole_numbers
-from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
-from omtwarp.mesh.surface import Surface, triangle_areas
+from omtwarp.geometry.spherical import TINY, geodesic_distance, hat_gradient
+from omtwarp.mesh.arrays import Floats, real_number, whole_number, whole_numbers
+from omtwarp.mesh.surface import MeshLike, Surface, as_sphere, as_surface, triangle_areas
 from omtwarp.options import Cost, Progress, Record, tell
-from omtwarp.transport import paper_kernels as kernels
 from omtwarp.wavelets import SphereSampler, SphericalWavelets, level_for, sphere_hierarchy
+
+wp.set_module_options(KERNEL_OPTIONS)
+
+
+@wp.func
+def rotated_cost_gradient(x: wp.vec3d, g: wp.vec3d, squared: wp.int32, smallest: wp.float64) -> wp.vec3d:
+    """Return J Phi_x(x, g) in the tangent plane at x.
+
+    It is that of section 2.5 for Phi = theta, and 2 theta times that for theta squared.
+
+    ``smallest`` bounds the denominator |x × g| from below, smoothly: Phi = theta has no gradient where g = x.
+    """
+    turned = wp.cross(x, g)
+    sine = wp.length(turned)
+    if squared != 0:
+        # theta / sin(theta) is 1 at coincident points and unbounded at antipodal ones, where no direction is shortest.
+        ratio = ONE
+        if sine > smallest or wp.dot(x, g) < ZERO:
+            ratio = geodesic_distance(x, g) / wp.max(sine, smallest)
+        return -TWO * ratio * turned
+    return -turned / wp.max(wp.sqrt(sine * sine + smallest * smallest), TINY)
+
+
+@wp.kernel
+def rotated_cost_gradients(
+    dual_points: wp.array[wp.vec3d],
+    dual_map: wp.array[wp.vec3d],
+    squared: wp.int32,
+    smallest: wp.float64,
+    # Data out:
+    field: wp.array[wp.vec3d],
+):
+    f = wp.tid()
+    field[f] = rotated_cost_gradient(dual_points[f], dual_map[f], squared, smallest)
+
+
+@wp.kernel
+def dual_costs(
+    dual_points: wp.array[wp.vec3d],
+    dual_map: wp.array[wp.vec3d],
+    masses: wp.array[wp.float64],
+    squared: wp.int32,
+    # Data out:
+    cost: wp.array[wp.float64],
+):
+    f = wp.tid()
+    distance = geodesic_distance(dual_points[f], dual_map[f])
+    if squared != 0:
+        distance = distance * distance
+    cost[f] = masses[f] * distance
+
+
+@wp.kernel
+def average_to_dual(
+    faces: wp.array2d[wp.int32],
+    weights: wp.array[wp.vec3d],
+    at_vertices: wp.array[wp.vec3d],
+    # Data out:
+    at_dual: wp.array[wp.vec3d],
+):
+    f = wp.tid()
+    w = weights[f]
+    mean = w[0] * at_vertices[faces[f, 0]] + w[1] * at_vertices[faces[f, 1]] + w[2] * at_vertices[faces[f, 2]]
+    at_dual[f] = wp.normalize(mean)
+
+
+@wp.kernel
+def newly_flipped(
+    faces: wp.array2d[wp.int32],
+    before: wp.array[wp.vec3d],
+    after: wp.array[wp.vec3d],
+    # Data out:
+    flipped: wp.array[wp.int32],
+):
+    f = wp.tid()
+    i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+    was = wp.dot(before[i], wp.cross(before[j], before[k]))
+    now = wp.dot(after[i], wp.cross(after[j], after[k]))
+    flipped[f] = wp.where(was > ZERO and now <= ZERO, 1, 0)
+
+
+@wp.kernel
+def mark_vertices(
+    corner_offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    flipped: wp.array[wp.int32],
+    # Data out:
+    marked: wp.array[wp.int32],
+):
+    i = wp.tid()
+    found = int(0)
+    for n in range(corner_offsets[i], corner_offsets[i + 1]):
+        if flipped[corners[n] // 3] != 0:
+            found = 1
+    marked[i] = found
+
+
+@wp.kernel
+def hold_faces(
+    faces: wp.array2d[wp.int32],
+    marked: wp.array[wp.int32],
+    # Data in and out:
+    held: wp.array[wp.int32],
+):
+    f = wp.tid()
+    if marked[faces[f, 0]] + marked[faces[f, 1]] + marked[faces[f, 2]] > 0:
+        held[f] = 1
+
+
+@wp.kernel
+def area_distortions(
+    faces: wp.array2d[wp.int32],
+    image: wp.array[wp.vec3d],
+    masses: wp.array[wp.float64],
+    # Data out:
+    weighted: wp.array[wp.float64],
+    areas: wp.array[wp.float64],
+):
+    """Compute the image area times (r + 1/r), r the ratio of image area to surface area, and the image area."""
+    f = wp.tid()
+    a = image[faces[f, 0]]
+    area = wp.length(wp.cross(image[faces[f, 1]] - a, image[faces[f, 2]] - a)) / TWO
+    weighted[f] = area * area / masses[f] + masses[f]
+    areas[f] = area
+
+
+@wp.kernel
+def correct_and_normalise(
+    correction: wp.array[wp.vec3d],
+    # Data in and out:
+    field: wp.array[wp.vec3d],
+):
+    i = wp.tid()
+    field[i] = wp.normalize(field[i] + correction[i])
+
+
+@wp.kernel
+def dual_velocity(
+    vertices: wp.array[wp.vec3d],
+    faces: wp.array2d[wp.int32],
+    sphere_areas: wp.array[wp.float64],
+    masses: wp.array[wp.float64],
+    hamiltonian: wp.array[wp.float64],
+    # Data out:
+    velocity: wp.array[wp.vec3d],
+    rate: wp.array[wp.float64],
+):
+    """Compute v = -(1 / mu) x × grad H at dual vertices (line 16), and the triangle sizes it crosses per unit of time.
+
+    At its circumcentre an inscribed triangle's unit normal is the point x itself.
+    """
+    f = wp.tid()
+    i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+    a, b, c = vertices[i], vertices[j], vertices[k]
+    slope = (hamiltonian[j] - hamiltonian[i]) * hat_gradient(b, c, a)
+    slope += (hamiltonian[k] - hamiltonian[i]) * hat_gradient(c, a, b)
+    normal = wp.normalize(wp.cross(b - a, c - a))
+    v = -(sphere_areas[f] / masses[f]) * wp.cross(normal, slope)
+    if wp.dot(normal, a) <= ZERO:
+        v = wp.vec3d(ZERO, ZERO, ZERO)  # a flipped triangle of the conformal image has no density to move
+    velocity[f] = v
+    rate[f] = wp.length(v) / wp.max(wp.sqrt(sphere_areas[f]), TINY)
+
+
+@wp.kernel
+def advance_map(
+    vertices: wp.array[wp.vec3d],
+    faces: wp.array2d[wp.int32],
+    velocity: wp.array[wp.vec3d],
+    rate: wp.array[wp.float64],
+    largest_rate: wp.float64,
+    held: wp.array[wp.int32],
+    step: wp.float64,
+    map_at_vertices: wp.array[wp.vec3d],
+    dual_map: wp.array[wp.vec3d],
+    # Data out:
+    advanced: wp.array[wp.vec3d],
+):
+    """Compute g - dt grad g · v (line 17), the Jacobian from the map at the vertices by the gradient of appendix A."""
+    f = wp.tid()
+    i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+    a, b, c = vertices[i], vertices[j], vertices[k]
+    # A bound on the few triangles far beyond the Courant condition, so that they do not hold back all the others.
+    v = velocity[f] * wp.min(ONE, largest_rate / wp.max(rate[f], TINY))
+    if held[f] != 0:
+        v = wp.vec3d(ZERO, ZERO, ZERO)
+    g = map_at_vertices[i]
+    change = wp.dot(hat_gradient(b, c, a), v) * (map_at_vertices[j] - g)
+    change += wp.dot(hat_gradient(c, a, b), v) * (map_at_vertices[k] - g)
+    advanced[f] = wp.normalize(dual_map[f] - step * change)
+
 
 V_CYCLE = (1, 2, 3, 4, 5, 4, 3, 2, 1)  # levels of wavelets in turn, as the paper's Algorithm 2 goes through them
 COURANT = 0.1  # of the size of the triangle that a point crosses: the longest way it goes in a step
@@ -169,7 +359,7 @@ class PaperFlow:
         """Return the points at the dual vertices: means of the corners' points, weighted by barycentric coordinates."""
         dual = self._empty(len(self._weights), wp.vec3d)
         inputs = [self.operators.faces, self._weights, points]
-        self._launch(kernels.average_to_dual, len(dual), inputs, [dual])
+        self._launch(average_to_dual, len(dual), inputs, [dual])
         return dual
 
     def _launch(self, kernel: wp.Kernel, size: int, inputs: list[object], outputs: list[object]) -> None:
@@ -178,24 +368,24 @@ class PaperFlow:
     def cost_of(self, dual_map: wp.array) -> float:
         """Return M(g), equation (6): the sum over triangles of surface area times Phi at the dual vertex."""
         inputs = [self._points, dual_map, self._masses, self.squared]
-        self._launch(kernels.dual_costs, len(dual_map), inputs, [self._per_face])
+        self._launch(dual_costs, len(dual_map), inputs, [self._per_face])
         return float(self._per_face.numpy().sum())
 
     def area_of(self, image: wp.array) -> float:
         """Return the mean of r + 1/r over the image of the mesh, r = image area / surface area of a triangle."""
         inputs = [self.operators.faces, image, self._masses]
-        self._launch(kernels.area_distortions, len(self.dual_map), inputs, [self._per_face, self._image_areas])
+        self._launch(area_distortions, len(self.dual_map), inputs, [self._per_face, self._image_areas])
         return float(self._per_face.numpy().sum() / self._image_areas.numpy().sum())
 
     def _to_vertices(self, dual_map: wp.array, out: wp.array) -> None:
         """Compute g at the mesh vertices from the dual ones (Algorithm 1, lines 7 and 8)."""
         self.operators.interpolate_dual(dual_map, out=out)
-        self._launch(kernels.correct_and_normalise, len(out), [self._correction, out], [])
+        self._launch(correct_and_normalise, len(out), [self._correction, out], [])
 
     def set_hamiltonian(self, resolution: int) -> None:
         """Compute H at the wavelets' nodes from g, without levels j > ``resolution`` (Algorithm 1, lines 2 to 14)."""
         inputs = [self._points, self.dual_map, self.squared, self._smallest]
-        self._launch(kernels.rotated_cost_gradients, len(self.dual_map), inputs, [self._field])
+        self._launch(rotated_cost_gradients, len(self.dual_map), inputs, [self._field])
         self.operators.divergence(self._field, out=self._flux)
         self.sampler.restrict(self._flux, out=self.hamiltonian)
         self.wavelets.analyse(self.hamiltonian)
@@ -212,7 +402,7 @@ class PaperFlow:
         self.sampler.interpolate(self.hamiltonian, out=self._at_vertices)
         mesh = [self.operators.vertices, self.operators.faces]
         inputs = [*mesh, self._areas, self._masses, self._at_vertices]
-        self._launch(kernels.dual_velocity, len(self.dual_map), inputs, [self._velocity, self._rate])
+        self._launch(dual_velocity, len(self.dual_map), inputs, [self._velocity, self._rate])
         # Within courant: share of the points that COURANT is kept for; the others are held back
         return float(np.quantile(self._rate.numpy(), 0.999))
 
@@ -228,14 +418,14 @@ class PaperFlow:
         # Holding rounds, in which points around flipped triangles are held back before a step is refused
         for _ in range(8):
             inputs = [*mesh, self._velocity, self._rate, COURANT / step, self._held, step, self.map, self.dual_map]
-            self._launch(kernels.advance_map, count, inputs, [self._advanced])
+            self._launch(advance_map, count, inputs, [self._advanced])
             self._to_vertices(self._advanced, self._advanced_map)
             inputs = [faces, self.map, self._advanced_map]
-            self._launch(kernels.newly_flipped, count, inputs, [self._flipped])
+            self._launch(newly_flipped, count, inputs, [self._flipped])
             if not self._flipped.numpy().any():
                 return True
-            self._launch(kernels.mark_vertices, len(self.map), [*rows, self._flipped], [self._marked])
-            self._launch(kernels.hold_faces, count, [faces, self._marked], [self._held])
+            self._launch(mark_vertices, len(self.map), [*rows, self._flipped], [self._marked])
+            self._launch(hold_faces, count, [faces, self._marked], [self._held])
         return False
 
     def advanced_cost(self) -> float:
@@ -385,7 +575,7 @@ class _Descent:
             self._flow.set_hamiltonian(resolution)
             if self._flow.hamiltonian_norm() <= smallest_hamiltonian:
                 return "hamiltonian"
-            step = min(self._steps[resolution], COURANT / max(self._flow.set_velocity(), TINY))
+            step = min(self._steps[resolution], COURANT / max(self._flow.set_velocity(), float(TINY)))
             accepted = self._flow.advance(step)
             reached = self._flow.advanced_cost()
             accepted = accepted and reached < self._cost

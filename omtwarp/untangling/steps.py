@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from omtwarp.device.arrays import empty, vectors
 from omtwarp.device.start import wp
 from omtwarp.device.sums import Reading
-from omtwarp.flips.predicates import flipped_faces
+from omtwarp.flips.exact import flipped_faces
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import Surface
-from omtwarp.solvers.triangle_newton.motion_kernels import LEAST_SHARE, hold_back, retract_to_sphere, triangle_trouble
+from omtwarp.solvers.motion_kernels import LEAST_SHARE, hold_back, retract_to_sphere, triangle_trouble
 from omtwarp.untangling.untangle import STEP_WORK, RepairBudget, Schedule, untangle_patches
 
 # With 0.02 and 0.1 the map of a creature of 2,000 vertices has the same bits.

@@ -22,19 +22,22 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
-from omtwarp.flips.predicates import flipped_faces
-from omtwarp.flips.rings import examine
+from omtwarp.flips.exact import examine, flipped_faces
 from omtwarp.mesh.arrays import Floats, Ints
-from omtwarp.mesh.checks import MeshLike, as_sphere, as_surface
 from omtwarp.mesh.patches import Patches, grow
-from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_sphere, as_surface
 from omtwarp.options import Progress, tell
-from omtwarp.solvers.triangle_newton.frames import triangle_frames
-from omtwarp.solvers.triangle_newton.line_search import search_patches
-from omtwarp.solvers.triangle_newton.newton import PatchMatrix
-from omtwarp.solvers.triangle_newton.small_patches import SmallPatches
-from omtwarp.untangling.kernels import move_in_tangent, solid_angles, untangle_newton, untangle_value
-from omtwarp.untangling.patch_kernels import Untangling, untangle_small_patches
+from omtwarp.solvers.newton import PatchMatrix, search_patches
+from omtwarp.solvers.patches import SmallPatches
+from omtwarp.solvers.triangle import triangle_frames
+from omtwarp.untangling.kernels import (
+    Untangling,
+    move_in_tangent,
+    solid_angles,
+    untangle_newton,
+    untangle_small_patches,
+    untangle_value,
+)
 
 
 @dataclass(frozen=True)
@@ -45,7 +48,7 @@ class Schedule:
         rings: rings of vertices freed around every flipped triangle.
         factor: what ε is multiplied by from one round to the next.
         steps: Newton steps in a round, at most.
-        thinnest: see :func:`omtwarp.solvers.triangle_newton.frames.triangle_frames`.
+        thinnest: see :func:`omtwarp.solvers.triangle.triangle_frames`.
         weight: λ, how much area counts against angle.
         largest: the first ε; the larger, the freer are triangles to pass through one another.
         most: flipped triangles of a patch, at most; patches with more are left to later attempts.

@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-import omtwarp.flips.rings
+import omtwarp.flips.exact
 import omtwarp.mapping.pipeline
 import omtwarp.maps.result
 import omtwarp.mesh.validate
@@ -32,14 +32,14 @@ def counted(monkeypatch):
     count("check", omtwarp.mesh.validate)
     count("certify_triangles", omtwarp.mapping.pipeline, omtwarp.maps.result)
     count("savez", np)
-    decide = omtwarp.flips.rings.orientation_signs
+    decide = omtwarp.flips.exact.orientation_signs
 
     def deciding(sphere, faces, **options):
         points = sphere if isinstance(sphere, np.ndarray) else sphere.numpy()
         counts["decided", points.tobytes()] += 1
         return decide(sphere, faces, **options)
 
-    monkeypatch.setattr(omtwarp.flips.rings, "orientation_signs", deciding)
+    monkeypatch.setattr(omtwarp.flips.exact, "orientation_signs", deciding)
     return counts
 
 

@@ -6,7 +6,7 @@ import pytest
 from omtwarp.conformal import conformal_map
 from omtwarp.device.arrays import triangles, vectors
 from omtwarp.device.start import wp
-from omtwarp.flips.predicates import count_flips, flipped_faces
+from omtwarp.flips.exact import count_flips, flipped_faces
 from omtwarp.mesh.shapes import blob
 from omtwarp.metrics import measure_triangles
 from omtwarp.moser import moser_map

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from omtwarp.device.graphs import MAX_GRAPHS, Graph, GraphsByArray, step_by_step
 from omtwarp.device.start import wp
+from omtwarp.device.threads import MAX_GRAPHS, Graph, GraphsByArray, step_by_step
 from omtwarp.wavelets.kernels import clear_from, scale_values
 
 

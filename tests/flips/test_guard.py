@@ -8,8 +8,8 @@ from sphere_truths import turned, twisted
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
+from omtwarp.flips.exact import count_flips
 from omtwarp.flips.guard import StepGuard
-from omtwarp.flips.predicates import count_flips
 from omtwarp.mesh.shapes import icosphere, random_sphere
 from omtwarp.mesh.surface import Surface
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from omtwarp.flips.predicates import count_flips, orientation_signs
+from omtwarp.flips.exact import count_flips, orientation_signs
 from omtwarp.mesh.shapes import icosphere
 
 

@@ -11,7 +11,7 @@ import pytest
 from hostile_meshes import lognormal_sphere, prism, random_mesh
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.flips.rings import is_bijective
+from omtwarp.flips.exact import is_bijective
 from omtwarp.mapping.any_surface import map_surface
 from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mapping.verdict import foretell

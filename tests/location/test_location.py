@@ -10,7 +10,7 @@ from sphere_truths import pushed_north, twisted
 from trimesh.triangles import closest_point
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.flips.predicates import orientation_signs
+from omtwarp.flips.exact import orientation_signs
 from omtwarp.geometry.sphere_hierarchy import sphere_hierarchy
 from omtwarp.location import Locator
 from omtwarp.mesh import shapes

@@ -8,7 +8,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.measures import weighted_surface
 from omtwarp.mesh.shapes import blob
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
-from omtwarp.solvers.triangle_newton.frames import triangle_frames
+from omtwarp.solvers.triangle import triangle_frames
 
 SURFACE = blob(4, sphere=600)
 WEIGHTS = 1.0 + np.arange(SURFACE.face_count) % 7

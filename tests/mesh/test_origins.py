@@ -9,7 +9,7 @@ from omtwarp.commands._cli import main
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.quarter import quarter
 from omtwarp.mesh.write import write_mesh
-from omtwarp.topology.doubling import split_chords
+from omtwarp.topology.closing import split_chords
 
 BALL = shapes.icosphere(4)
 

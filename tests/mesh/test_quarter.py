@@ -7,8 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.flips.predicates import flipped_faces
-from omtwarp.flips.rings import is_bijective
+from omtwarp.flips.exact import flipped_faces, is_bijective
 from omtwarp.mesh import shapes
 from omtwarp.mesh.quarter import quarter
 from omtwarp.mesh.surface import Surface

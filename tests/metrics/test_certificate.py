@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sphere_truths import pushed_north, random_rotation, turned, twisted
 
-from omtwarp.flips.predicates import orientation_signs
+from omtwarp.flips.exact import orientation_signs
 from omtwarp.mesh.shapes import fibonacci_sphere, icosphere, random_sphere, uv_sphere
 from omtwarp.metrics.certificate import RAYS, certify_triangles
 

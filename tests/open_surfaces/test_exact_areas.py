@@ -7,11 +7,10 @@ import pytest
 from plane_truths import round_disk
 
 import omtwarp
-from omtwarp.flips.predicates import flipped_faces
+from omtwarp.flips.exact import flipped_faces
 from omtwarp.mesh.surface import plane_areas
 from omtwarp.open_surfaces.caps import disk_to_cap
-from omtwarp.open_surfaces.exact_areas import Quartered, exact_in_plane, exact_on_cap
-from omtwarp.open_surfaces.planar import flipped_in_plane
+from omtwarp.open_surfaces.held import Quartered, exact_in_plane, exact_on_cap, flipped_in_plane
 from omtwarp.spheres import triangle_solid_angles
 
 

@@ -7,7 +7,7 @@ import pytest
 from plane_truths import round_disk
 
 import omtwarp
-from omtwarp.flips.predicates import count_flips, flipped_faces
+from omtwarp.flips.exact import count_flips, flipped_faces
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import Surface, plane_areas, triangle_areas
 from omtwarp.open_surfaces.caps import (
@@ -16,7 +16,7 @@ from omtwarp.open_surfaces.caps import (
     hemisphere_to_disk,
     pack_caps,
 )
-from omtwarp.open_surfaces.planar import flipped_in_plane, untangle_in_plane, untangle_on_cap
+from omtwarp.open_surfaces.held import flipped_in_plane, untangle_in_plane, untangle_on_cap
 from omtwarp.topology.kind import boundary_half_edges, boundary_loops, parts_of
 
 

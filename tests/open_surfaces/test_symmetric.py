@@ -9,12 +9,12 @@ import omtwarp
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device, solving_with
 from omtwarp.device.start import wp
-from omtwarp.flips.rings import is_bijective
+from omtwarp.flips.exact import is_bijective
 from omtwarp.mesh import shapes
 from omtwarp.open_surfaces.hemisphere import is_symmetric, symmetric_map
 from omtwarp.open_surfaces.symmetric import folded, folded_map, mirrored_energy, symmetric_optimal_map
 from omtwarp.optimal.sphere import energy_on_sphere
-from omtwarp.topology.doubling import Double, double, split_chords
+from omtwarp.topology.closing import Double, double, split_chords
 
 
 def doubled_cap() -> tuple[Double, omtwarp.Surface, np.ndarray, np.ndarray]:

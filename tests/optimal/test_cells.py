@@ -8,7 +8,7 @@ from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
-from omtwarp.flips.rings import is_bijective
+from omtwarp.flips.exact import is_bijective
 from omtwarp.mesh.quarter import quarter
 from omtwarp.mesh.shapes import blob
 from omtwarp.metrics.optimality import optimality

@@ -9,7 +9,7 @@ from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import load
-from omtwarp.flips.rings import is_bijective
+from omtwarp.flips.exact import is_bijective
 from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.shapes import blob, demo_shape, icosphere

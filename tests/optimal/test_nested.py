@@ -6,7 +6,7 @@ from sphere_truths import apart, random_rotation, turned
 
 import omtwarp
 from omtwarp.errors import OmtwarpError
-from omtwarp.flips.predicates import count_flips
+from omtwarp.flips.exact import count_flips
 from omtwarp.mesh.shapes import blob, icosphere, noisy, random_sphere, tube
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.nested import coarse_surface, embedded_start, nested_start, shape_term

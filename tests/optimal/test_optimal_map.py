@@ -10,7 +10,7 @@ from omtwarp.conformal import conformal_map
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.flips.rings import is_bijective
+from omtwarp.flips.exact import is_bijective
 from omtwarp.mesh.shapes import blob, ellipsoid, icosphere, noisy
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.metrics.optimality import optimality, relative_curl

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from omtwarp.refine.matching import LEAST_WEIGHT, MOST_WEIGHT, match_area
+from omtwarp.optimal.refinement import LEAST_WEIGHT, MOST_WEIGHT, match_area
 
 EXACT = {"tolerance": 1e-4, "trials": 16}
 

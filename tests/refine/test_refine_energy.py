@@ -11,7 +11,7 @@ from omtwarp.device.sums import DeviceSum
 from omtwarp.mesh.shapes import blob, icosphere, needle, noisy
 from omtwarp.mesh.surface import SPHERE_AREA, triangle_areas
 from omtwarp.refine.energy import DistortionEnergy, needle_weight
-from omtwarp.solvers.triangle_newton.frames import triangle_frames
+from omtwarp.solvers.triangle import triangle_frames
 from omtwarp.start.hierarchical import hierarchical_embedding
 
 
@@ -144,7 +144,7 @@ def test_gradient_of_the_needle_barrier():
 def tangent_bases(sphere):
     """The bases that the kernels use, read off the kernel that leads back from them."""
     from omtwarp.device.start import wp
-    from omtwarp.solvers.triangle_newton.motion_kernels import from_tangent
+    from omtwarp.solvers.motion_kernels import from_tangent
 
     device, count = resolve_device("cpu"), len(sphere)
     bases = []

@@ -10,13 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.flips.predicates import flipped_faces
+from omtwarp.flips.exact import flipped_faces
 from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mesh.patches import Patches
 from omtwarp.mesh.shapes import blob, icosphere, limbs, noisy, tube
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.optimal.refinement import refine_map, refinement_weight
-from omtwarp.solvers.triangle_newton.newton import PatchMatrix
+from omtwarp.solvers.newton import PatchMatrix
 from omtwarp.start.hierarchical import hierarchical_embedding
 from omtwarp.untangling.untangle import untangle
 

@@ -9,13 +9,12 @@ import pytest
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.flips.predicates import flipped_faces
+from omtwarp.flips.exact import flipped_faces
 from omtwarp.mesh.shapes import icosphere
 from omtwarp.optimal.refinement import least_distortion
 from omtwarp.optimal.sphere import ShapeEnergy
 from omtwarp.refine.energy import DistortionEnergy
-from omtwarp.refine.strain import strain_limit
-from omtwarp.refine.vertex_term import VertexDerivatives
+from omtwarp.refine.further import VertexDerivatives, strain_limit
 
 
 def unit(points):

@@ -9,7 +9,7 @@ from made_cortices import BALL, EDGE, FIRM, flowed, folded, points_of, rms, unit
 import omtwarp
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
-from omtwarp.refine.strain import strain_limit
+from omtwarp.refine.further import strain_limit
 from omtwarp.registration.areas import area_changes, areas_around, warp_energy
 from omtwarp.registration.feature_term import FeatureField, FeatureTerm
 

@@ -11,7 +11,7 @@ from sphere_truths import random_rotation
 
 import omtwarp
 from omtwarp.errors import OmtwarpError
-from omtwarp.flips.predicates import flipped_faces
+from omtwarp.flips.exact import flipped_faces
 from omtwarp.location import Locator
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes

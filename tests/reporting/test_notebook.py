@@ -16,7 +16,7 @@ from PIL import Image
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.mapping.any_surface import map_surface
-from omtwarp.maps.display import Displayable
+from omtwarp.maps import Displayable
 from omtwarp.maps.result import MapResult
 from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh import shapes

@@ -17,8 +17,8 @@ from omtwarp.mesh.shapes import blob, icosphere
 from omtwarp.options import Solver
 from omtwarp.solvers import cudss
 from omtwarp.solvers.cholesky import NotPositiveDefinite
+from omtwarp.solvers.cholesky.saddle import SaddleMatrix
 from omtwarp.solvers.mesh_factor import cell_saddle_factor, solve_parts, surface_factor, surface_saddle_factor
-from omtwarp.solvers.saddle_matrix import SaddleMatrix
 
 SURFACE = blob(seed=4, amplitude=0.3, sphere=500)
 

@@ -11,6 +11,7 @@ from omtwarp.mesh.patches import Patches
 from omtwarp.mesh.shapes import blob
 from omtwarp.options import Solver
 from omtwarp.solvers.cholesky import NotPositiveDefinite
+from omtwarp.solvers.cholesky.saddle import SaddleMatrix
 from omtwarp.solvers.mesh_factor import (
     SparseFactor,
     cell_saddle_factor,
@@ -18,8 +19,7 @@ from omtwarp.solvers.mesh_factor import (
     surface_factor,
     surface_saddle_factor,
 )
-from omtwarp.solvers.saddle_matrix import SaddleMatrix
-from omtwarp.solvers.triangle_newton.newton import PatchMatrix
+from omtwarp.solvers.newton import PatchMatrix
 
 SURFACE = blob(seed=3, amplitude=0.3, sphere=1280)
 EVERY = (Solver.SCIPY, Solver.CHOLESKY)

@@ -6,9 +6,8 @@ import trimesh
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.checks import as_surface
 from omtwarp.mesh.shapes import blob, flip_edges, icosphere, limbs, tube, uv_sphere
-from omtwarp.mesh.surface import Surface, triangle_areas
+from omtwarp.mesh.surface import Surface, as_surface, triangle_areas
 from omtwarp.start.decimation import simplify
 from tests.hostile.hostile_meshes import boxes_joined
 

@@ -5,14 +5,12 @@ import pytest
 
 from omtwarp import OmtwarpError, repair, shapes
 from omtwarp.device.policy import resolve_device
-from omtwarp.flips.predicates import count_flips
-from omtwarp.flips.rings import is_bijective
+from omtwarp.flips.exact import count_flips, is_bijective
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.open_surfaces.symmetric import ACROSS
-from omtwarp.start.decimation import simplify
-from omtwarp.start.decimation_kernels import Vertex
-from omtwarp.start.hemispherical import hemispherical_embedding
-from omtwarp.topology.doubling import double, split_chords
+from omtwarp.start.decimation import Vertex, simplify
+from omtwarp.start.hierarchical import hemispherical_embedding
+from omtwarp.topology.closing import double, split_chords
 from omtwarp.topology.kind import boundary_half_edges, boundary_loops, parts_of
 
 

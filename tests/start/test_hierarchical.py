@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
-from omtwarp.flips.predicates import count_flips
-from omtwarp.mesh.checks import as_surface
+from omtwarp.flips.exact import count_flips
 from omtwarp.mesh.shapes import (
     blob,
     demo_shape,
@@ -26,9 +25,9 @@ from omtwarp.mesh.shapes import (
     tube,
     uv_sphere,
 )
-from omtwarp.mesh.surface import Surface, triangle_areas
+from omtwarp.mesh.surface import Surface, as_surface, triangle_areas
 from omtwarp.start import hierarchical
-from omtwarp.start.decimation_kernels import MAX_VALENCE
+from omtwarp.start.decimation import MAX_VALENCE
 from omtwarp.start.hierarchical import hierarchical_embedding
 from omtwarp.start.hierarchical_kernels import insert_vertices, relax_vertices
 from tests.hostile.hostile_meshes import boxes_joined

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from sphere_truths import apart, at_height, height_and_longitude, rms
 
 import omtwarp
-from omtwarp.conformal.harmonic import harmonic_points
+from omtwarp.conformal.maps import harmonic_points
 from omtwarp.errors import OmtwarpError
-from omtwarp.flips.predicates import count_flips
+from omtwarp.flips.exact import count_flips
 from omtwarp.mesh.shapes import blob, flip_edges, icosphere, limbs, needle, noisy, plate, random_sphere, tube
 from omtwarp.metrics.certificate import certify_triangles
 from omtwarp.start import choice as start_module

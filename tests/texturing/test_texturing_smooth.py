@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from texturing_shapes import ellipsoid, rotation, stretch_latitude, unit
 
-from omtwarp.flips.predicates import count_flips, flipped_faces
+from omtwarp.flips.exact import count_flips, flipped_faces
 from omtwarp.mesh import shapes
 from omtwarp.texturing import bake, texture
 from omtwarp.texturing.baking import sample

@@ -9,7 +9,7 @@ import trimesh
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh import shapes
 from omtwarp.mesh.validate import check
-from omtwarp.topology.doubling import double, split_chords
+from omtwarp.topology.closing import double, split_chords
 from omtwarp.topology.kind import boundary_loops, loop_length
 
 

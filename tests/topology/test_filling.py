@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 import omtwarp
 from omtwarp.mesh import shapes
 from omtwarp.mesh.validate import check
-from omtwarp.topology.filling import fill_holes, fill_loop
+from omtwarp.topology.closing import fill_holes, fill_loop
 from omtwarp.topology.kind import boundary_loops
 
 

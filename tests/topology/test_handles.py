@@ -14,7 +14,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.mesh import shapes
 from omtwarp.mesh.validate import check
 from omtwarp.options import CutAlong
-from omtwarp.topology.filling import fill_holes
+from omtwarp.topology.closing import fill_holes
 from omtwarp.topology.handles import cut_handles, cut_open, loops_through_holes, shortest_handle_loop
 from omtwarp.topology.kind import parts_of
 

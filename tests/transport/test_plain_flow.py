@@ -2,7 +2,7 @@
 
 from sphere_truths import pushed_north, turned, twisted
 
-from omtwarp.flips.predicates import count_flips
+from omtwarp.flips.exact import count_flips
 from omtwarp.mesh.shapes import icosphere
 from omtwarp.metrics import measure_triangles
 from omtwarp.transport.cost import transport_cost

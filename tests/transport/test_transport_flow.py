@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from sphere_truths import at_height, height_and_longitude, mean_edge, pushed_north, rms, turned, twisted
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.flips.predicates import count_flips
+from omtwarp.flips.exact import count_flips
 from omtwarp.mesh.shapes import icosphere, random_sphere
 from omtwarp.metrics import measure_triangles
 from omtwarp.metrics.optimality import relative_curl

@@ -7,12 +7,12 @@ import pytest
 from sphere_truths import random_rotation
 
 from omtwarp.device import threads
-from omtwarp.flips.predicates import flipped_faces
+from omtwarp.flips.exact import flipped_faces
 from omtwarp.mesh.patches import Patches
 from omtwarp.mesh.shapes import blob, icosphere
 from omtwarp.metrics.certificate import certify_triangles
-from omtwarp.solvers.triangle_newton import small_patches
-from omtwarp.solvers.triangle_newton.small_patches import SmallPatches
+from omtwarp.solvers import patches as small_patches
+from omtwarp.solvers.patches import SmallPatches
 from omtwarp.untangling.untangle import RepairBudget, untangle
 
 

@@ -10,11 +10,11 @@ from sphere_truths import random_rotation
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.flips.predicates import flipped_faces
+from omtwarp.flips.exact import flipped_faces
 from omtwarp.mesh.shapes import blob, icosphere, noisy
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics.certificate import certify_triangles
-from omtwarp.solvers.triangle_newton.frames import triangle_frames
+from omtwarp.solvers.triangle import triangle_frames
 from omtwarp.untangling.kernels import untangle_newton, untangle_value
 from omtwarp.untangling.untangle import SCHEDULES, RepairBudget, untangle
 

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
 
-from omtwarp.device.graphs import GraphsByArray, step_by_step
 from omtwarp.device.start import wp
+from omtwarp.device.threads import GraphsByArray, step_by_step
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import cotangent_laplacian
 from omtwarp.wavelets import (

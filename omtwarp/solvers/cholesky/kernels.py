@@ -9,7 +9,7 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 # Raw pointers, because the compiler vectorises loops over them but not over Warp's arrays: three times as fast. The
 # pragmas prevent unrolling, which is no faster and takes about half of the time to compile this file. LAPACK and BLAS
-# are called by address (see lapack.py), so that no front passes through Python.
+# are called by address (see multifrontal.py), so that no front passes through Python.
 ASSEMBLE = """
     const int rows_count = starts.data[f + 1] - starts.data[f];
     const int size = block * rows_count, width = block * block;

@@ -1,9 +1,9 @@
-"""Order of elimination of saddle-point matrices [A, Bᵀ; B, -C] on a mesh.
+"""Saddle-point matrices [A, Bᵀ; B, -C] on a mesh: their numbers on a device, and the order of their elimination.
 
 With A and C positive definite the matrix is quasi-definite: it has a factorisation L S Lᵀ, S diagonal with entries 1
 and -1, in every symmetric order of elimination, without pivoting [1]. The order is the mesh's nested dissection; inside
 a front the coordinates come before the multipliers, whose pivots then are Schur complements. Unknowns and couplings are
-numbered as :class:`omtwarp.solvers.saddle_matrix.SaddleMatrix` has them.
+numbered as :class:`SaddleMatrix` has them.
 
 References:
     [1] R. J. Vanderbei, "Symmetric quasi-definite matrices", SIAM Journal on Optimization 5(1), 1995.
@@ -11,11 +11,73 @@ References:
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.device.arrays import empty
+from omtwarp.device.start import wp
 from omtwarp.solvers.cholesky.dissection import Dissection, dissect, edge_blocks, of_unknowns
-from omtwarp.solvers.saddle_matrix import COORDINATES
+
+Numbers = NDArray[np.float64]
+
+COORDINATES = 2  # unknowns of a vertex
+
+
+class SaddleMatrix:
+    """The entries of one matrix on a mesh, written in parts.
+
+    Args:
+        vertices: V, of the mesh.
+        edges: E.
+        multipliers: N; none for a matrix of the coordinates alone.
+        slopes: number of entries of B.
+        device: a Warp device.
+
+    Attributes:
+        entries: all of them, float64; what follows are parts of it.
+        diagonal: of A, shape [2 V].
+        compliance: the diagonal of -C, shape [N].
+        off_diagonal: A's blocks of the edges (i, j), rows of i, columns of j, shape [E, 4].
+        slopes: B's entries. Of multipliers of vertices: of every edge, row i by the coordinates of j, then of every
+            edge, row j by those of i. Of cells: of every cell by the coordinates of its vertices.
+        inner: A's entries between the two coordinates of a vertex, shape [V].
+    """
+
+    def __init__(self, vertices: int, edges: int, multipliers: int, slopes: int, device: wp.Device):
+        self.vertices, self.multipliers = vertices, multipliers
+        sizes = [COORDINATES * vertices, multipliers, 4 * edges, slopes, vertices]
+        ends = np.cumsum([0, *sizes]).tolist()
+        self.entries, none = (empty(count, wp.float64, device) for count in (ends[-1], 0))
+        parts = [self.entries[a:b] if b > a else none for a, b in pairwise(ends)]
+        self.diagonal, self.compliance, off_diagonal, self.slopes, self.inner = parts
+        self.off_diagonal = off_diagonal.reshape((edges, 4))
+        self._ends = ends
+
+    @classmethod
+    def of(cls, own: Numbers, others: Numbers, slopes: Numbers, compliance: Numbers) -> SaddleMatrix:
+        """Return a matrix on the host.
+
+        Args:
+            own: A's blocks of the vertices, shape [V, 2, 2].
+            others: A's blocks of the edges, shape [E, 2, 2].
+            slopes: B's entries in any shape.
+            compliance: C's diagonal, shape [N].
+        """
+        matrix = cls(len(own), len(others), len(compliance), slopes.size, wp.get_device("cpu"))
+        numbers = [own[:, [0, 1], [0, 1]], -compliance, others, slopes, own[:, 0, 1]]
+        np.concatenate([part.ravel() for part in numbers], out=matrix.entries.numpy())
+        return matrix
+
+    def on_host(self) -> tuple[Numbers, Numbers, Numbers, Numbers]:
+        """Return the numbers that :meth:`of` takes; of B flat."""
+        diagonal, compliance, others, slopes, inner = np.split(self.entries.numpy(), self._ends[1:-1])
+        own = np.empty((self.vertices, 2, 2))
+        own[:, [0, 1], [0, 1]] = diagonal.reshape(-1, 2)
+        own[:, 0, 1] = own[:, 1, 0] = inner
+        return own, others.reshape(-1, 2, 2), slopes, -compliance
+
 
 UNKNOWNS = 3  # of a vertex that has a multiplier of its own
 

@@ -288,10 +288,10 @@ def test_corners_opposite_to_edges():
 
 def test_threads_that_share_a_front_find_the_same_factor(monkeypatch):
     """Several threads find the factor of one, with panels and strips so small that every kind of them occurs."""
-    from omtwarp.solvers.cholesky import lapack
+    from omtwarp.solvers.cholesky import multifrontal
 
-    monkeypatch.setattr(lapack, "PANEL", 7)
-    monkeypatch.setattr(lapack, "STRIP", 10)
+    monkeypatch.setattr(multifrontal, "PANEL", 7)
+    monkeypatch.setattr(multifrontal, "STRIP", 10)
     surface = blob(seed=8, sphere=5000)
     diagonal, off = dominant_blocks(surface, 2, 5)
     right = np.random.default_rng(0).normal(size=(surface.vertex_count, 2))

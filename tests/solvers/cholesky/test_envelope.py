@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from omtwarp.device.start import KERNEL_OPTIONS, wp
 from omtwarp.mesh.shapes import blob, icosphere
-from omtwarp.solvers.cholesky.envelope import COLUMNS, Envelopes
-from omtwarp.solvers.cholesky.envelope_kernels import (
+from omtwarp.solvers.cholesky.envelope import (
+    COLUMNS,
+    Envelopes,
     factorise_envelope,
     factorise_saddle_envelope,
     solve_envelope,

@@ -8,10 +8,9 @@ from scipy.sparse.linalg import spsolve
 from omtwarp.mesh.shapes import icosphere
 from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.solvers.cholesky.dissection import surface_dissection
-from omtwarp.solvers.cholesky.lapack import eliminate_together
-from omtwarp.solvers.cholesky.saddle import expand
+from omtwarp.solvers.cholesky.multifrontal import eliminate_together
+from omtwarp.solvers.cholesky.saddle import SaddleMatrix, expand
 from omtwarp.solvers.mesh_factor import OrderedSaddleFactor, solve_parts
-from omtwarp.solvers.saddle_matrix import SaddleMatrix
 
 
 def _random_saddle(surface, seed):

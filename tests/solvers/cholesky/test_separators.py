@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 
 from omtwarp.mesh.shapes import blob, limbs
 from omtwarp.solvers.cholesky import dissect, dissection
-from omtwarp.solvers.cholesky.separators import least_separators
+from omtwarp.solvers.cholesky.dissection import least_separators
 
 
 def strip(rng: np.random.Generator, columns: int, rows: int) -> tuple[np.ndarray, np.ndarray]:

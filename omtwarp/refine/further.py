@@ -1,8 +1,12 @@
-"""A bound on how far triangles are stretched, which minimisation keeps by a barrier."""
+"""What may be minimised together with the distortion of triangles: a bound on their strain, and an energy at vertices.
+
+The bound is kept by a barrier.
+"""
 
 from __future__ import annotations
 
-from typing import TypeVar
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +15,9 @@ from omtwarp.device.start import KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
 from omtwarp.device.threads import Arguments, cut, launch_parts
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.refine.kernels import distortion_gradient, distortion_hessian, distortion_terms, gather_tangent
-from omtwarp.solvers.triangle_newton.newton_kernels import packed
-from omtwarp.solvers.triangle_newton.triangle import first_tangent
+from omtwarp.solvers.motion_kernels import from_tangent
+from omtwarp.solvers.newton import packed
+from omtwarp.solvers.triangle import first_tangent
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -129,7 +134,7 @@ class StrainBarrier:
 
     Args:
         faces: corners of the triangles, vec3i, shape [F], on the host as all that follows.
-        frames: see :func:`omtwarp.solvers.triangle_newton.frames.triangle_frames`, vec3d, shape [F].
+        frames: see :func:`omtwarp.solvers.triangle.triangle_frames`, vec3d, shape [F].
         areas: on the original surface, float64, shape [F].
         rows: corners of the triangles around the vertices: offsets and corners, int32.
         limit: see :func:`strain_limit`.
@@ -179,3 +184,51 @@ class StrainBarrier:
 
         launch_parts(barrier_hessian, self._count, arguments, self._device)
         return np.asarray(blocks.numpy())
+
+
+@dataclass(frozen=True)
+class VertexDerivatives:
+    """The value of a term at a map, and its derivatives by the positions of the vertices.
+
+    Attributes:
+        value: the term, in the unit of the distortion: a mean over the sphere.
+        gradient: by every vertex, shape [V, 3]; what is not tangent to the sphere does not count.
+        hessian: of every vertex, symmetric positive semidefinite, shape [V, 3, 3]; of it the solver takes the 2x2 block
+            in the tangent plane. Steps go downhill with any such matrix, and are longest with the true one: where that
+            is indefinite, leave out its negative part, as Gauss and Newton do with squares.
+    """
+
+    value: float
+    gradient: NDArray[np.float64]
+    hessian: NDArray[np.float64]
+
+
+class VertexTerm(Protocol):
+    """An energy that is a sum over the vertices of a function of where each lies.
+
+    A class with the method below is one; :class:`omtwarp.refine.solver.Refiner` takes it as ``vertex_term``. The value
+    has to be continuous, and the gradient its derivative: the line search compares the two.
+    """
+
+    def at(self, points: NDArray[np.float64]) -> VertexDerivatives:
+        """Return the term and its derivatives at a map, unit vectors, shape [V, 3]."""
+
+
+def tangent_blocks(points: wp.array, hessian: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return matrices in space, [V, 3, 3], as the blocks of the tangent bases of points, shape [V, 2, 2].
+
+    Args:
+        points: vec3d, shape [V], on the host.
+        hessian: symmetric, shape [V, 3, 3].
+    """
+    count = points.size
+    bases = []
+    for k in range(2):
+        one = np.zeros((count, 2))
+        one[:, k] = 1.0
+        vectors = wp.empty(count, dtype=wp.vec3d, device="cpu")
+        inputs = [points, wp.array(one, dtype=wp.float64, device="cpu", copy=False)]
+        wp.launch(from_tangent, dim=count, inputs=inputs, outputs=[vectors], device="cpu")
+        bases.append(vectors.numpy())
+    basis = np.stack(bases, axis=1)
+    return np.asarray(basis @ hessian @ basis.transpose(0, 2, 1))

@@ -1,19 +1,111 @@
-"""Newton matrices of patches, gathered from triangles and factorised in an order that is kept."""
+"""Newton steps of patches: matrices gathered from triangles, factorised in a kept order, and lengths of steps."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.arrays import Workspace, sent
-from omtwarp.device.start import wp
+from omtwarp.device.start import KERNEL_OPTIONS, wp
 from omtwarp.device.threads import Arguments, cut, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.patches import Patches
 from omtwarp.mesh.surface import Surface
 from omtwarp.solvers.cholesky import NotPositiveDefinite, part_dissection
 from omtwarp.solvers.mesh_factor import mesh_factor
-from omtwarp.solvers.triangle_newton.newton_kernels import gather_edge_blocks, gather_vertex_blocks
+
+wp.set_module_options(KERNEL_OPTIONS)
+
+
+@wp.func
+def packed(row: int, column: int) -> int:
+    """Return the index of an entry in a symmetric 6x6 matrix stored by its upper triangle, row by row."""
+    return (row * (11 - row)) // 2 + column
+
+
+@wp.func
+def vertex_block(
+    v: int,
+    offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    blocks: wp.array2d[wp.float64],
+) -> wp.vec4d:
+    """Sum the 2x2 block of a vertex over the triangles around it."""
+    s0, s1, s2 = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
+    for k in range(offsets[v], offsets[v + 1]):
+        face = corners[k] // 3
+        row = 2 * (corners[k] - 3 * face)
+        at = packed(row, row)
+        s0 += blocks[face, at]
+        s1 += blocks[face, at + 1]
+        s2 += blocks[face, packed(row + 1, row + 1)]
+    return wp.vec4d(s0, s1, s1, s2)
+
+
+@wp.func
+def edge_block(
+    end: int,
+    opposite_corners: wp.vec2i,
+    faces: wp.array[wp.vec3i],
+    blocks: wp.array2d[wp.float64],
+) -> wp.vec4d:
+    """Sum the 2x2 block of an edge, rows of one end and columns of the other, over its two triangles."""
+    s0, s1, s2, s3 = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
+    for k in range(2):
+        if opposite_corners[k] >= 0:
+            face = opposite_corners[k] // 3
+            opposite = opposite_corners[k] - 3 * face
+            i = (opposite + 1) % 3
+            j = (opposite + 2) % 3
+            if faces[face][i] != end:
+                i = (opposite + 2) % 3
+                j = (opposite + 1) % 3
+            upper = packed(2 * wp.min(i, j), 2 * wp.max(i, j))
+            lower = packed(2 * wp.min(i, j) + 1, 2 * wp.max(i, j))
+            s0 += blocks[face, upper]
+            s3 += blocks[face, lower + 1]
+            if i < j:
+                s1 += blocks[face, upper + 1]
+                s2 += blocks[face, lower]
+            else:
+                s1 += blocks[face, lower]
+                s2 += blocks[face, upper + 1]
+    return wp.vec4d(s0, s1, s2, s3)
+
+
+@wp.kernel
+def gather_vertex_blocks(
+    offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    blocks: wp.array2d[wp.float64],
+    # Data out:
+    diagonal: wp.array2d[wp.float64],
+):
+    """Compute the block of every vertex."""
+    v = wp.tid()
+    block = vertex_block(v, offsets, corners, blocks)
+    for q in range(4):
+        diagonal[v, q] = block[q]
+
+
+@wp.kernel
+def gather_edge_blocks(
+    edges: wp.array[wp.vec2i],
+    faces: wp.array[wp.vec3i],
+    corners: wp.array[wp.vec2i],
+    blocks: wp.array2d[wp.float64],
+    weight: wp.float64,
+    # Data out:
+    off_diagonal: wp.array2d[wp.float64],
+):
+    """Compute the block of every edge, rows of its first end, times a weight."""
+    e = wp.tid()
+    block = weight * edge_block(edges[e][0], corners[e], faces, blocks)
+    for q in range(4):
+        off_diagonal[e, q] = block[q]
+
 
 # Where rounding still leaves a pivot that is not positive, the diagonal grows by these parts of itself.
 DIAGONAL_SHIFTS = (0.0, 1e-12, 1e-9, 1e-6, 1e-3)
@@ -92,3 +184,37 @@ class PatchMatrix:
     def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
         """Solve for tangent coordinates, shape [V, 2]."""
         return self._factor.solve(right)
+
+
+SUFFICIENT_DECREASE = 1e-4  # share of the decrease that the slope predicts (Nocedal and Wright 2006, chapter 3)
+
+
+def search_patches(
+    move: Callable[[NDArray[np.float64]], wp.array],
+    energies_of: Callable[[wp.array], NDArray[np.float64]],
+    energies: NDArray[np.float64],
+    slopes: NDArray[np.float64],
+    longest: NDArray[np.float64],
+    halvings: int,
+) -> tuple[wp.array, NDArray[np.float64]]:
+    """Step lengths of independent patches, each halved until its own energy falls; what never falls stays.
+
+    Args:
+        move: the points after steps of given lengths, one per patch.
+        energies_of: the energy of every patch at such points.
+        energies, slopes: of every patch before the step.
+        longest: lengths to begin with; patches with 0 stay.
+        halvings: most of them.
+
+    Returns:
+        The points moved, and the lengths.
+    """
+    length = longest.copy()
+    for _ in range(halvings):
+        moved = move(length)
+        worse = ~(energies_of(moved) <= energies + SUFFICIENT_DECREASE * length * slopes) & (length > 0.0)
+        if not worse.any():
+            return moved, length
+        length[worse] *= 0.5
+    length[worse] = 0.0
+    return move(length), length

@@ -2,7 +2,7 @@
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
 from omtwarp.geometry.spherical import oriented_volume
-from omtwarp.solvers.triangle_newton.triangle import first_tangent
+from omtwarp.solvers.triangle import first_tangent
 
 wp.set_module_options(KERNEL_OPTIONS)
 

@@ -1,0 +1,325 @@
+"""Surfaces with a boundary made closed: doubled with their mirror copy, or their holes filled.
+
+The double of a disk, the surface glued to its mirror copy along the boundary, is a closed surface of genus 0 with a
+mirror symmetry that fixes exactly the boundary. For it to be a triangle mesh, no edge inside the surface may have both
+ends on the boundary: its two copies would be one edge of four triangles. Such edges are split at their midpoints first,
+which does not change the surface.
+
+Holes are filled with well-shaped triangles that span a surface of small area. A loop of n vertices gets rings of
+vertices that become fewer towards the middle, so that triangles stay near equilateral and grow by at most a quarter
+from ring to ring; the middle is a fan. No new edge joins two vertices of the loop, so that the result is a triangle
+mesh whatever edges the surface has. Positions are those of a discrete minimal surface [1]_: the harmonic membrane in
+the loop, its weights renewed from its own shape a few times.
+
+.. [1] U. Pinkall, K. Polthier, "Computing discrete minimal surfaces and their conjugates", Exp. Math. 2 (1993).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import spsolve
+
+from omtwarp.geometry.operators import corner_cotangents
+from omtwarp.mesh.arrays import Floats, Ints, edge_keys
+from omtwarp.mesh.origins import Derived
+from omtwarp.mesh.quarter import QuarteredSurface
+from omtwarp.topology.kind import boundary_half_edges
+
+
+def split_chords(vertices: Floats, faces: NDArray, loop: NDArray[np.int64] | None = None) -> Derived:
+    """Split every edge inside the surface whose two ends lie on the boundary, at its midpoint.
+
+    Args:
+        vertices: float64, shape [V, 3].
+        faces: an oriented manifold mesh, shape [F, 3].
+        loop: vertices of the one boundary loop that counts; all of the boundary by default.
+    """
+    count = len(vertices)
+    triangles = np.asarray(faces, dtype=np.int64)
+    half = boundary_half_edges(triangles, count)
+    on_boundary = np.zeros(count, dtype=bool)
+    on_boundary[half if loop is None else loop] = True
+    tail, head = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    low, high = np.minimum(tail, head), np.maximum(tail, head)
+    keys = low * count + high
+    chord = on_boundary[tail] & on_boundary[head] & ~np.isin(keys, edge_keys(half, count))
+    split = np.unique(keys[chord])
+    return split_at(vertices, triangles, np.stack([split // count, split % count], axis=1))
+
+
+def split_at(vertices: Floats, faces: NDArray, edges: NDArray) -> Derived:
+    """Split edges at their midpoints.
+
+    Args:
+        vertices: float64, shape [V, 3].
+        faces: shape [F, 3].
+        edges: pairs of vertices, the lower first and in ascending order, shape [K, 2].
+    """
+    count = len(vertices)
+    triangles, ends = np.asarray(faces, dtype=np.int64), np.asarray(edges, dtype=np.int64)
+    split = edge_keys(ends, count)
+    keys = edge_keys(np.stack([triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()], axis=1), count)
+    number = np.searchsorted(split, keys)
+    number[number == len(split)] = 0
+    known = split[number] == keys if len(split) else np.zeros(len(keys), dtype=bool)
+    midpoint = np.where(known, count + number, -1)
+    cut, face_origin = _subdivided(triangles, midpoint.reshape(-1, 3))
+    return Derived(
+        np.r_[np.arange(count), np.full(len(ends), -1)],
+        face_origin,
+        np.concatenate([vertices, 0.5 * vertices[ends[:, 0]] + 0.5 * vertices[ends[:, 1]]]),
+        cut,
+        split_edges=ends,
+        given=count,
+    )
+
+
+def _subdivided(faces: NDArray[np.int64], midpoint: NDArray[np.int64]) -> tuple[Ints, NDArray[np.int64]]:
+    """Return the faces cut through midpoints of edges (k, k+1), -1 where one stays whole, and the face each is of."""
+    whole = (midpoint < 0).all(axis=1)
+    parts, origins = [faces[whole]], [np.flatnonzero(whole)]
+    for split_count in (1, 2, 3):
+        for first in range(3):
+            # Rotated so that the split edges come first; an edge that stays whole is the last of two, or of three.
+            turned = np.roll(faces, -first, axis=1)
+            middle = np.roll(midpoint, -first, axis=1)
+            pattern = (middle >= 0) == (np.arange(3) < split_count)
+            here = np.flatnonzero(pattern.all(axis=1))
+            if not len(here) or (split_count == 3 and first > 0):
+                continue
+            (a, b, c), (p, q, r) = turned[here].T, middle[here].T
+            pieces = {
+                1: [(a, p, c), (p, b, c)],
+                2: [(p, b, q), (a, p, q), (a, q, c)],
+                3: [(a, p, r), (p, b, q), (r, q, c), (p, q, r)],
+            }[split_count]
+            for piece in pieces:
+                parts.append(np.stack(piece, axis=1))
+                origins.append(here)
+    origin = np.concatenate(origins)
+    order = np.argsort(origin, kind="stable")
+    return np.concatenate(parts)[order].astype(np.int32), origin[order]
+
+
+@dataclass(frozen=True, eq=False)
+class Double(Derived):
+    """A surface glued to its mirror copy along the boundary.
+
+    Attributes:
+        vertices: those of the surface first, then the copies of those inside, float64, shape [W, 3].
+        faces: those of the surface first, then the copies, turned over, int32, shape [2F, 3].
+        mirror: the copy of every vertex, shape [W]; a vertex of the boundary is its own.
+        on_boundary: which vertices those are, shape [W].
+        copied: which vertices belong to the copy alone, shape [W].
+    """
+
+    mirror: NDArray[np.int64]
+    on_boundary: NDArray[np.bool_]
+    copied: NDArray[np.bool_]
+
+    @property
+    def half(self) -> NDArray[np.int64]:
+        """The vertices of the surface itself, with its boundary, ascending, shape [H]."""
+        return np.flatnonzero(~self.copied)
+
+
+def double(vertices: Floats, faces: NDArray) -> Double:
+    """Glue a surface to its mirror copy along its boundary; the copy lies where the surface lies.
+
+    Args:
+        vertices: float64, shape [V, 3].
+        faces: an oriented manifold mesh without an inner edge between boundary vertices (see :func:`split_chords`),
+            shape [F, 3].
+    """
+    count = len(vertices)
+    on_boundary = np.zeros(count, dtype=bool)
+    on_boundary[boundary_half_edges(faces, count)] = True
+    inside = np.flatnonzero(~on_boundary)
+    copy = np.arange(count)
+    copy[inside] = count + np.arange(len(inside))
+    return Double(
+        np.r_[np.arange(count), inside],
+        np.tile(np.arange(len(faces)), 2),
+        np.concatenate([vertices, vertices[inside]]),
+        np.concatenate([faces, copy[faces][:, ::-1]]).astype(np.int32),
+        np.concatenate([copy, inside]),
+        np.concatenate([on_boundary, np.zeros(len(inside), dtype=bool)]),
+        np.arange(count + len(inside)) >= count,
+    )
+
+
+def quartered_double(whole: Double, quartered: QuarteredSurface) -> Double:
+    """Return the double whose triangles are the parts of another's.
+
+    Args:
+        whole: a surface and its mirror copy, W vertices and 2F faces.
+        quartered: the same with every triangle cut into four, the surface's own first.
+    """
+    count, ends = len(whole.mirror), quartered.ends.astype(np.int64)
+    images = np.sort(whole.mirror[ends], axis=1)
+    keys, wanted = edge_keys(ends, count), images[:, 0] * count + images[:, 1]
+    order = np.argsort(keys)
+    image = order[np.searchsorted(keys, wanted, sorter=order)]
+    own = np.zeros(len(ends), dtype=bool)
+    own[quartered.middles[: len(quartered.middles) // 2] - count] = True
+    made = whole.compose(quartered.origins)
+    return Double(
+        made.vertex_origin,
+        made.face_origin,
+        quartered.surface.vertices,
+        quartered.surface.faces,
+        np.concatenate([whole.mirror, count + image]),
+        np.concatenate([whole.on_boundary, image == np.arange(len(ends))]),
+        np.concatenate([whole.copied, ~own]),
+    )
+
+
+@dataclass(frozen=True)
+class Patch:
+    """The vertices and faces that fill a loop of n vertices.
+
+    Attributes:
+        vertices: the new vertices, float64, shape [K, 3].
+        faces: triangles by the vertices of the loop, 0 to n - 1, and the new ones, n to n + K - 1, int64, shape [P, 3].
+    """
+
+    vertices: Floats
+    faces: NDArray[np.int64]
+
+
+def fill_loop(points: Floats) -> Patch:
+    """Fill a closed loop; the patch is the same, to the bit, whichever vertex of the loop comes first.
+
+    Args:
+        points: the loop's vertices, three or more, in the direction in which the surface's faces run through them,
+            shape [n, 3].
+    """
+    count, begin = len(points), _beginning(points)
+    points = np.roll(points, -begin, axis=0)
+    # In the unit of the loop: weights and tolerances are then free of scale.
+    centre = points.mean(axis=0)
+    extent = max(float(np.abs(points - centre).max()), np.finfo(float).tiny)
+    loop = (points - centre) / extent
+    steps = np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=1)
+    turns = np.concatenate([[0.0], np.cumsum(steps)[:-1]]) / max(float(steps.sum()), np.finfo(float).tiny)
+    flat, faces = _rings(turns)
+    places = _harmonic(flat, faces, loop)
+    # Renewals, of the membrane's weights; the area then changes by less than a per cent
+    for _ in range(5):
+        places = _harmonic(places, faces, loop)
+    return Patch(places[count:] * extent + centre, np.where(faces < count, (faces + begin) % count, faces))
+
+
+def _beginning(points: Floats) -> int:
+    """Return the vertex of a loop that is nearest to its middle, of equally near ones the first along x, y and z."""
+    far = np.linalg.norm(points - points.mean(axis=0), axis=1)
+    # Equally far: difference of distances, over the largest, that may be round-off of another order or position
+    nearest = np.flatnonzero(far <= far.min() + 1e-9 * far.max())
+    return int(nearest[np.lexsort(points[nearest, ::-1].T)[0]])
+
+
+def _rings(turns: Floats) -> tuple[Floats, NDArray[np.int64]]:
+    """Triangulate the unit disk, its first vertices on the circle at the turns given, in [0, 1), ascending."""
+    coarsening = 0.8  # a ring has at least so many times the vertices of the ring around it
+    rings, radius = [turns], 1.0
+    points = [np.stack([np.cos(2 * np.pi * turns), np.sin(2 * np.pi * turns), 0.0 * turns], axis=1)]
+    # Fan: a ring of so few vertices is closed by one vertex in the middle
+    while len(rings[-1]) > 7:
+        around = len(rings[-1])
+        # Near-equilateral triangles: the next ring is sqrt(3)/2 of an edge further in.
+        shrink = 1.0 - np.sqrt(3.0) * np.pi / around
+        radius *= shrink
+        fewer = max(round(coarsening * around), round(shrink * around), 3) if shrink < coarsening else 0
+        fewer = fewer or max(round(coarsening * around), 3)
+        rings.append((np.arange(fewer) + 0.5) / fewer)
+        angle = 2 * np.pi * rings[-1]
+        points.append(radius * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1))
+    rows, first = [], 0
+    for outer, inner in pairwise(rings):
+        rows.append(_strip(outer, inner, first, first + len(outer)))
+        first += len(outer)
+    last = np.arange(len(rings[-1]))
+    middle = first + len(last)
+    rows.append(np.stack([first + last, first + np.roll(last, -1), np.full(len(last), middle)], axis=1))
+    points.append(np.zeros((1, 3)))
+    # The surface's faces run along the loop, so that the patch has to run against it.
+    return np.concatenate(points), np.concatenate(rows)[:, ::-1].copy()
+
+
+def _strip(outer: Floats, inner: Floats, first: int, second: int) -> NDArray[np.int64]:
+    """Return triangles between two rings of vertices, counter-clockwise: each advances the ring that lags behind."""
+    start = int(np.argmin(np.abs(inner - outer[0])))
+    ahead = np.concatenate([outer, [outer[0] + 1.0]])
+    behind = np.concatenate([inner[start:], inner[:start] + 1.0, [inner[start] + 1.0]])
+    faces, i, j = [], 0, 0
+    while i < len(outer) or j < len(inner):
+        a, b = first + i % len(outer), second + (start + j) % len(inner)
+        advance_outer = j == len(inner) or (i < len(outer) and ahead[i + 1] <= behind[j + 1])
+        if advance_outer:
+            faces.append((a, first + (i + 1) % len(outer), b))
+            i += 1
+        else:
+            faces.append((a, second + (start + j + 1) % len(inner), b))
+            j += 1
+    return np.array(faces, dtype=np.int64)
+
+
+def _harmonic(shape: Floats, faces: NDArray[np.int64], loop: Floats) -> Floats:
+    """Return harmonic positions of all vertices by a shape's cotangent weights, the loop held, shape [n + K, 3]."""
+    count, held = len(shape), len(loop)
+    # Weights are positive, so that a vertex lies among its neighbours.
+    halves = 0.5 * np.clip(corner_cotangents(shape, faces), 1e-3, 1e3)
+    one, other = np.roll(faces, -1, axis=1).ravel(), np.roll(faces, -2, axis=1).ravel()
+    weights = sparse.coo_array((halves.ravel(), (one, other)), shape=(count, count)).tocsr()
+    weights = weights + weights.T
+    laplacian = (sparse.diags_array(weights.sum(axis=1)) - weights).tocsr()
+    right = -(laplacian[held:, :held] @ loop)
+    inner = spsolve(laplacian[held:, held:].tocsc(), right).reshape(-1, 3)
+    return np.concatenate([loop, inner])
+
+
+@dataclass(frozen=True, eq=False)
+class FilledSurface(Derived):
+    """A surface whose holes were filled.
+
+    Attributes:
+        vertices: those of the surface, then those of the filling, float64, shape [W, 3].
+        faces: those of the surface, then those of the filling, int32, shape [G, 3].
+        patch: the loop that each face fills, -1 for the surface's own, shape [G].
+    """
+
+    patch: NDArray[np.int64]
+
+
+def fill_holes(vertices: Floats, faces: NDArray, loops: list[NDArray[np.int64]]) -> FilledSurface:
+    """Fill loops of the boundary of a surface, each with a patch of its own.
+
+    Args:
+        vertices: float64, shape [V, 3].
+        faces: an oriented manifold mesh, shape [F, 3].
+        loops: boundary loops, see :func:`omtwarp.topology.kind.boundary_loops`; others stay open.
+    """
+    points, triangles = [vertices], [np.asarray(faces, dtype=np.int64)]
+    marks = [np.full(len(faces), -1, dtype=np.int64)]
+    count = len(vertices)
+    for number, loop in enumerate(loops):
+        patch = fill_loop(vertices[loop])
+        own = np.concatenate([loop, count + np.arange(len(patch.vertices))])
+        points.append(patch.vertices)
+        triangles.append(own[patch.faces])
+        marks.append(np.full(len(patch.faces), number, dtype=np.int64))
+        count += len(patch.vertices)
+    patches = np.concatenate(marks)
+    return FilledSurface(
+        np.r_[np.arange(len(vertices)), np.full(count - len(vertices), -1)],
+        np.where(patches < 0, np.arange(len(patches)), -1),
+        np.concatenate(points),
+        np.concatenate(triangles).astype(np.int32),
+        patches,
+        given=len(vertices),
+    )
