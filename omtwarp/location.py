@@ -11,7 +11,7 @@ from scipy import sparse
 from omtwarp.device.arrays import triangles, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import KERNEL_OPTIONS, LARGE, ONE, THREE, ZERO, wp
-from omtwarp.device.threads import Arguments, launch_parts
+from omtwarp.device.threads import Each, each, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.spherical import TINY
 from omtwarp.mesh.arrays import Floats, Ints, normalised
@@ -317,14 +317,11 @@ class Locator:
         triangles = wp.empty(count, dtype=wp.int32, device=self.device)
         coordinates = wp.empty(count, dtype=wp.vec3d, device=self.device)
         mesh = [self._boxes.id, self._points, self._faces]
-
-        def arguments(part: slice) -> Arguments:
-            return [queries[part], *mesh], [triangles[part], coordinates[part]]
-
+        arguments = [Each(queries), *mesh], each(triangles, coordinates)
         if count:
-            launch_parts(find_faces, count, arguments, self.device)
+            launch_parts(find_faces, count, *arguments, self.device)
             if closest:
-                launch_parts(find_closest, count, arguments, self.device)
+                launch_parts(find_closest, count, *arguments, self.device)
         faces = triangles.numpy()
         if count and faces.min() < 0:
             missed = np.flatnonzero(faces < 0)

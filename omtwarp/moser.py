@@ -10,7 +10,7 @@ from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, THREE, TWO, ZERO, wp
 from omtwarp.device.sums import sums_for
-from omtwarp.device.threads import Arguments, blas_threads, launch_parts
+from omtwarp.device.threads import FIRST_THREAD, blas_threads, each, launch_parts
 from omtwarp.geometry.spherical import TINY
 from omtwarp.location import walk
 from omtwarp.measures import TargetDensity
@@ -310,23 +310,15 @@ def moser_map(
 
     field = wp.empty(vertices, dtype=wp.vec3d, device=where)
     sizes = wp.empty(vertices, dtype=wp.float64, device=where)
-
-    def field_arguments(part: slice) -> Arguments:
-        return [points, faces, potential, *rows, part.start], [field, sizes]
-
-    launch_parts(vertex_field, vertices, field_arguments, where)
+    launch_parts(vertex_field, vertices, [points, faces, potential, *rows, FIRST_THREAD], [field, sizes], where)
     moved = wp.empty_like(points)
     steps = wp.empty(vertices, dtype=wp.int32, device=where)
     # In s = -log(1 - t) the remaining motion falls as e^-s: at s = 14 it is 1e-6 of ∇Θ.
     # Largest step, at the start; it grows with s
     limits = [wp.float64(0.25), wp.float64(courant), wp.float64(14.0)]
-
-    def arguments(part: slice) -> Arguments:
-        own = [points[part], rows[0][part]]
-        shared = [points, faces, mesh.face_neighbours, field, mu, excess, sizes, rows[1]]
-        return [*own, *shared, *limits], [moved[part], steps[part]]
-
-    launch_parts(integrate_particles, vertices, arguments, where)
+    shared = [points, faces, mesh.face_neighbours, field, mu, excess, sizes, rows[1]]
+    inputs = [*each(points, rows[0]), *shared, *limits]
+    launch_parts(integrate_particles, vertices, inputs, each(moved, steps), where)
     longest = int(steps.numpy().max())
     tell(progress, "moser", parts, parts, {"steps": longest})
     return MoserMap(moved.numpy(), potential.numpy(), longest)

@@ -15,9 +15,10 @@ import contextlib
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from omtwarp.device import core_count
 from omtwarp.device.policy import SMALLEST_SHARED_LAUNCH, launch_parts_of, records_graphs
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
 
 Result = TypeVar("Result")
 Job = TypeVar("Job")
-Arguments: TypeAlias = tuple[Sequence[object], Sequence[object]]
-"""Inputs and outputs of a launch: arrays, numbers and vectors, in the order of the kernel's parameters."""
 
 _pool: tuple[int, ThreadPoolExecutor] | None = None
 _loaded: set[tuple[wp.Kernel, str]] = set()
@@ -70,10 +69,38 @@ def load(kernel: wp.Kernel, device: wp.Device) -> None:
         _loaded.add((kernel, str(device)))
 
 
+FIRST_THREAD = object()
+"""Stands among the arguments of :func:`launch_parts` for the number of a part's first thread."""
+
+
+@dataclass(frozen=True)
+class Each:
+    """An array with elements for every thread of a launch, of which each part of the launch gets its own.
+
+    Attributes:
+        array: ``width`` elements for a thread, and ``more`` behind the last.
+    """
+
+    array: wp.array
+    width: int = 1
+    more: int = 0
+
+    def of(self, part: slice) -> wp.array:
+        """Return the elements of some threads; without a slice where these are all."""
+        first, last = self.width * part.start, self.width * part.stop + self.more
+        return self.array if first == 0 and last == len(self.array) else self.array[first:last]
+
+
+def each(*arrays: wp.array) -> list[Each]:
+    """Return arrays with one element for every thread as arguments of :func:`launch_parts`."""
+    return [Each(array) for array in arrays]
+
+
 def launch_parts(
     kernel: wp.Kernel,
     count: int,
-    arguments: Callable[[slice], Arguments],
+    inputs: Sequence[object],
+    outputs: Sequence[object],
     device: wp.Device,
     least: int = SMALLEST_SHARED_LAUNCH,
 ) -> None:
@@ -84,14 +111,18 @@ def launch_parts(
     Args:
         kernel: writes to the elements of its thread alone.
         count: number of threads.
-        arguments: inputs and outputs of a launch over a slice: arrays with an element per thread cut to that slice.
+        inputs, outputs: of the kernel: arrays of which a part gets its own elements as :class:`Each`, and
+            :data:`FIRST_THREAD` where a part begins.
         device: a Warp device; on CUDA there is one launch.
         least: launches with fewer threads are not divided.
     """
 
     def launch(part: slice) -> None:
-        inputs, outputs = arguments(part)
-        wp.launch(kernel, dim=part.stop - part.start, inputs=inputs, outputs=outputs, device=device)
+        def own(given: object) -> object:
+            return given.of(part) if isinstance(given, Each) else part.start if given is FIRST_THREAD else given
+
+        arguments = list(map(own, inputs)), list(map(own, outputs))
+        wp.launch(kernel, part.stop - part.start, *arguments, device=device)
 
     parts = parts_of(count, device, least)
     if len(parts) > 1:
@@ -104,11 +135,6 @@ def parts_of(count: int, device: wp.Device, least: int = SMALLEST_SHARED_LAUNCH)
     parts = launch_parts_of(wp.get_device(device), count, core_count(), least)
     bounds = [count * k // parts for k in range(parts + 1)]
     return [slice(a, b) for a, b in pairwise(bounds)]
-
-
-def cut(array: wp.array, part: slice) -> wp.array:
-    """Return the part of an array that a launch over a slice works on; without a slice where that is all of it."""
-    return array if part.start == 0 and part.stop == len(array) else array[part]
 
 
 @contextlib.contextmanager

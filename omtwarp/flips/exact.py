@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.device.arrays import triangles, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import KERNEL_OPTIONS, ONE, ZERO, wp
-from omtwarp.device.threads import Arguments, cut, launch_parts, load, parts_of, run_all
+from omtwarp.device.threads import Each, each, launch_parts, load, parts_of, run_all
 from omtwarp.mesh.arrays import Floats, Ints
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -68,14 +68,11 @@ def orientation_signs(
     given = vectors(sphere, where)
     corners = triangles(faces if isinstance(faces, wp.array) else np.asarray(faces).reshape(-1, 3), where)
     out = wp.empty(len(corners), dtype=wp.int8, device=where)
-
-    def arguments(part: slice) -> Arguments:
-        # Six triple products, each rounded at most four times, and their sum: 7 units of roundoff suffice, 8 also cover
-        # the rounding of the bound. Fused multiply-add only lowers the error.
-        # Products below this may have lost bits to gradual underflow, which a relative bound does not see.
-        return [given, cut(corners, part), wp.float64(8.0 * 2.0**-53), wp.float64(2.0**-1000)], [cut(out, part)]
-
-    launch_parts(certain_signs, len(corners), arguments, where)
+    # Six triple products, each rounded at most four times, and their sum: 7 units of roundoff suffice, 8 also cover the
+    # rounding of the bound. Fused multiply-add only lowers the error.
+    # Products below the second number may have lost bits to gradual underflow, which a relative bound does not see.
+    inputs = [given, Each(corners), wp.float64(8.0 * 2.0**-53), wp.float64(2.0**-1000)]
+    launch_parts(certain_signs, len(corners), inputs, each(out), where)
     signs = out.numpy()
     open_cases = np.flatnonzero(signs == UNCERTAIN)
     if len(open_cases):
@@ -214,7 +211,7 @@ def ring_turns(
 
     def added(part: slice) -> NDArray[np.int64]:
         sums = wp.zeros((2, len(points)), dtype=wp.int64, device=where)
-        inputs, count = [points, cut(corners, part), cut(sent, part), *bounds], part.stop - part.start
+        inputs, count = [points, corners[part], sent[part], *bounds], part.stop - part.start
         wp.launch(add_turning_angles, dim=count, inputs=inputs, outputs=[sums[0], sums[1]], device=where)
         return sums.numpy()
 

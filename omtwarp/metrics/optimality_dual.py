@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.device.threads import Arguments, core_count, launch_parts
+from omtwarp.device.threads import Each, core_count, each, launch_parts
 from omtwarp.geometry.space_order import in_strips
 from omtwarp.mesh.arrays import Floats, Ints
 from omtwarp.mesh.surface import Surface
@@ -202,19 +202,11 @@ class TransportDual:
         self._launch(kernels.sample_triangles, parts, mesh, [places, values])
         node = (wp.vec3d, wp.vec3d, kernels.vec11d)
         tree = [wp.empty(nodes, dtype=kind, device=self.device) for kind in node]
-
         samples = [places, values, parts, self._leaves]
-
-        def of_nodes(part: slice) -> Arguments:
-            return [*samples, self._nodes[part]], tree
-
         extremes = wp.empty(self._segments.size, dtype=kernels.vec6d, device=self.device)
-
-        def of_segments(part: slice) -> Arguments:
-            return [*samples, *tree, self._offsets, self._segments[part]], [extremes]
-
-        launch_parts(kernels.fit_nodes, nodes, of_nodes, self.device)
-        launch_parts(kernels.measure_segments, extremes.size, of_segments, self.device)
+        launch_parts(kernels.fit_nodes, nodes, [*samples, Each(self._nodes)], tree, self.device)
+        inputs = [*samples, *tree, self._offsets, Each(self._segments)]
+        launch_parts(kernels.measure_segments, extremes.size, inputs, [extremes], self.device)
         self._launch(kernels.bound_nodes, nodes, [self._offsets, extremes], [tree[2]])
         own = self.cost - potential
         asked = slice(None) if self.shared is None else self.shared.chosen
@@ -224,13 +216,9 @@ class TransportDual:
         )
         minimum = (wp.float64, wp.int32, wp.vec3d, wp.int32)
         lowest = [wp.empty(len(seeds), dtype=kind, device=self.device) for kind in minimum]
-
-        def arguments(part: slice) -> Arguments:
-            inputs = [sources[part], seeds[part], *mesh, places, values, self._leaves, self.tolerance, *tree]
-            return inputs, [array[part] for array in lowest]
-
+        inputs = [*each(sources, seeds), *mesh, places, values, self._leaves, self.tolerance, *tree]
         # Points whose transforms are worth a launch of their own on another core: each takes 10 microseconds.
-        launch_parts(kernels.c_transform, len(seeds), arguments, self.device, 128)
+        launch_parts(kernels.c_transform, len(seeds), inputs, each(*lowest), self.device, 128)
         proven, face, weights, visited = (array.numpy() for array in lowest)
         if self.shared is not None:
             proven, face, weights, visited = self.shared.spread(own, proven, face, weights, visited, self.surface)
@@ -503,11 +491,7 @@ class SourceDual:
         given = [BLOCK, self._sources, of_sources[0], self._centres, self._radii, of_sources[1]]
         seeds = wp.array(dual.cost - potential, dtype=wp.float64, device=dual.device)
         lowest = [wp.empty(count, dtype=kind, device=dual.device) for kind in (wp.float64, wp.int32)]
-
-        def of_images(part: slice) -> Arguments:
-            return [dual.y[part], seeds[part], *given], [array[part] for array in lowest]
-
-        launch_parts(kernels.largest_potentials, count, of_images, dual.device)
+        launch_parts(kernels.largest_potentials, count, [*each(dual.y, seeds), *given], each(*lowest), dual.device)
         at_images, nearest = (array.numpy() for array in lowest)
         excess = float(dual.mass @ (dual.cost - potential - at_images))
         return SourceBound(potential, at_images, excess, np.where(nearest < 0, self._of, nearest))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.arrays import Workspace, empty
 from omtwarp.device.start import KERNEL_OPTIONS, wp
-from omtwarp.device.threads import Arguments, cut, launch_parts
+from omtwarp.device.threads import FIRST_THREAD, Each, each, launch_parts
 from omtwarp.mesh.quarter import PARTS, QuarteredSurface
 from omtwarp.mesh.surface import Surface
 from omtwarp.optimal.combination import scaled
@@ -173,11 +173,8 @@ class RingCells:
     def areas(self, triangles: wp.array) -> wp.array:
         """Return the areas around vertices, shape [V]."""
         sums = empty(self._surface.vertex_count, wp.float64, self._device)
-
-        def around(part: slice) -> Arguments:
-            return [triangles, *self._mesh.vertex_corners, part.start], [sums]
-
-        launch_parts(areas_around, sums.size, around, self._device)
+        inputs = [triangles, *self._mesh.vertex_corners, FIRST_THREAD]
+        launch_parts(areas_around, sums.size, inputs, [sums], self._device)
         return sums
 
     def means(self, values: wp.array) -> wp.array:
@@ -191,22 +188,15 @@ class RingCells:
     def on_triangles(self, potential: wp.array) -> wp.array:
         """Return the sum of the potentials of every triangle's corners, shape [F]."""
         sums = empty(self._surface.face_count, wp.float64, self._device)
-
-        def of_triangles(part: slice) -> Arguments:
-            return [potential, cut(self._mesh.faces, part)], [cut(sums, part)]
-
-        launch_parts(corner_sums, sums.size, of_triangles, self._device)
+        launch_parts(corner_sums, sums.size, [potential, Each(self._mesh.faces)], each(sums), self._device)
         return sums
 
     def slopes(self, of_triangles: wp.array, out: wp.array) -> None:
         """Write the derivatives across every edge, both ways."""
         mesh, edges = self._mesh, len(self._surface.edges)
         both = out.reshape((2, edges, 2))
-
-        def across(part: slice) -> Arguments:
-            return [of_triangles, mesh.faces, mesh.edges, mesh.edge_corners, part.start], [both]
-
-        launch_parts(edge_slopes, edges, across, self._device)
+        inputs = [of_triangles, mesh.faces, mesh.edges, mesh.edge_corners, FIRST_THREAD]
+        launch_parts(edge_slopes, edges, inputs, [both], self._device)
 
     def factor(self, workspace: Workspace | None = None) -> SaddlePointFactor:
         """Return what factorises matrices with a multiplier for every vertex."""

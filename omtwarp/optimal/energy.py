@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 from omtwarp.device.arrays import Workspace, empty
 from omtwarp.device.start import wp
 from omtwarp.device.sums import Reading, sums_for
-from omtwarp.device.threads import Arguments, cut, launch_parts
+from omtwarp.device.threads import FIRST_THREAD, Each, each, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.cells import Cells
@@ -323,16 +323,10 @@ class TransportEnergy:
         matrix, mesh = self.matrix, self.surface.on(self.device)
         hessians, weight = self.shape.hessian(points, terms.shape, self.area_weight), wp.float64(self.shape_weight)
         metric, diagonal = self.vertex_metric(points, terms), matrix.diagonal.reshape((-1, COORDINATES))
-
-        def of_vertices(part: slice) -> Arguments:
-            return [*mesh.vertex_corners, hessians, weight, metric, part.start], [diagonal, matrix.inner]
-
-        def of_edges(part: slice) -> Arguments:
-            inputs = [cut(mesh.edges, part), mesh.faces, cut(mesh.edge_corners, part), hessians, weight]
-            return inputs, [cut(matrix.off_diagonal, part)]
-
-        launch_parts(vertex_entries, matrix.vertices, of_vertices, self.device)
-        launch_parts(gather_edge_blocks, len(matrix.off_diagonal), of_edges, self.device)
+        inputs = [*mesh.vertex_corners, hessians, weight, metric, FIRST_THREAD]
+        launch_parts(vertex_entries, matrix.vertices, inputs, [diagonal, matrix.inner], self.device)
+        inputs = [Each(mesh.edges), mesh.faces, Each(mesh.edge_corners), hessians, weight]
+        launch_parts(gather_edge_blocks, len(mesh.edges), inputs, each(matrix.off_diagonal), self.device)
         if matrix.slopes.size:
             self.cells.slopes(self.domain.area_slopes(points), matrix.slopes)
 

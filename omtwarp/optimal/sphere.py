@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from omtwarp.device.arrays import empty, vectors
 from omtwarp.device.start import wp
 from omtwarp.device.sums import Reading
-from omtwarp.device.threads import Arguments, cut, launch_parts
+from omtwarp.device.threads import FIRST_THREAD, Each, each, launch_parts
 from omtwarp.flips.exact import flipped_faces
 from omtwarp.mesh.arrays import normalised
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
@@ -49,21 +49,14 @@ class Sphere:
 
     def areas(self, points: wp.array) -> wp.array:
         """Return the solid angle of every triangle, float64, shape [F]; valid until the next call."""
-
-        def of_triangles(part: slice) -> Arguments:
-            return [points, cut(self._faces, part)], [cut(self._areas, part)]
-
-        launch_parts(solid_angles, self.surface.face_count, of_triangles, self.device)
+        inputs = [points, Each(self._faces)]
+        launch_parts(solid_angles, self.surface.face_count, inputs, each(self._areas), self.device)
         return self._areas
 
     def area_slopes(self, points: wp.array) -> wp.array:
         """Return the derivatives of every solid angle by its corners, in their frames, vec2d, shape [F, 3]."""
         slopes = wp.empty((self.surface.face_count, 3), dtype=wp.vec2d, device=self.device)
-
-        def of_triangles(part: slice) -> Arguments:
-            return [points, self._faces, part.start], [slopes]
-
-        launch_parts(area_slopes, self.surface.face_count, of_triangles, self.device)
+        launch_parts(area_slopes, len(slopes), [points, self._faces, FIRST_THREAD], [slopes], self.device)
         return slopes
 
     def coordinates(self, points: wp.array, vectors: wp.array) -> wp.array:
@@ -106,11 +99,8 @@ class GeodesicCost:
     def values(self, points: wp.array) -> wp.array:
         """Return the cost of every vertex, shape [V]."""
         cost = empty(self._count, wp.float64, self._device)
-
-        def of_vertices(part: slice) -> Arguments:
-            return [cut(self._start, part), cut(points, part), self.softness], [cut(cost, part)]
-
-        launch_parts(vertex_costs, self._count, of_vertices, self._device)
+        inputs = [*each(self._start, points), self.softness]
+        launch_parts(vertex_costs, self._count, inputs, each(cost), self._device)
         return cost
 
     def gradient(
@@ -118,22 +108,16 @@ class GeodesicCost:
     ) -> wp.array:
         """Return the gradient of Σ masses_v cost_v + Σ potential_f area_f and a further one, vec3d, shape [V]."""
         gradient = empty(self._count, wp.vec3d, self._device)
-
-        def around(part: slice) -> Arguments:
-            mesh = [self._start, points, self._mesh.faces, masses, potential, *self._mesh.vertex_corners]
-            return [*mesh, self.softness, further, wp.float64(weight), part.start], [gradient]
-
-        launch_parts(transport_gradient, self._count, around, self._device)
+        mesh = [self._start, points, self._mesh.faces, masses, potential, *self._mesh.vertex_corners]
+        inputs = [*mesh, self.softness, further, wp.float64(weight), FIRST_THREAD]
+        launch_parts(transport_gradient, self._count, inputs, [gradient], self._device)
         return gradient
 
     def hessian(self, points: wp.array, masses: wp.array, least: float) -> wp.array:
         """Return the second derivative at the optimum, with raised eigenvalues, float64, shape [V, 4]."""
-
-        def around(part: slice) -> Arguments:
-            mesh = [self._start, points, self._mesh.faces, masses, *self._mesh.vertex_corners]
-            return [*mesh, wp.float64(least), self.softness, part.start], [self._metric]
-
-        launch_parts(cost_metric, self._count, around, self._device)
+        mesh = [self._start, points, self._mesh.faces, masses, *self._mesh.vertex_corners]
+        inputs = [*mesh, wp.float64(least), self.softness, FIRST_THREAD]
+        launch_parts(cost_metric, self._count, inputs, [self._metric], self._device)
         return self._metric
 
 

@@ -12,7 +12,7 @@ from omtwarp.device.arrays import Workspace, empty, vectors
 from omtwarp.device.policy import shares_host_memory
 from omtwarp.device.start import wp
 from omtwarp.device.sums import Reading
-from omtwarp.device.threads import Arguments, cut, launch_parts
+from omtwarp.device.threads import FIRST_THREAD, Each, each, launch_parts
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, scaled_areas
 from omtwarp.refine.further import StrainBarrier, VertexDerivatives, VertexTerm, tangent_blocks
 from omtwarp.refine.kernels import (
@@ -115,11 +115,7 @@ class TriangleKernels:
     def terms(self, points: wp.array) -> list[wp.array]:
         """Return angle distortion less 2, D, det[s0, s1, s2] and needle barrier of every triangle, shape [F] each."""
         outputs = [empty(self.count, wp.float64, self.device) for _ in range(4)]
-
-        def arguments(part: slice) -> Arguments:
-            return [points, cut(self.faces, part), cut(self.frames, part)], [cut(array, part) for array in outputs]
-
-        launch_parts(triangle_terms, self.count, arguments, self.device)
+        launch_parts(triangle_terms, self.count, [points, *each(self.faces, self.frames)], each(*outputs), self.device)
         return outputs
 
     def gradient(self, points: wp.array, pressures: Pressures) -> wp.array:
@@ -130,18 +126,11 @@ class TriangleKernels:
             pressures: see :meth:`DistortionEnergy.pressures`.
         """
         corners = self._scratch(3 * self.count, 3)
-
-        def arguments(part: slice) -> Arguments:
-            inputs = [points, *(cut(array, part) for array in (self.faces, self.frames, self.areas)), *pressures]
-            return inputs, [corners[3 * part.start : 3 * part.stop]]
-
-        launch_parts(triangle_gradient, self.count, arguments, self.device)
+        inputs = [points, *each(self.faces, self.frames, self.areas), *pressures]
+        launch_parts(triangle_gradient, self.count, inputs, [Each(corners, 3)], self.device)
         gradient = empty(self.rows[0].size - 1, wp.vec3d, self.device)
-
-        def gathered(part: slice) -> Arguments:
-            return [points, *self.rows, corners, wp.float64(SPHERE_AREA), part.start], [gradient]
-
-        launch_parts(gather_tangent, gradient.size, gathered, self.device)
+        inputs = [points, *self.rows, corners, wp.float64(SPHERE_AREA), FIRST_THREAD]
+        launch_parts(gather_tangent, gradient.size, inputs, [gradient], self.device)
         return gradient
 
     def hessian(self, points: wp.array, pressures: Pressures) -> wp.array:
@@ -150,13 +139,8 @@ class TriangleKernels:
         Of each 6x6 matrix the entries on and above the diagonal, row by row. Valid until the workspace is taken again.
         """
         blocks = self._scratch(self.count, 21)
-        numbers = [*pressures, wp.float64(SPHERE_AREA)]
-
-        def arguments(part: slice) -> Arguments:
-            own = [cut(array, part) for array in (self.faces, self.frames, self.areas)]
-            return [points, *own, *numbers], [cut(blocks, part)]
-
-        launch_parts(triangle_hessian, self.count, arguments, self.device)
+        inputs = [points, *each(self.faces, self.frames, self.areas), *pressures, wp.float64(SPHERE_AREA)]
+        launch_parts(triangle_hessian, self.count, inputs, each(blocks), self.device)
         return blocks
 
 
@@ -222,11 +206,7 @@ class DistortionEnergy:
         place, total = reading.place()
         reading.add(areas, ratio, total)
         excess, inverse = (empty(ratio.size, wp.float64, self.device) for _ in range(2))
-
-        def of_triangles(part: slice) -> Arguments:
-            return [cut(ratio, part), total], [cut(excess, part), cut(inverse, part)]
-
-        launch_parts(distortion_summands, ratio.size, of_triangles, self.device)
+        launch_parts(distortion_summands, ratio.size, [Each(ratio), total], each(excess, inverse), self.device)
         places = [place, *(reading.dot(areas, summand) for summand in (angles, excess, steepness, inverse))]
         strain = 0.0 if self._barrier is None else self._barrier.value(points)
         further = None

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.start import KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
-from omtwarp.device.threads import Arguments, cut, launch_parts
+from omtwarp.device.threads import Each, each, launch_parts
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.refine.kernels import distortion_gradient, distortion_hessian, distortion_terms, gather_tangent
 from omtwarp.solvers.motion_kernels import from_tangent
@@ -147,11 +147,7 @@ class StrainBarrier:
     def value(self, points: wp.array) -> float:
         """Return the barrier at a map, vec3d [V]."""
         strains = wp.empty(self._count, dtype=wp.float64, device=self._device)
-
-        def arguments(part: slice) -> Arguments:
-            return [points, cut(self._faces, part), cut(self._frames, part)], [cut(strains, part)]
-
-        launch_parts(strain_terms, self._count, arguments, self._device)
+        launch_parts(strain_terms, self._count, [points, *each(self._faces, self._frames)], each(strains), self._device)
         found = strains.numpy()
         if not found.max() < self._limit:
             return float("inf")
@@ -160,12 +156,8 @@ class StrainBarrier:
     def gradient(self, points: wp.array) -> NDArray[np.float64]:
         """Return the gradient by the vertices, tangent to the sphere, shape [V, 3]."""
         corners = wp.empty(3 * self._count, dtype=wp.vec3d, device=self._device)
-
-        def arguments(part: slice) -> Arguments:
-            own = [cut(array, part) for array in (self._faces, self._frames, self._areas)]
-            return [points, *own, wp.float64(self._limit)], [corners[3 * part.start : 3 * part.stop]]
-
-        launch_parts(barrier_gradient, self._count, arguments, self._device)
+        inputs = [points, *each(self._faces, self._frames, self._areas), wp.float64(self._limit)]
+        launch_parts(barrier_gradient, self._count, inputs, [Each(corners, 3)], self._device)
         gradient = wp.empty(self._rows[0].size - 1, dtype=wp.vec3d, device=self._device)
         inputs = [points, *self._rows, corners, wp.float64(SPHERE_AREA), 0]
         wp.launch(gather_tangent, dim=gradient.size, inputs=inputs, outputs=[gradient], device=self._device)
@@ -177,12 +169,9 @@ class StrainBarrier:
         It is laid out as by :meth:`omtwarp.refine.energy.DistortionEnergy.hessian`.
         """
         blocks = wp.empty((self._count, 21), dtype=wp.float64, device=self._device)
-
-        def arguments(part: slice) -> Arguments:
-            own = [cut(array, part) for array in (self._faces, self._frames, self._areas)]
-            return [points, *own, wp.float64(self._limit), wp.float64(SPHERE_AREA)], [cut(blocks, part)]
-
-        launch_parts(barrier_hessian, self._count, arguments, self._device)
+        own = each(self._faces, self._frames, self._areas)
+        inputs = [points, *own, wp.float64(self._limit), wp.float64(SPHERE_AREA)]
+        launch_parts(barrier_hessian, self._count, inputs, each(blocks), self._device)
         return np.asarray(blocks.numpy())
 
 

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.device.threads import Arguments, launch_parts
+from omtwarp.device.threads import Each, each, launch_parts
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.inputs import holds_array, read_bytes
 from omtwarp.files.limits import LARGEST_MESH_FILE
@@ -63,21 +63,13 @@ def overlap_areas(target: SphereGrid, source: SphereGrid, *, device: str | None 
     # Where cells only touch, round-off makes overlaps of some 1e-16 of a cell; the overlaps dropped stay below 1e-13.
     smallest = wp.float64(1e-14 * 4.0 * np.pi / max(len(target_corners), len(source_corners)))
     counts = wp.empty(len(target_corners), dtype=wp.int32, device=where)
-
-    def counting(part: slice) -> Arguments:
-        return [lower[part], upper[part], targets[part], boxes.id, sources, smallest], [counts[part]]
-
-    launch_parts(count_overlaps, len(target_corners), counting, where)
+    own, shared = each(lower, upper, targets), [boxes.id, sources, smallest]
+    launch_parts(count_overlaps, len(target_corners), [*own, *shared], each(counts), where)
     offsets = np.concatenate([[0], np.cumsum(counts.numpy(), dtype=np.int64)])
     first = wp.array(offsets[:-1].astype(np.int32), device=where)
     partners = wp.empty(int(offsets[-1]), dtype=wp.int32, device=where)
     areas = wp.empty(int(offsets[-1]), dtype=wp.float64, device=where)
-
-    def listing(part: slice) -> Arguments:
-        own = [lower[part], upper[part], targets[part], first[part]]
-        return [*own, boxes.id, sources, smallest], [partners, areas]
-
-    launch_parts(list_overlaps, len(target_corners), listing, where)
+    launch_parts(list_overlaps, len(target_corners), [*own, Each(first), *shared], [partners, areas], where)
     shape = (len(target_corners), len(source_corners))
     between = sparse.csr_matrix((areas.numpy(), partners.numpy(), offsets), shape=shape)
     between.sort_indices()  # the search goes through boxes in an order of its own

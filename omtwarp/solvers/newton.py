@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.arrays import Workspace, sent
 from omtwarp.device.start import KERNEL_OPTIONS, wp
-from omtwarp.device.threads import Arguments, cut, launch_parts
+from omtwarp.device.threads import Each, each, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.patches import Patches
 from omtwarp.mesh.surface import Surface
@@ -134,8 +134,8 @@ class PatchMatrix:
         edges = np.stack([low[order[0::2]], high[order[0::2]]], axis=1)
         edge_corners = inner[order].astype(np.int32).reshape(-1, 2)
 
-        self._sides = [sent(edges, wp.vec2i), sent(own, wp.vec3i), sent(edge_corners, wp.vec2i)]
-        self._rows = [sent(offsets, wp.int32), sent(corners, wp.int32)]
+        self._sides = [Each(sent(edges, wp.vec2i)), sent(own, wp.vec3i), Each(sent(edge_corners, wp.vec2i))]
+        self._rows = [Each(sent(offsets, wp.int32), more=1), sent(corners, wp.int32)]
         self._blocks = [wp.empty((n, 4), dtype=wp.float64, device="cpu") for n in (count, len(edges))]
         factor = mesh_factor(
             count, edges, lambda: part_dissection(surface, patches.vertices[:count], edges), 2, Workspace()
@@ -167,18 +167,9 @@ class PatchMatrix:
         """Sum blocks of triangles, [F, 21], to those of vertices, [V, 2, 2], and of edges, [E, 2, 2]."""
         source = sent(blocks, wp.float64)
         of_vertices, of_edges = self._blocks
-        (offsets, corners), (edges, faces, edge_corners) = self._rows, self._sides
-
-        def at_vertices(part: slice) -> Arguments:
-            rows = cut(offsets, slice(part.start, part.stop + 1))
-            return [rows, corners, source], [cut(of_vertices, part)]
-
-        def at_edges(part: slice) -> Arguments:
-            inputs = [cut(edges, part), faces, cut(edge_corners, part), source, wp.float64(1.0)]
-            return inputs, [cut(of_edges, part)]
-
-        launch_parts(gather_vertex_blocks, len(of_vertices), at_vertices, "cpu")
-        launch_parts(gather_edge_blocks, len(of_edges), at_edges, "cpu")
+        launch_parts(gather_vertex_blocks, len(of_vertices), [*self._rows, source], each(of_vertices), "cpu")
+        inputs = [*self._sides, source, wp.float64(1.0)]
+        launch_parts(gather_edge_blocks, len(of_edges), inputs, each(of_edges), "cpu")
         return of_vertices.numpy().reshape(-1, 2, 2), of_edges.numpy().reshape(-1, 2, 2)
 
     def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.device.threads import launch_parts
+from omtwarp.device.threads import Each, each, launch_parts
 from omtwarp.mesh.arrays import Bytes, Floats, Ints
 from omtwarp.mesh.surface import face_neighbours
 from omtwarp.texturing import kernels
@@ -113,14 +113,11 @@ class _Baking:
         reach = given.launch(directions, colours)
         first = wp.array(corners, dtype=wp.int32, device=where)
         busy = wp.empty((len(corners), PARTS**2), dtype=wp.uint8, device=where)
-
-        def arguments(some: slice) -> tuple[list[object], list[object]]:
-            at = slice(some.start * lattice, some.stop * lattice)
-            # Gradient: colours of a block's corners that differ by more are not interpolated
-            numbers = [step, self._width, self._height, wp.float64(4.0 / 255.0)]
-            return [first[some], *numbers, directions[at], reach[at], colours[at]], [self.picture, busy[some]]
-
-        launch_parts(kernels.fill_calm, len(corners), arguments, where)
+        # Gradient: colours of a block's corners that differ by more are not interpolated
+        numbers = [step, self._width, self._height, wp.float64(4.0 / 255.0)]
+        at_lattice = [Each(array, lattice) for array in (directions, reach, colours)]
+        inputs = [Each(first), *numbers, *at_lattice]
+        launch_parts(kernels.fill_calm, len(corners), inputs, [self.picture, Each(busy)], where)
         return busy.numpy().ravel()
 
     def evaluate(self, texels: wp.array, samples: int, values: wp.array) -> None:
@@ -136,12 +133,8 @@ class _Baking:
         part = wp.array(texels, dtype=wp.int32, device=self._where)
         flags = wp.empty(len(texels), dtype=wp.uint8, device=self._where)
         # Change, levels: neighbouring texels that differ by more are worth more samples; a soft gradient is not
-        launch_parts(
-            kernels.flag_edges,
-            len(texels),
-            lambda some: ([self.picture, part[some], self._width, self._height, 5], [flags[some]]),
-            self._where,
-        )
+        inputs = [self.picture, Each(part), self._width, self._height, 5]
+        launch_parts(kernels.flag_edges, len(texels), inputs, each(flags), self._where)
         return texels[flags.numpy() != 0]
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from omtwarp.colors import colormap_table
 from omtwarp.device.start import KERNEL_OPTIONS, wp
-from omtwarp.device.threads import launch_parts
+from omtwarp.device.threads import each, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.operators import corner_cotangents, cotangent_laplacian
 from omtwarp.geometry.space_order import in_strips
@@ -156,12 +156,7 @@ def detail_normals(target: Target, tangents: Floats, detail: tuple[Floats, Ints]
         wp.array(np.ascontiguousarray(rows[:, 6:]), dtype=wp.vec4d, device=where),
     ]
     out = wp.zeros(len(known), dtype=wp.vec3d, device=where)
-    launch_parts(
-        kernels.tangent_normals,
-        len(known),
-        lambda part: ([mesh.id, numbers, normals, *(column[part] for column in columns)], [out[part]]),
-        where,
-    )
+    launch_parts(kernels.tangent_normals, len(known), [mesh.id, numbers, normals, *each(*columns)], each(out), where)
     local = np.zeros((target.size[0] * target.size[1], 3))
     local[:, 2] = 1.0
     local[known] = out.numpy()
@@ -288,8 +283,8 @@ def area_ratio(vertices: Floats, faces: Ints, on_map: Floats, parts: NDArray[np.
     """
     number = np.zeros(len(faces), dtype=np.intp) if parts is None else parts
     shares = []
-    for each in (on_map, triangle_areas(vertices, faces)):
-        share = each / np.maximum(np.bincount(number, each), TINY)[number]
+    for areas in (on_map, triangle_areas(vertices, faces)):
+        share = areas / np.maximum(np.bincount(number, areas), TINY)[number]
         around = np.bincount(faces.ravel(), np.repeat(share, 3), minlength=len(vertices))
         shares.append(np.maximum(around, TINY))
     return shares[0] / shares[1]
@@ -395,12 +390,7 @@ def open_shares(
     which = wp.array(numbers.astype(np.int32), dtype=wp.int32, device=where)
     begin = wp.array(firsts.astype(np.float32), dtype=wp.float32, device=where)
     out = wp.zeros(len(origins), dtype=wp.float32, device=where)
-    launch_parts(
-        cast_open_rays,
-        len(origins),
-        lambda part: ([mesh.id, start[part], ways[part], which[part], begin[part], rays], [out[part]]),
-        where,
-    )
+    launch_parts(cast_open_rays, len(origins), [mesh.id, *each(start, ways, which, begin), rays], each(out), where)
     return out.numpy().astype(np.float64)
 
 

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.colors import to_linear, to_srgb
 from omtwarp.device.policy import launch_parts_of, resolve_device
 from omtwarp.device.start import wp
-from omtwarp.device.threads import Arguments, core_count, launch_parts, load, run_all
+from omtwarp.device.threads import Each, core_count, each, launch_parts, load, run_all
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints
 from omtwarp.texturing import kernels
@@ -65,12 +65,8 @@ class _PictureSource(ValueSource):
 
     def launch(self, directions: wp.array, out: wp.array) -> None:
         numbers = [self._kind, wp.float64(self._offset), wp.float64(self._gutter), self._picture]
-        launch_parts(
-            kernels.sample_picture,
-            len(directions),
-            lambda part: ([*numbers, directions[part], out[part]], []),
-            directions.device,
-        )
+        inputs = [*numbers, Each(directions)]
+        launch_parts(kernels.sample_picture, len(directions), inputs, each(out), directions.device)
 
 
 class _CallableSource(ValueSource):
@@ -181,15 +177,8 @@ class Look:
         """Return the directions of texels' samples, a regular grid in each texel, vec3d [N samples²]."""
         count = samples**2
         out = wp.empty(len(texels) * count, dtype=wp.vec3d, device=self.where)
-        launch_parts(
-            self._kernel,
-            len(texels),
-            lambda some: (
-                [*self._picture, texels[some], samples, *self._tables],
-                [out[some.start * count : some.stop * count]],
-            ),
-            self.where,
-        )
+        inputs = [*self._picture, Each(texels), samples, *self._tables]
+        launch_parts(self._kernel, len(texels), inputs, [Each(out, count)], self.where)
         return out
 
 
@@ -212,11 +201,7 @@ def fill(
         part = wp.array(texels[start : start + step], dtype=wp.int32, device=where)
         values = wp.empty((len(part) * count, channels), dtype=wp.float64, device=where)
         evaluate(part, samples, values)
-
-        def arguments(some: slice, part: wp.array = part, values: wp.array = values) -> Arguments:
-            return [values[some.start * count : some.stop * count], samples, part[some]], [picture]
-
-        launch_parts(average, len(part), arguments, where)
+        launch_parts(average, len(part), [Each(values, count), samples, Each(part)], [picture], where)
 
 
 def _changing(picture: wp.array, width: int, height: int) -> Ints:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.arrays import sent
 from omtwarp.device.start import wp
-from omtwarp.device.threads import Arguments, blas_threads, launch_parts
+from omtwarp.device.threads import blas_threads, each, launch_parts
 from omtwarp.mesh.arrays import TINY, Floats, Ints
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, plane_areas
 from omtwarp.metrics.ascent import ascend
@@ -162,12 +162,8 @@ class _Dual:
         own = self.own - potential
         seeds, copies = sent(own, wp.float64), sent(self._copies(potential), wp.vec2d)
         found = [wp.empty(count, dtype=kind, device="cpu") for kind in (wp.float64, wp.int32, wp.vec3d)]
-
-        def arguments(part: slice) -> Arguments:
-            queries = [self._home[part], seeds[part], copies, *mesh, nodes, self._leaves, self.tolerance]
-            return queries, [array[part] for array in found]
-
-        launch_parts(best_images, count, arguments, wp.get_device("cpu"))
+        inputs = [*each(self._home, seeds), copies, *mesh, nodes, self._leaves, self.tolerance]
+        launch_parts(best_images, count, inputs, each(*found), wp.get_device("cpu"))
         proven, leaf, shares = (array.numpy() for array in found)
         return _Bound(potential, float(self.mass @ (own - proven)), leaf, shares)
 

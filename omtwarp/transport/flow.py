@@ -18,7 +18,7 @@ from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.sums import RowSums, partial_count
-from omtwarp.device.threads import Arguments, Graph, blas_threads, launch_parts
+from omtwarp.device.threads import Each, Graph, blas_threads, each, launch_parts
 from omtwarp.errors import choose
 from omtwarp.flips.guard import StepGuard
 from omtwarp.measures import TargetDensity
@@ -276,12 +276,9 @@ class _Flow:
                 [self.shares],
             )
         options = [self.shares, int(self.geodesic), wp.float64(self.grid.spacing), wp.float64(LARGEST_ERROR)]
-
-        def arguments(part: slice) -> Arguments:
-            inputs = [self.start_centres[part], points, self.faces[part], self.masses[part], *options]
-            return inputs, [self.measured[part], self.turned[part], self.centres[part]]
-
-        launch_parts(cost_and_force, self.face_count, arguments, self.device)
+        inputs = [Each(self.start_centres), points, *each(self.faces, self.masses), *options]
+        outputs = each(self.measured, self.turned, self.centres)
+        launch_parts(cost_and_force, self.face_count, inputs, outputs, self.device)
         return self.face_sums(self.measured)
 
     def set_gradient(self) -> None:
@@ -322,11 +319,8 @@ class _Flow:
 
     def search(self, velocity: wp.array) -> None:
         """Try a step along the direction."""
-
-        def arguments(part: slice) -> Arguments:
-            return [self.points[part], self.state, *self.grid.triangles, velocity], [self.hints[part], self.trial[part]]
-
-        launch_parts(advect_points, self.count, arguments, self.device)
+        inputs = [Each(self.points), self.state, *self.grid.triangles, velocity]
+        launch_parts(advect_points, self.count, inputs, each(self.hints, self.trial), self.device)
         if self.guarded:
             # A step that flips triangles whose repair takes more rounds than this, each a ring further, is too long.
             # Scanned shapes took 48 at most.

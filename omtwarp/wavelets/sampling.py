@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.device.threads import Arguments, launch_parts
+from omtwarp.device.threads import FIRST_THREAD, Each, each, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.sphere_hierarchy import SphereHierarchy
 from omtwarp.mesh.arrays import Floats
@@ -70,7 +70,7 @@ class SphereSampler:
         self._all_faces, self._starts = send(np.concatenate(levels)), send(starts)
         self._faces = send(levels[-1])
         rows = transposed_rows(levels[-1], self.node_count)
-        self._corner_rows = [send(rows[0]), send(rows[1])]
+        self._corner_rows = [Each(send(rows[0]), more=1), send(rows[1])]
         first, second, third = (nodes[levels[-1][:, k]] for k in range(3))
         weights = np.linalg.norm(np.cross(second - first, third - first), axis=1)
         at_nodes = np.bincount(levels[-1].ravel(), np.repeat(weights, 3), minlength=self.node_count)
@@ -95,22 +95,8 @@ class SphereSampler:
     def _launch(self, kernel: wp.Kernel, size: int, inputs: list[object], outputs: list[object]) -> None:
         wp.launch(kernel, dim=size, inputs=inputs, outputs=outputs, device=self.device)
 
-    def _launch_parts(
-        self,
-        kernel: wp.Kernel,
-        size: int,
-        rows: list[wp.array],
-        sliced: list[wp.array],
-        whole: list[object],
-        out: wp.array,
-    ) -> None:
-        """Launch on all cores a kernel of compressed rows (or none), arrays with an element per thread, and others."""
-
-        def arguments(part: slice) -> Arguments:
-            own = [rows[0][part.start : part.stop + 1], rows[1]] if rows else []
-            return [*own, *(array[part] for array in sliced), *whole], [out[part]]
-
-        launch_parts(kernel, size, arguments, self.device)
+    def _launch_parts(self, kernel: wp.Kernel, size: int, inputs: list[object], out: wp.array) -> None:
+        launch_parts(kernel, size, inputs, each(out), self.device)
 
     def _take(self, array: ArrayLike | wp.array, dtype: type) -> tuple[wp.array, bool]:
         if isinstance(array, wp.array):
@@ -129,20 +115,13 @@ class SphereSampler:
             raise OmtwarpError(f"expected {self.point_count} points, got {len(points)}")
         self.points, _ = self._take(points, wp.vec3d)
         count = self.point_count
-        grid = [self._nodes, self._all_faces, self._starts]
-
-        def arguments(part: slice) -> Arguments:
-            return [self.points[part], *grid], [self.point_faces[part], self.coordinates[part]]
-
-        launch_parts(kernels.locate_points, count, arguments, self.device)
+        inputs = [Each(self.points), self._nodes, self._all_faces, self._starts]
+        launch_parts(kernels.locate_points, count, inputs, each(self.point_faces, self.coordinates), self.device)
         self._launch(kernels.sort_keys, count, [self.point_faces], [self._keys, self._order])
         bits = int(self.face_count - 1).bit_length()
         wp.utils.radix_sort_pairs(self._keys, self._order, count, end_bit=bits)
-
-        def rows(part: slice) -> Arguments:
-            return [self._keys, count, part.start], [self._point_rows]
-
-        launch_parts(kernels.face_rows, self.face_count + 1, rows, self.device)
+        inputs = [self._keys, count, FIRST_THREAD]
+        launch_parts(kernels.face_rows, self.face_count + 1, inputs, [self._point_rows], self.device)
         self._level_masses = []
 
     def interpolate(self, values: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
@@ -157,8 +136,8 @@ class SphereSampler:
         """Apply the transpose of :meth:`interpolate`, [P] -> [N], which keeps the sum."""
         source, from_numpy = self._take(at_points, wp.float64)
         out = self._output(out, self.node_count, wp.float64)
-        rows, whole = [self._point_rows, self._order], [self.coordinates, source]
-        self._launch_parts(kernels.gather_scalars_to_faces, self.face_count, rows, [], whole, self._face_vectors)
+        inputs = [Each(self._point_rows, more=1), self._order, self.coordinates, source]
+        self._launch_parts(kernels.gather_scalars_to_faces, self.face_count, inputs, self._face_vectors)
         self._gather_corners(out)
         return out.numpy() if from_numpy else out
 
@@ -214,8 +193,8 @@ class SphereSampler:
 
     def _gather_corners(self, out: wp.array) -> None:
         """Sum at every node the numbers that its triangles hold for it."""
-        rows, whole = self._corner_rows, [self._face_vectors]
-        self._launch_parts(kernels.gather_corners_to_nodes, self.node_count, rows, [], whole, out)
+        inputs = [*self._corner_rows, self._face_vectors]
+        self._launch_parts(kernels.gather_corners_to_nodes, self.node_count, inputs, out)
 
     def node_gradient(self, values: ArrayLike | wp.array) -> wp.array:
         """Return the area-weighted mean gradients around the nodes, Warp vec3d [N], in their tangent planes.
@@ -223,11 +202,10 @@ class SphereSampler:
         The array is the sampler's own and valid until the next call.
         """
         source, _ = self._take(values, wp.float64)
-        faces, whole = [self._faces], [self._nodes, source]
-        self._launch_parts(kernels.level_face_gradients, self.face_count, [], faces, whole, self._face_vectors)
-        rows, sliced = self._corner_rows, [self._nodes, self._weights]
-        gathered, out = [self._face_vectors], self._node_vectors
-        self._launch_parts(kernels.mean_node_gradients, self.node_count, rows, sliced, gathered, out)
+        inputs = [Each(self._faces), self._nodes, source]
+        self._launch_parts(kernels.level_face_gradients, self.face_count, inputs, self._face_vectors)
+        inputs = [*self._corner_rows, *each(self._nodes, self._weights), self._face_vectors]
+        self._launch_parts(kernels.mean_node_gradients, self.node_count, inputs, self._node_vectors)
         return self._node_vectors
 
     def gradient_adjoint(self, field: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
@@ -240,12 +218,11 @@ class SphereSampler:
         """
         source, from_numpy = self._take(field, wp.vec3d)
         out = self._output(out, self.node_count, wp.float64)
-        rows, corners = [self._point_rows, self._order], self._corner_vectors
-        whole = [self.points, self.coordinates, source]
-        self._launch_parts(kernels.gather_corner_vectors, self.face_count, rows, [], whole, corners)
-        own, vectors = [self._nodes, self._weights], self._node_vectors
-        self._launch_parts(kernels.mean_node_vectors, self.node_count, self._corner_rows, own, [corners], vectors)
-        faces, whole = [self._faces], [self._nodes, vectors]
-        self._launch_parts(kernels.spread_to_faces, self.face_count, [], faces, whole, self._face_vectors)
+        inputs = [Each(self._point_rows, more=1), self._order, self.points, self.coordinates, source]
+        self._launch_parts(kernels.gather_corner_vectors, self.face_count, inputs, self._corner_vectors)
+        inputs = [*self._corner_rows, *each(self._nodes, self._weights), self._corner_vectors]
+        self._launch_parts(kernels.mean_node_vectors, self.node_count, inputs, self._node_vectors)
+        inputs = [Each(self._faces), self._nodes, self._node_vectors]
+        self._launch_parts(kernels.spread_to_faces, self.face_count, inputs, self._face_vectors)
         self._gather_corners(out)
         return out.numpy() if from_numpy else out

@@ -52,7 +52,7 @@ def test_parts_cover_all_elements_on_every_device(device):
     size = 3 * policy.SMALLEST_SHARED_LAUNCH + 1
     factors = wp.array(np.full(size, 3.0), dtype=wp.float64, device=device)
     values = wp.array(np.arange(size, dtype=np.float64), dtype=wp.float64, device=device)
-    threads.launch_parts(scale_values, size, lambda part: ([factors[part], values[part]], []), device)
+    threads.launch_parts(scale_values, size, threads.each(factors, values), [], device)
     np.testing.assert_array_equal(values.numpy(), 3.0 * np.arange(size))
 
 
@@ -90,7 +90,7 @@ def test_a_kernel_is_compiled_once_for_all_threads(monkeypatch):
     monkeypatch.setattr(threads, "core_count", lambda: 3)
     source = wp.array(np.arange(10.0), dtype=wp.float64, device="cpu")
     target = wp.zeros(10, dtype=wp.float64, device="cpu")
-    threads.launch_parts(double_kernel, 10, lambda part: ([source[part]], [target[part]]), "cpu", least=1)
+    threads.launch_parts(double_kernel, 10, threads.each(source), threads.each(target), "cpu", least=1)
     np.testing.assert_array_equal(target.numpy(), 2.0 * np.arange(10.0))
     assert built == [threading.current_thread()]
 

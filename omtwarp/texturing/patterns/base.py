@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, wp
-from omtwarp.device.threads import launch_parts
+from omtwarp.device.threads import Each, each, launch_parts
 from omtwarp.mesh.arrays import Floats, Ints
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -75,9 +75,7 @@ class Pattern(ABC):
         device = directions.device
         inputs = self._inputs(device)
         reach = wp.empty(len(directions), dtype=wp.float64, device=device)
-        launch_parts(
-            self._kernel, len(directions), lambda part: ([directions[part], *inputs], [out[part], reach[part]]), device
-        )
+        launch_parts(self._kernel, len(directions), [Each(directions), *inputs], each(out, reach), device)
         return reach
 
     _kernel: wp.Kernel
