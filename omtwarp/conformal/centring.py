@@ -8,15 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from omtwarp.device.arrays import vectors
-from omtwarp.device.policy import is_cuda, resolve_device
+from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import KERNEL_OPTIONS, ONE, TWO, wp
-from omtwarp.device.sums import GROUP, LANES, RowSums, first_row, partial_count
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import Floats, real_numbers
 from omtwarp.mesh.surface import MeshLike, as_sphere, as_surface, as_unit_vectors
@@ -72,28 +70,6 @@ def apply_ball_inversion(
 ):
     v = wp.tid()
     moved[v] = ball_inversion(sphere[v], centre)
-
-
-@wp.kernel
-def weighted_moments(
-    points: wp.array[wp.vec3d],
-    weights: wp.array[wp.float64],
-    # Data out:
-    sums: wp.array2d[wp.float64],
-):
-    """Compute weighted sums over GROUP points p each: Σ w p in three columns, Σ w p p' row by row in the others."""
-    thread, column = wp.tid()
-    row = column // 3 - 1
-    total = wp.float64(0.0)
-    i = first_row(thread)
-    for _ in range(GROUP):
-        if i < points.shape[0]:
-            part = weights[i] * points[i][column % 3]
-            if row >= 0:
-                part = part * points[i][row]
-            total += part
-        i += LANES
-    sums[thread, column] = total
 
 
 @dataclass(frozen=True)
@@ -190,9 +166,7 @@ def centre_points(
     points = wp.clone(vectors(sphere, where))
     moved = wp.empty_like(points)
     weights = masses / masses.sum()
-    means: _Moments = (_DeviceMoments if is_cuda(where) else _HostMoments)(weights, where)
-
-    mean = means.of(points)
+    mean = weights @ points.numpy()
     for step in range(MAXIMUM_STEPS):
         size = float(np.linalg.norm(mean))
         if report is not None:
@@ -200,7 +174,8 @@ def centre_points(
         if size <= TOLERANCE:
             return points.numpy().copy(), step
         # The derivative of the mean with respect to the centre of inversion is 2 (I - sum of w p p').
-        jacobian = 2.0 * (np.eye(3) - means.square())
+        at = points.numpy()
+        jacobian = 2.0 * (np.eye(3) - np.einsum("v,vi,vj->ij", weights, at, at))
         try:
             centre = -np.linalg.solve(jacobian, mean)
         except np.linalg.LinAlgError:
@@ -210,7 +185,7 @@ def centre_points(
             centre *= MAX_CENTRE / length
         while True:
             wp.launch(apply_ball_inversion, dim=len(points), inputs=[points, wp.vec3d(*centre), moved], device=where)
-            new_mean = means.of(moved)
+            new_mean = weights @ moved.numpy()
             # Of a smaller mean the decrease is lost in round-off: full steps are taken.
             if np.linalg.norm(new_mean) < size or size < 1e-10:
                 break
@@ -222,48 +197,3 @@ def centre_points(
         points, moved = moved, points
         mean = new_mean
     raise OmtwarpError("Möbius centring did not converge: the conformal map crowds half of the surface into a point")
-
-
-class _Moments(Protocol):
-    """Weighted moments of points, weights of sum one."""
-
-    def of(self, points: wp.array) -> Floats:
-        """Return the weighted mean of points, vec3d, shape [V]."""
-
-    def square(self) -> Floats:
-        """Return the weighted mean of p pᵀ over the points last given to :meth:`of`, shape [3, 3]."""
-
-
-class _HostMoments:
-    """Moments by NumPy, in its order of summation."""
-
-    def __init__(self, weights: Floats, device: wp.Device):
-        self._weights = weights
-
-    def of(self, points: wp.array) -> Floats:
-        self._values: Floats = points.numpy()
-        return np.asarray(self._weights @ self._values)
-
-    def square(self) -> Floats:
-        return np.asarray(np.einsum("v,vi,vj->ij", self._weights, self._values, self._values))
-
-
-class _DeviceMoments:
-    """Moments by a kernel; a few rows of partial sums are copied to the host."""
-
-    def __init__(self, weights: Floats, device: wp.Device):
-        rows = partial_count(len(weights))
-        self._weights = wp.array(weights, dtype=wp.float64, device=device)
-        self._partial = wp.empty((rows, 12), dtype=wp.float64, device=device)
-        self._sums = RowSums(rows, 12, device)
-
-    def of(self, points: wp.array) -> Floats:
-        inputs = [points, self._weights]
-        wp.launch(
-            weighted_moments, dim=self._partial.shape, inputs=inputs, outputs=[self._partial], device=points.device
-        )
-        self._numbers: Floats = self._sums(self._partial).numpy().sum(axis=0)
-        return self._numbers[:3]
-
-    def square(self) -> Floats:
-        return self._numbers[3:].reshape(3, 3)

@@ -33,7 +33,7 @@ from omtwarp.metrics.certificate import Certificate, certify_triangles
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.metrics.optimality import Optimality, optimality, relative_curl
 from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetric_map, symmetric_start, symmetrised
-from omtwarp.open_surfaces.symmetric import symmetric_exact_map, symmetric_optimal_map
+from omtwarp.open_surfaces.symmetric import MirroredSphere
 from omtwarp.optimal import OptimalMap, optimal_map
 from omtwarp.optimal.density import map_to_density
 from omtwarp.optimal.exact import exact_map
@@ -532,9 +532,13 @@ class MapComputation:
     def minimisation(self, sphere: Floats) -> Callable[..., OptimalMap]:
         """Return what finds the optimal map from a map near it: among symmetric maps where that one is symmetric."""
         give_back()  # the largest matrices follow
-        if self.mirror is not None and is_symmetric(self.mirror, sphere):
-            return partial(symmetric_optimal_map, self.mirror, progress=self.progress)
-        return partial(optimal_map, progress=self.progress)
+        return partial(optimal_map, domain=self.mirrored(sphere), progress=self.progress)
+
+    def mirrored(self, sphere: Floats) -> MirroredSphere | None:
+        """Return the domain of the maps of a double that are as symmetric as a map is; None where that is not."""
+        if self.mirror is None or not is_symmetric(self.mirror, sphere):
+            return None
+        return MirroredSphere(self.mirror, self.surface, resolve_device(self.device))
 
     def transport_to_density(self, target: TargetDensity) -> None:
         """Compute the optimal map to a density, from Moser's map to it."""
@@ -629,20 +633,17 @@ class MapComputation:
         # Cutting along great circles keeps a map one to one, except for rounding.
         self.maps = {name: quartered.on_sphere(sphere) for name, sphere in self.maps.items()}
         before, crowded = self.untangle(self.sphere, self.sphere)
-        on_cells = exact_map
-        if self.mirror is not None and is_symmetric(self.mirror, before):
-            on_cells = partial(symmetric_exact_map, self.mirror)
-
         # A mesh whose triangles are cut in four bears more of the shape term: more trades optimality for smoothness.
         weight = 2.0 * shape_term(self.surface, before, source, self.device).weight
         if self.options.cost is Cost.GEODESIC:
             weight *= DISTANCE_SHAPE
-        exact = on_cells(
+        exact = exact_map(
             quartered,
             before,
             start=source,
             shape_weight=weight,
             cost=self.options.cost,
+            domain=self.mirrored(before),
             device=self.device,
             progress=notify,
         )

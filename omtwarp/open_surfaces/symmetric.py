@@ -9,24 +9,16 @@ motion across it; the other half moves as the mirror image, and the boundary has
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from omtwarp.device.arrays import vectors
-from omtwarp.device.policy import resolve_device
+from omtwarp.device.arrays import Workspace, vectors
 from omtwarp.device.start import wp
-from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.mesh.surface import Surface
-from omtwarp.optimal.cells import Cells, RingCells, TriangleCells
-from omtwarp.optimal.energy import AREA_WEIGHT, MapTerms, TransportEnergy
-from omtwarp.optimal.exact import CELL_GAIN, ITERATIONS, minimise_cells
-from omtwarp.optimal.solver import GAIN, PENALTY, SHAPE_WEIGHT, OptimalMap, minimise, softness
-from omtwarp.optimal.sphere import GeodesicCost, Sphere, SphereShape
-from omtwarp.options import Cost, Progress
-from omtwarp.refine.energy import DistortionEnergy
+from omtwarp.optimal.cells import Cells, TriangleCells
+from omtwarp.optimal.sphere import Sphere
 from omtwarp.solvers.cholesky import dissect
 from omtwarp.solvers.cholesky.saddle import COORDINATES, SaddleMatrix
 from omtwarp.solvers.mesh_factor import SaddlePointFactor, cell_saddle_factor, solve_parts, vertex_saddle_factor
-from omtwarp.solvers.motion_kernels import from_tangent, to_tangent
 from omtwarp.topology.closing import Double
 from omtwarp.untangling.steps import FlipFreeSteps
 
@@ -56,95 +48,8 @@ def folded_map(double: Double, sphere: Floats) -> Floats:
     return out
 
 
-def symmetric_optimal_map(
-    double: Double,
-    surface: Surface,
-    sphere: ArrayLike,
-    *,
-    start: ArrayLike,
-    shape_weight: float = SHAPE_WEIGHT,
-    area_weight: float = AREA_WEIGHT,
-    area_penalty: float = PENALTY,
-    multipliers: ArrayLike | None = None,
-    iterations: int = 40,
-    gain: float = GAIN,
-    cost: str = Cost.SQUARED,
-    device: str | None = "auto",
-    progress: Progress | None = None,
-) -> OptimalMap:
-    """Minimise transport cost over the mirror-symmetric maps of a double that keep the areas around vertices.
-
-    Args:
-        double: the surface and its copy, W vertices.
-        surface: the double as a surface, with the areas that are to be kept.
-        sphere: a symmetric map without flips to begin with (see :func:`folded_map`), shape [W, 3].
-        start: the points x that are transported, symmetric, shape [W, 3].
-        shape_weight, area_weight, area_penalty, multipliers: as of :func:`omtwarp.optimal_map`.
-        iterations, gain, cost, device, progress: as of :func:`omtwarp.optimal_map`.
-
-    Returns:
-        The map, symmetric to the last bit.
-
-    Raises:
-        OmtwarpError: the map given has flipped triangles.
-    """
-    where = resolve_device(device)
-    given, x = (np.array(points, dtype=np.float64) for points in (sphere, start))
-    soft = softness(surface.vertex_areas, given, x, cost)
-    moved_from = vectors(x, where)
-    energy = mirrored_energy(double, surface, moved_from, where, shape_weight, area_weight=area_weight, softness=soft)
-    return minimise(
-        energy,
-        given,
-        area_penalty=area_penalty,
-        multipliers=multipliers,
-        gain=gain,
-        iterations=iterations,
-        progress=progress,
-    )
-
-
-def symmetric_exact_map(
-    double: Double,
-    quartered: QuarteredSurface,
-    sphere: ArrayLike,
-    *,
-    start: ArrayLike,
-    shape_weight: float = SHAPE_WEIGHT,
-    multipliers: ArrayLike | None = None,
-    iterations: int = ITERATIONS,
-    gain: float = CELL_GAIN,
-    cost: str = Cost.SQUARED,
-    device: str | None = "auto",
-    progress: Progress | None = None,
-) -> OptimalMap:
-    """Minimise transport cost over the mirror-symmetric maps of a double that keep the area of every triangle.
-
-    Args:
-        double: the surface and its copy, their triangles cut into four, see
-            :func:`omtwarp.topology.closing.quartered_double`.
-        quartered: the double as parts of 2F triangles, V vertices, with the areas that are to be kept.
-        sphere: a symmetric map without flips to begin with, shape [V, 3].
-        start: the points x that are transported, symmetric, shape [V, 3].
-        shape_weight, multipliers, iterations, gain, cost, device, progress: as of
-            :func:`omtwarp.optimal.cells.exact_map`.
-
-    Returns:
-        The map, symmetric to the last bit; its multipliers belong to the triangles, shape [2F].
-
-    Raises:
-        OmtwarpError: the map given has flipped triangles.
-    """
-    where = resolve_device(device)
-    given, x = (np.array(points, dtype=np.float64) for points in (sphere, start))
-    soft = softness(quartered.surface.vertex_areas, given, x, cost)
-    moved_from, cells = vectors(x, where), TriangleCells(quartered, where)
-    energy = mirrored_energy(double, quartered.surface, moved_from, where, shape_weight, cells=cells, softness=soft)
-    return minimise_cells(energy, given, multipliers=multipliers, gain=gain, iterations=iterations, progress=progress)
-
-
 class MirroredSphere(Sphere):
-    """The sphere with a plane of symmetry, as the domain of the maps of a double.
+    """The sphere with a plane of symmetry, as the domain of the maps of a double, symmetric to the last bit.
 
     Args:
         double: the surface and its copy, W vertices.
@@ -160,80 +65,24 @@ class MirroredSphere(Sphere):
         """Move symmetric maps to symmetric maps."""
         return SymmetricSteps(self._double, self.surface, self.device)
 
-
-class MirroredEnergy(TransportEnergy):
-    """Evaluates symmetric maps of a double as its base class does, with systems of one half.
-
-    Args:
-        mirror: solves them.
-        domain, cells, cost, shape, shape_weight, area_weight: as of :class:`TransportEnergy`.
-    """
-
-    def __init__(
-        self,
-        mirror: MirrorFactor,
-        domain: MirroredSphere,
-        cells: Cells,
-        cost: GeodesicCost,
-        shape: SphereShape,
-        shape_weight: float,
-        area_weight: float,
-    ):
-        workspace = shape.distortion.workspace
-        super().__init__(domain, cells, cost, shape, shape_weight, area_weight=area_weight, workspace=workspace)
-        self._mirror = mirror
-
-    def saddle_factor(self) -> SaddlePointFactor:
-        """Solve on the half the systems of the double that :meth:`blocks` gives."""
-        return self._mirror
-
-    def blocks(self, points: wp.array, terms: MapTerms) -> None:
-        """Write what the base class does, and note the points for the factorisation on the half."""
-        self._mirror.at(points)
-        super().blocks(points, terms)
-
-
-def mirrored_energy(
-    double: Double,
-    surface: Surface,
-    start: wp.array,
-    device: wp.Device,
-    shape_weight: float,
-    *,
-    cells: TriangleCells | None = None,
-    area_weight: float = AREA_WEIGHT,
-    softness: float = 0.0,
-) -> MirroredEnergy:
-    """Return the energy of the symmetric maps of a double.
-
-    Args:
-        double: the surface and its copy, W vertices.
-        surface: the double as a surface.
-        start, device, shape_weight, area_weight, softness: as of :func:`omtwarp.optimal.sphere.energy_on_sphere`.
-        cells: the triangles of a quartered double; the triangles around vertices by default.
-    """
-    kept: Cells = RingCells(surface, device) if cells is None else cells
-    if cells is None:
-        mirror = MirrorFactor(double, surface, device)
-    else:
-        mirror = MirrorCellFactor(double, surface, device, cells.vertices)
-    cost = GeodesicCost(surface, start, device, softness)
-    shape = SphereShape(DistortionEnergy(surface, device))
-    domain = MirroredSphere(double, surface, device)
-    return MirroredEnergy(mirror, domain, kept, cost, shape, shape_weight, area_weight)
+    def factor(self, cells: Cells, workspace: Workspace | None) -> SaddlePointFactor:
+        """Solve on the half the systems of the double."""
+        if isinstance(cells, TriangleCells):
+            return MirrorCellFactor(self, self._double, cells.vertices)
+        return MirrorFactor(self, self._double)
 
 
 class MirrorFactor:
     """Solves symmetric saddle-point systems of a double for their symmetric solutions, on the half.
 
     Args:
+        sphere: where the vertices of the double move.
         double: the surface and its copy, W vertices.
-        surface: the double as a surface, E edges.
-        device: where maps are.
     """
 
-    def __init__(self, double: Double, surface: Surface, device: wp.Device):
-        self._double, self._device = double, device
+    def __init__(self, sphere: Sphere, double: Double):
+        self._sphere, self._double, self._device = sphere, double, sphere.device
+        surface = sphere.surface
         self._half = double.half
         number = np.full(len(double.mirror), -1, dtype=np.int32)
         number[self._half] = np.arange(len(self._half))
@@ -253,10 +102,10 @@ class MirrorFactor:
         """Factorise the systems of the half, whose vertices are at these places."""
         return vertex_saddle_factor(len(places), self._edges, lambda: dissect(places, self._edges))
 
-    def at(self, points: wp.array) -> None:
-        """Set the tangent bases to those of a symmetric map, vec3d, shape [W], for the following matrices."""
+    def _take(self, points: wp.array | None) -> None:
+        """Take the tangent bases of a symmetric map, vec3d, shape [W]."""
         self._points = points
-        up = np.zeros((len(points), 3))
+        up = np.zeros((len(self._double.mirror), 3))
         up[self._half[self._rim], 2] = 1.0
         self._normals = self._coordinates(up)[self._half]
 
@@ -266,6 +115,7 @@ class MirrorFactor:
         Raises:
             NotPositiveDefinite: it is not definite on the half.
         """
+        self._take(matrix.points)
         diagonal, off_diagonal, gradients, compliance = matrix.on_host()
         own, others = self._halved(diagonal, off_diagonal)
         slopes = gradients.reshape(2, -1, 2)[:, self._kept]
@@ -322,30 +172,25 @@ class MirrorFactor:
         """Return the coordinates of the double's vertices, shape [W, 2], from those of the half's."""
         coordinates = np.zeros((len(self._double.mirror), 2))
         coordinates[self._half] = u
-        step = wp.empty(len(coordinates), dtype=wp.vec3d, device=self._device)
-        inputs = [self._points, wp.array(coordinates, dtype=wp.float64, device=self._device)]
-        wp.launch(from_tangent, dim=len(coordinates), inputs=inputs, outputs=[step], device=self._device)
+        step = self._sphere.vectors(self._points, wp.array(coordinates, dtype=wp.float64, device=self._device))
         return self._coordinates(folded(self._double, step.numpy()))
 
     def _coordinates(self, tangent: Floats) -> Floats:
         """Convert tangent vectors, shape [W, 3], to coordinates in the bases of the map, shape [W, 2]."""
-        out = wp.empty((len(tangent), 2), dtype=wp.float64, device=self._device)
-        inputs = [self._points, vectors(tangent, self._device)]
-        wp.launch(to_tangent, dim=len(tangent), inputs=inputs, outputs=[out], device=self._device)
-        return out.numpy()
+        return self._sphere.coordinates(self._points, self._sphere.sent(tangent)).numpy()
 
 
 class MirrorCellFactor(MirrorFactor):
     """Factorisation for quartered meshes: multipliers belong to cells, each of them on one side of the boundary.
 
     Args:
-        double, surface, device: as of :class:`MirrorFactor`.
+        sphere, double: as of :class:`MirrorFactor`.
         cells: the vertices of every cell, the copies in the second half, shape [N, K].
     """
 
-    def __init__(self, double: Double, surface: Surface, device: wp.Device, cells: NDArray[np.int32]):
+    def __init__(self, sphere: Sphere, double: Double, cells: NDArray[np.int32]):
         self._cells = cells[: len(cells) // 2]
-        super().__init__(double, surface, device)
+        super().__init__(sphere, double)
 
     def _made(self, places: Floats) -> SaddlePointFactor:
         self._own_cells = self._number[self._cells]
@@ -357,6 +202,7 @@ class MirrorCellFactor(MirrorFactor):
         Raises:
             NotPositiveDefinite: it is not definite on the half.
         """
+        self._take(matrix.points)
         diagonal, off_diagonal, gradients, compliance = matrix.on_host()
         own, others = self._halved(diagonal, off_diagonal)
         count = len(self._own_cells)

@@ -49,7 +49,7 @@ def map_to_density(
         surface: its areas are the mass, V vertices.
         sphere: the map to begin with, without flips, shape [V, 3].
         target: the density.
-        solve: :func:`omtwarp.optimal_map`, or its counterpart among symmetric maps; called with the surface with areas
+        solve: :func:`omtwarp.optimal_map` or a part of it; called with the surface with areas
             in proportion to those wanted, the map, and options.
         start: the points x that are moved, shape [V, 3].
         shape_share: factor of the shape term's weight.

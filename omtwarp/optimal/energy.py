@@ -85,6 +85,9 @@ class Domain(Protocol):
     def steps(self) -> FlipFreeSteps:
         """Return an object that moves maps along vectors without flipping triangles."""
 
+    def factor(self, cells: Cells, workspace: Workspace | None) -> SaddlePointFactor:
+        """Return what factorises matrices with a multiplier for every cell."""
+
 
 class VertexCost(Protocol):
     """A cost of every vertex's place; arrays are float64 on the device."""
@@ -245,7 +248,7 @@ class TransportEnergy:
 
     def saddle_factor(self) -> SaddlePointFactor:
         """Return an object that factorises the matrices of :meth:`blocks`."""
-        return self.cells.factor(self._workspace)
+        return self.domain.factor(self.cells, self._workspace)
 
     def flip_free_steps(self) -> FlipFreeSteps:
         """Return an object that moves maps along directions without flipping triangles."""
@@ -321,6 +324,7 @@ class TransportEnergy:
             terms: the terms of the map.
         """
         matrix, mesh = self.matrix, self.surface.on(self.device)
+        matrix.points = points
         hessians, weight = self.shape.hessian(points, terms.shape, self.area_weight), wp.float64(self.shape_weight)
         metric, diagonal = self.vertex_metric(points, terms), matrix.diagonal.reshape((-1, COORDINATES))
         inputs = [*mesh.vertex_corners, hessians, weight, metric, FIRST_THREAD]

@@ -36,7 +36,7 @@ from omtwarp.optimal.solver import (
     minimise,
     softness,
 )
-from omtwarp.optimal.sphere import energy_on_sphere
+from omtwarp.optimal.sphere import Sphere, energy_on_sphere
 from omtwarp.options import Cost, Progress, Record
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
 from omtwarp.untangling.steps import FlipFreeSteps
@@ -134,6 +134,7 @@ def exact_map(
     iterations: int = ITERATIONS,
     gain: float = CELL_GAIN,
     cost: str = Cost.SQUARED,
+    domain: Sphere | None = None,
     device: str | None = "auto",
     progress: Progress | None = None,
 ) -> OptimalMap:
@@ -147,7 +148,7 @@ def exact_map(
         multipliers: initial multipliers, shape [F], such as those of a map with another shape weight.
         iterations: largest number of steps with each weight of area errors.
         gain: end where the expected gain of a step falls below this share of the cost, and areas are kept to 1e-6.
-        cost: as of :func:`omtwarp.optimal_map`.
+        cost, domain: as of :func:`omtwarp.optimal_map`.
         device: where the kernels run.
         progress: called after every step as ``progress("omt", step, most, record)``.
 
@@ -160,8 +161,8 @@ def exact_map(
     where = resolve_device(device)
     given, x = (as_unit_vectors(points, quartered.surface.vertex_count) for points in (sphere, start))
     soft = softness(quartered.surface.vertex_areas, given, x, cost)
-    cells = TriangleCells(quartered, where)
-    energy = energy_on_sphere(quartered.surface, vectors(x, where), where, shape_weight, cells=cells, softness=soft)
+    moved, cells = vectors(x, where), TriangleCells(quartered, where)
+    energy = energy_on_sphere(quartered.surface, moved, where, shape_weight, domain=domain, cells=cells, softness=soft)
     return minimise_cells(energy, given, multipliers=multipliers, gain=gain, iterations=iterations, progress=progress)
 
 

@@ -233,7 +233,7 @@ def minimised(
         surface: closed, V vertices.
         sphere: the map to begin with, without flips, shape [V, 3].
         start: the points x, shape [V, 3].
-        solve: :func:`omtwarp.optimal_map` of the surface, or its counterpart among symmetric maps.
+        solve: :func:`omtwarp.optimal_map` of the surface.
         kept: called with the map of every round.
         road: ``embedded``, from where the penalty on areas grows in rounds, or another.
         device: where the kernels run.

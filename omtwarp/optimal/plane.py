@@ -15,12 +15,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.device.arrays import Workspace
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.device.sums import Reading
 from omtwarp.geometry.spherical import TINY
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.optimal.cells import Cells
 from omtwarp.optimal.energy import ShapeTerms
 from omtwarp.optimal.kernels import Fit, raised_fit, weighted_fit
+from omtwarp.solvers.mesh_factor import SaddlePointFactor
 from omtwarp.solvers.motion_kernels import keeps_volume
 from omtwarp.solvers.triangle import triangle_frames
 from omtwarp.untangling.steps import FlipFreeSteps
@@ -418,6 +421,10 @@ class Plane:
     def steps(self) -> FlipFreeSteps:
         """Return an object that moves maps along vectors without turning triangles over."""
         return PlaneSteps(self)
+
+    def factor(self, cells: Cells, workspace: Workspace | None) -> SaddlePointFactor:
+        """Return what factorises matrices with a multiplier for every cell."""
+        return cells.factor(workspace)
 
 
 class PlaneSteps(FlipFreeSteps):

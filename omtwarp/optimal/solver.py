@@ -30,7 +30,7 @@ from omtwarp.optimal.combination import combine, scaled
 from omtwarp.optimal.energy import AREA_WEIGHT, MapTerms, TransportEnergy
 from omtwarp.optimal.kernels import single_gains
 from omtwarp.optimal.local import LocalSteps, freed_vertices
-from omtwarp.optimal.sphere import energy_on_sphere
+from omtwarp.optimal.sphere import Sphere, energy_on_sphere
 from omtwarp.options import Cost, Progress, Record
 from omtwarp.solvers.cholesky.saddle import COORDINATES
 from omtwarp.solvers.newton import SUFFICIENT_DECREASE
@@ -122,6 +122,7 @@ def optimal_map(
     iterations: int = 40,
     gain: float = GAIN,
     cost: str = Cost.SQUARED,
+    domain: Sphere | None = None,
     device: str | None = "auto",
     progress: Progress | None = None,
 ) -> OptimalMap:
@@ -142,6 +143,8 @@ def optimal_map(
         cost: ``squared`` geodesic distance, or the ``geodesic`` distance d as sqrt(d² + δ²) - δ, where δ is 3 % of the
             root mean squared distance of the map given: d itself has no curvature along the geodesic, and its least
             cost many maps.
+        domain: that of the symmetric maps of a double (:class:`omtwarp.open_surfaces.symmetric.MirroredSphere`), among
+            which the least is found; the whole sphere by default.
         device: where the kernels run; the saddle-point systems are solved on the host.
         progress: called after every step as ``progress("omt", step, most, record)``, the record being that of
             ``history``.
@@ -171,7 +174,8 @@ def optimal_map(
     if multipliers is not None:
         multipliers = real_numbers(multipliers, "multipliers", (mesh.vertex_count,))
     soft = softness(mesh.vertex_areas, given, x, cost)
-    energy = energy_on_sphere(mesh, vectors(x, where), where, weight, area_weight=area_weight, softness=soft)
+    moved = vectors(x, where)
+    energy = energy_on_sphere(mesh, moved, where, weight, domain=domain, area_weight=area_weight, softness=soft)
     return minimise(
         energy,
         given,

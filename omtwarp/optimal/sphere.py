@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.device.arrays import empty, vectors
+from omtwarp.device.arrays import Workspace, empty, vectors
 from omtwarp.device.start import wp
 from omtwarp.device.sums import Reading
 from omtwarp.device.threads import FIRST_THREAD, Each, each, launch_parts
@@ -19,6 +19,7 @@ from omtwarp.optimal.energy import AREA_WEIGHT, MapTerms, ShapeTerms, TransportE
 from omtwarp.optimal.kernels import area_slopes, cost_metric, transport_gradient, vertex_costs
 from omtwarp.refine.energy import DistortionEnergy, Terms
 from omtwarp.refine.further import VertexTerm
+from omtwarp.solvers.mesh_factor import SaddlePointFactor
 from omtwarp.solvers.motion_kernels import from_tangent, to_tangent
 from omtwarp.untangling.kernels import solid_angles
 from omtwarp.untangling.steps import FlipFreeSteps
@@ -74,6 +75,10 @@ class Sphere:
     def steps(self) -> FlipFreeSteps:
         """Return an object that moves maps along tangent vectors without flipping triangles."""
         return FlipFreeSteps(self.surface, self.device)
+
+    def factor(self, cells: Cells, workspace: Workspace | None) -> SaddlePointFactor:
+        """Return what factorises matrices with a multiplier for every cell."""
+        return cells.factor(workspace)
 
 
 class GeodesicCost:
@@ -164,8 +169,8 @@ def energy_on_sphere(
     device: wp.Device,
     shape_weight: float,
     *,
+    domain: Sphere | None = None,
     cells: Cells | None = None,
-    cost_weight: float = 1.0,
     area_weight: float = AREA_WEIGHT,
     softness: float = 0.0,
 ) -> TransportEnergy:
@@ -175,16 +180,17 @@ def energy_on_sphere(
         surface: V vertices.
         start: x, unit vectors, vec3d, shape [V], on the device.
         device: a Warp device.
-        shape_weight, cost_weight, area_weight: as of :class:`TransportEnergy`.
+        shape_weight, area_weight: as of :class:`TransportEnergy`.
+        domain: that of symmetric maps of a double, in place of that of all maps.
         cells: whose areas are kept; the triangles around vertices by default.
         softness: as of :class:`GeodesicCost`.
     """
     kept = RingCells(surface, device) if cells is None else cells
     cost, shape = GeodesicCost(surface, start, device, softness), SphereShape(DistortionEnergy(surface, device))
-    weights = shape_weight, cost_weight, area_weight
+    where = Sphere(surface, device) if domain is None else domain
     workspace = shape.distortion.workspace
-    energy = TransportEnergy(Sphere(surface, device), kept, cost, shape, *weights, workspace=workspace)
-    energy.has_local_steps = isinstance(kept, RingCells)
+    energy = TransportEnergy(where, kept, cost, shape, shape_weight, area_weight=area_weight, workspace=workspace)
+    energy.has_local_steps = domain is None and isinstance(kept, RingCells)
     return energy
 
 

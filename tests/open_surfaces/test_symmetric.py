@@ -12,7 +12,7 @@ from omtwarp.device.start import wp
 from omtwarp.flips.exact import is_bijective
 from omtwarp.mesh import shapes
 from omtwarp.open_surfaces.hemisphere import is_symmetric, symmetric_map
-from omtwarp.open_surfaces.symmetric import folded, folded_map, mirrored_energy, symmetric_optimal_map
+from omtwarp.open_surfaces.symmetric import MirroredSphere, folded, folded_map
 from omtwarp.optimal.sphere import energy_on_sphere
 from omtwarp.topology.closing import Double, double, split_chords
 
@@ -42,7 +42,7 @@ def test_half_system_has_the_symmetric_solution_of_the_whole_one(solver):
     with solving_with(solver):
         energies = [
             energy_on_sphere(surface, vectors(start, where), where, 0.01),
-            mirrored_energy(glued, surface, vectors(start, where), where, 0.01),
+            energy_on_sphere(surface, vectors(start, where), where, 0.01, domain=MirroredSphere(glued, surface, where)),
         ]
         points = vectors(sphere, where)
         steps, changes = [], []
@@ -64,7 +64,8 @@ def test_half_system_has_the_symmetric_solution_of_the_whole_one(solver):
 
 def test_symmetric_optimum_is_that_of_the_double():
     glued, surface, sphere, start = doubled_cap()
-    even = symmetric_optimal_map(glued, surface, sphere, start=start, gain=1e-5, device="cpu")
+    domain = MirroredSphere(glued, surface, resolve_device("cpu"))
+    even = omtwarp.optimal_map(surface, sphere, start=start, gain=1e-5, domain=domain, device="cpu")
     free = omtwarp.optimal_map(surface, sphere, start=start, gain=1e-5, device="cpu")
     assert even.converged and free.converged
     assert is_symmetric(glued, even.sphere) and np.abs(even.sphere[glued.on_boundary, 2]).max() == 0.0

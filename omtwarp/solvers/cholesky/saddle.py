@@ -54,6 +54,7 @@ class SaddleMatrix:
         self.diagonal, self.compliance, off_diagonal, self.slopes, self.inner = parts
         self.off_diagonal = off_diagonal.reshape((edges, 4))
         self._ends = ends
+        self.points: wp.array | None = None
 
     @classmethod
     def of(cls, own: Numbers, others: Numbers, slopes: Numbers, compliance: Numbers) -> SaddleMatrix:
