@@ -1,12 +1,12 @@
 """Warp kernels of the lifted wavelet transforms, and between the nodes and points anywhere on the sphere.
 
-A transform is one predict and one update per level, in place. The values of all levels share one array, coarse nodes
-first: node k of K(j) at ``k``, node m of M(j) at ``first + m``.
+A transform is one predict and one update per level, in place: products with sparse matrices. The values of all levels
+share one array, coarse nodes first.
 A thread adds to its own element alone, spelt out: ``+=`` on an array is an atomic addition in Warp.
 """
 
 # mypy: ignore-errors
-from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ZERO, wp
+from omtwarp.device.start import KERNEL_OPTIONS, LARGE, ZERO, wp
 from omtwarp.geometry.spherical import TINY, hat_gradient, tangential, triple_product
 from omtwarp.location import spherical_coordinates
 
@@ -14,76 +14,21 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 
 @wp.kernel
-def predict_nodes(
-    first: wp.int32,
-    stencil: wp.array2d[wp.int32],
-    weights: wp.array[wp.float64],
-    sign: wp.float64,
-    # Data in and out:
-    values: wp.array[wp.float64],
-):
-    """Add (sign) x (prediction from coarse nodes) to each new node."""
-    m = wp.tid()
-    total = wp.float64(0.0)
-    for s in range(stencil.shape[1]):
-        total += weights[s] * values[stencil[m, s]]
-    values[first + m] = values[first + m] + sign * total
-
-
-@wp.kernel
-def predict_adjoint(
-    first: wp.int32,
+def add_product(
     offsets: wp.array[wp.int32],
-    entries: wp.array[wp.int32],
-    width: wp.int32,
+    columns: wp.array[wp.int32],
     weights: wp.array[wp.float64],
+    source: wp.array[wp.float64],
     sign: wp.float64,
     # Data in and out:
-    values: wp.array[wp.float64],
+    target: wp.array[wp.float64],
 ):
-    """Add (sign) x (the new nodes it predicts) to each coarse node; an entry is ``width`` m + place in the stencil."""
-    k = wp.tid()
+    """Add (sign) x (the product of a sparse matrix, row by row, with ``source``)."""
+    i = wp.tid()
     total = wp.float64(0.0)
-    for n in range(offsets[k], offsets[k + 1]):
-        m = entries[n] // width
-        total += weights[entries[n] - width * m] * values[first + m]
-    values[k] = values[k] + sign * total
-
-
-@wp.kernel
-def update_nodes(
-    first: wp.int32,
-    offsets: wp.array[wp.int32],
-    entries: wp.array[wp.int32],
-    fine_integrals: wp.array[wp.float64],
-    coarse_integrals: wp.array[wp.float64],
-    sign: wp.float64,
-    # Data in and out:
-    values: wp.array[wp.float64],
-):
-    """Add (sign) x (sum of s gamma over the edges at each coarse node), s = I(j + 1, m) / (2 I(j, k))."""
-    k = wp.tid()
-    total = wp.float64(0.0)
-    for n in range(offsets[k], offsets[k + 1]):
-        m = first + entries[n] // 2
-        total += fine_integrals[m] * values[m]
-    values[k] = values[k] + sign * HALF * total / coarse_integrals[k]
-
-
-@wp.kernel
-def update_adjoint(
-    first: wp.int32,
-    parents: wp.array2d[wp.int32],
-    fine_integrals: wp.array[wp.float64],
-    coarse_integrals: wp.array[wp.float64],
-    sign: wp.float64,
-    # Data in and out:
-    values: wp.array[wp.float64],
-):
-    m = wp.tid()
-    a, b = parents[m, 0], parents[m, 1]
-    total = values[a] / coarse_integrals[a] + values[b] / coarse_integrals[b]
-    values[first + m] = values[first + m] + sign * HALF * fine_integrals[first + m] * total
+    for n in range(offsets[i], offsets[i + 1]):
+        total += weights[n] * source[columns[n]]
+    target[i] = target[i] + sign * total
 
 
 @wp.kernel
@@ -378,23 +323,6 @@ def spread_to_faces(
 
 
 @wp.kernel
-def coarsen_sums(
-    first: wp.int32,
-    offsets: wp.array[wp.int32],
-    entries: wp.array[wp.int32],
-    fine: wp.array[wp.float64],
-    # Data out:
-    coarse: wp.array[wp.float64],
-):
-    """Compute the sums of a level from those of the next: half of each midpoint's goes to each end of its edge."""
-    k = wp.tid()
-    total = wp.float64(0.0)
-    for n in range(offsets[k], offsets[k + 1]):
-        total += fine[first + entries[n] // 2]
-    coarse[k] = fine[k] + HALF * total
-
-
-@wp.kernel
 def mean_values(
     sums: wp.array[wp.float64],
     masses: wp.array[wp.float64],
@@ -406,14 +334,3 @@ def mean_values(
     k = wp.tid()
     if masses[k] > smallest:
         values[k] = sums[k] / masses[k]
-
-
-@wp.kernel
-def refine_values(
-    first: wp.int32,
-    parents: wp.array2d[wp.int32],
-    # Data in and out:
-    values: wp.array[wp.float64],
-):
-    m = wp.tid()
-    values[first + m] = HALF * (values[parents[m, 0]] + values[parents[m, 1]])

@@ -17,7 +17,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.sphere_hierarchy import SphereHierarchy
 from omtwarp.mesh.arrays import Floats
 from omtwarp.wavelets import kernels
-from omtwarp.wavelets.transform import transposed_rows
+from omtwarp.wavelets.transform import SparseProduct, transposed_rows
 
 
 class SphereSampler:
@@ -75,10 +75,9 @@ class SphereSampler:
         weights = np.linalg.norm(np.cross(second - first, third - first), axis=1)
         at_nodes = np.bincount(levels[-1].ravel(), np.repeat(weights, 3), minlength=self.node_count)
         self._weights = send(at_nodes if density is None else at_nodes * density)
-        self._edge_rows: list[list[wp.array]] | None = None
         self._level_sums: list[wp.array] = []
         self._level_masses: list[wp.array] = []
-        self._parents: list[wp.array] = []
+        self._predictions: list[tuple[SparseProduct, SparseProduct]] = []  # of each level's added nodes, and transposed
 
         self.point_count = len(points)
         self.point_faces = wp.zeros(self.point_count, dtype=wp.int32, device=self.device)
@@ -167,28 +166,26 @@ class SphereSampler:
             count = self.hierarchy.node_counts[j]
             if j > 0:
                 first = self.hierarchy.node_counts[j - 1]
-                self._launch(kernels.refine_values, count - first, [first, self._parents[j - 1], out], [])
+                self._predictions[j - 1][0].add(out[:first], out[first:count])
             inputs = [self._level_sums[j], self._level_masses[j], smallest]
             self._launch(kernels.mean_values, count, inputs, [out])
         return out.numpy() if from_numpy else out
 
     def _prepare_levels(self) -> None:
-        if self._edge_rows is not None:
+        if self._level_sums:
             return
-        self._edge_rows = []
-        for j in range(self.level):
-            offsets, entries = transposed_rows(self.hierarchy.level_parents[j], self.hierarchy.node_counts[j])
-            self._edge_rows.append([wp.array(offsets, device=self.device), wp.array(entries, device=self.device)])
-            self._parents.append(wp.array(self.hierarchy.level_parents[j], device=self.device))
         counts = self.hierarchy.node_counts[: self.level + 1]
+        for j in range(self.level):
+            added = self.hierarchy.refinement_matrix(j)[counts[j] :]
+            self._predictions.append((SparseProduct(added, self.device), SparseProduct(added.T, self.device)))
         self._level_sums = [wp.empty(count, dtype=wp.float64, device=self.device) for count in counts]
 
     def _coarsen(self, finest: wp.array, workspace: list[wp.array]) -> list[wp.array]:
-        assert self._edge_rows is not None
         workspace[self.level] = finest
         for j in reversed(range(self.level)):
             count = self.hierarchy.node_counts[j]
-            self._launch(kernels.coarsen_sums, count, [count, *self._edge_rows[j], workspace[j + 1]], [workspace[j]])
+            wp.copy(workspace[j], workspace[j + 1], count=count)
+            self._predictions[j][1].add(workspace[j + 1][count:], workspace[j])
         return workspace
 
     def _gather_corners(self, out: wp.array) -> None:

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import sparse
 
 from omtwarp.device.policy import resolve_device
@@ -30,7 +30,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import GraphsByArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import cotangent_laplacian
-from omtwarp.geometry.sphere_hierarchy import SphereHierarchy, predict_stencil
+from omtwarp.geometry.sphere_hierarchy import SphereHierarchy
 from omtwarp.mesh.arrays import Floats, Ints
 from omtwarp.wavelets import kernels
 
@@ -44,31 +44,42 @@ def transposed_rows(stencil: Ints, count: int) -> tuple[Ints, Ints]:
     return offsets, entries
 
 
+class SparseProduct:
+    """A sparse matrix on a device, whose products are added to arrays.
+
+    Args:
+        matrix: shape [M, N].
+        device: a Warp device.
+    """
+
+    def __init__(self, matrix: sparse.spmatrix, device: wp.Device) -> None:
+        rows = sparse.csr_matrix(matrix)
+        kinds = ((rows.indptr, wp.int32), (rows.indices, wp.int32), (rows.data, wp.float64))
+        self._count, self._device = rows.shape[0], device
+        self._rows = [wp.array(numbers, dtype=kind, device=device) for numbers, kind in kinds]
+
+    def add(self, source: wp.array, target: wp.array, sign: float = 1.0) -> None:
+        """Add (sign) x (the product with ``source``, shape [N]) to ``target``, shape [M]."""
+        inputs, outputs = [*self._rows, source, sign], [target]
+        wp.launch(kernels.add_product, dim=self._count, inputs=inputs, outputs=outputs, device=self._device)
+
+
 @dataclass(frozen=True)
 class _Level:
-    """The nodes that a level adds, one in the middle of each edge, and what they are predicted from, on the device.
+    """The steps between a level and the next: products between the nodes of the one and those that the other adds.
 
     Attributes:
-        coarse: number of nodes of the level.
-        added: number of nodes that the next one adds.
-        stencil: nodes that each added one is predicted from, int32 [added, width].
-        width: how many those are.
-        weights: of the prediction.
-        parents: ends of the edge of each added node, int32 [added, 2].
-        edges: the transpose of ``parents`` in compressed rows.
-        stencil_rows: the transpose of ``stencil`` in compressed rows.
-        integrals: of the scaling functions of the next level, and of this one.
+        coarse, fine: number of nodes of the level, and of the next.
+        predict, update: see the module's text; the first is to be subtracted.
+        predict_adjoint, update_adjoint: their transposes.
     """
 
     coarse: int
-    added: int
-    stencil: wp.array
-    width: int
-    weights: wp.array
-    parents: wp.array
-    edges: tuple[wp.array, wp.array]
-    stencil_rows: tuple[wp.array, wp.array]
-    integrals: tuple[wp.array, wp.array]
+    fine: int
+    predict: SparseProduct
+    update: SparseProduct
+    predict_adjoint: SparseProduct
+    update_adjoint: SparseProduct
 
 
 class SphericalWavelets:
@@ -100,49 +111,27 @@ class SphericalWavelets:
             integrals.insert(0, hierarchy.refinement_matrix(j, butterfly=butterfly).T @ integrals[0])
         self.level_integrals = tuple(integrals)
 
-        def send(array: NDArray[np.generic]) -> wp.array:
-            return wp.array(np.ascontiguousarray(array), device=self.device)
-
-        on_device = [send(array) for array in integrals]
         self._levels: list[_Level] = []
         for j in range(hierarchy.level):
-            stencil, weights = predict_stencil(hierarchy, j, butterfly=butterfly)
-            offsets, entries = transposed_rows(hierarchy.level_parents[j], hierarchy.node_counts[j])
-            parents, edges = send(hierarchy.level_parents[j]), (send(offsets), send(entries))
-            wide, wide_rows = parents, edges
-            if butterfly:
-                offsets, entries = transposed_rows(stencil, hierarchy.node_counts[j])
-                wide, wide_rows = send(stencil), (send(offsets), send(entries))
-            level = _Level(
-                coarse=hierarchy.node_counts[j],
-                added=hierarchy.node_counts[j + 1] - hierarchy.node_counts[j],
-                stencil=wide,
-                width=stencil.shape[1],
-                weights=send(weights),
-                parents=parents,
-                edges=edges,
-                stencil_rows=wide_rows,
-                integrals=(on_device[j + 1], on_device[j]),
-            )
-            self._levels.append(level)
+            coarse, fine = hierarchy.node_counts[j : j + 2]
+            predict, update = hierarchy.refinement_matrix(j, butterfly=butterfly)[coarse:], self.lift(j)
+            matrices = predict, update, predict.T, update.T
+            products = [SparseProduct(matrix, self.device) for matrix in matrices]
+            self._levels.append(_Level(coarse, fine, *products))
 
-    def _predict(self, level: _Level, values: wp.array, sign: float) -> None:
-        inputs = [level.coarse, level.stencil, level.weights, sign, values]
-        wp.launch(kernels.predict_nodes, dim=level.added, inputs=inputs, device=self.device)
+    def lift(self, level: int) -> sparse.csr_matrix:
+        """Return the matrix of the s(j, m, k), shape [|K(j)|, |M(j)|]; of zeros where wavelets are not lifted."""
+        parents, coarse = self.hierarchy.level_parents[level], self.hierarchy.node_counts[level]
+        shape = coarse, len(parents)
+        if not self.lifted:
+            return sparse.csr_matrix(shape)
+        share = self.level_integrals[level + 1][coarse:, None] / (2 * self.level_integrals[level][parents])
+        return sparse.csr_matrix((share.ravel(), (parents.ravel(), np.repeat(np.arange(len(parents)), 2))), shape=shape)
 
-    def _update(self, level: _Level, values: wp.array, sign: float) -> None:
-        if self.lifted:
-            inputs = [level.coarse, *level.edges, *level.integrals, sign, values]
-            wp.launch(kernels.update_nodes, dim=level.coarse, inputs=inputs, device=self.device)
-
-    def _predict_adjoint(self, level: _Level, values: wp.array, sign: float) -> None:
-        inputs = [level.coarse, *level.stencil_rows, level.width, level.weights, sign, values]
-        wp.launch(kernels.predict_adjoint, dim=level.coarse, inputs=inputs, device=self.device)
-
-    def _update_adjoint(self, level: _Level, values: wp.array, sign: float) -> None:
-        if self.lifted:
-            inputs = [level.coarse, level.parents, *level.integrals, sign, values]
-            wp.launch(kernels.update_adjoint, dim=level.added, inputs=inputs, device=self.device)
+    @staticmethod
+    def _parts(level: _Level, values: wp.array) -> tuple[wp.array, wp.array]:
+        """Return the values of the nodes of a level, and of those that the next adds."""
+        return values[: level.coarse], values[level.coarse : level.fine]
 
     def analyse(self, values: wp.array) -> None:
         """Transform values at nodes to coefficients in place: SWfwd of Algorithm 1."""
@@ -150,8 +139,9 @@ class SphericalWavelets:
 
     def _analyse(self, values: wp.array) -> None:
         for level in reversed(self._levels):
-            self._predict(level, values, -1.0)
-            self._update(level, values, 1.0)
+            nodes, added = self._parts(level, values)
+            level.predict.add(nodes, added, -1.0)
+            level.update.add(added, nodes)
 
     def synthesise(self, values: wp.array) -> None:
         """Transform coefficients to values at nodes in place: SWbak of Algorithm 1."""
@@ -159,8 +149,9 @@ class SphericalWavelets:
 
     def _synthesise(self, values: wp.array) -> None:
         for level in self._levels:
-            self._update(level, values, -1.0)
-            self._predict(level, values, 1.0)
+            nodes, added = self._parts(level, values)
+            level.update.add(added, nodes, -1.0)
+            level.predict.add(nodes, added)
 
     def synthesise_adjoint(self, values: wp.array) -> None:
         """Apply the transpose of :meth:`synthesise` in place: entry (j, m) becomes Σ values times psi(j, m)."""
@@ -168,8 +159,9 @@ class SphericalWavelets:
 
     def _synthesise_adjoint(self, values: wp.array) -> None:
         for level in reversed(self._levels):
-            self._predict_adjoint(level, values, 1.0)
-            self._update_adjoint(level, values, -1.0)
+            nodes, added = self._parts(level, values)
+            level.predict_adjoint.add(added, nodes)
+            level.update_adjoint.add(nodes, added, -1.0)
 
     def analyse_adjoint(self, values: wp.array) -> None:
         """Apply the transpose of :meth:`analyse` in place."""
@@ -177,8 +169,9 @@ class SphericalWavelets:
 
     def _analyse_adjoint(self, values: wp.array) -> None:
         for level in self._levels:
-            self._update_adjoint(level, values, 1.0)
-            self._predict_adjoint(level, values, -1.0)
+            nodes, added = self._parts(level, values)
+            level.update_adjoint.add(nodes, added)
+            level.predict_adjoint.add(added, nodes, -1.0)
 
     def truncate(self, coefficients: wp.array, resolution: int) -> None:
         """Clear the coefficients of levels j > ``resolution``, in place (Algorithm 1, lines 11 to 13).
@@ -279,13 +272,7 @@ def wavelet_energies(hierarchy: SphereHierarchy, wavelets: SphericalWavelets) ->
         functions = sparse.csr_matrix(
             (np.ones(fine - coarse), (coarse + columns, columns)), shape=(fine, fine - coarse)
         )
-        if wavelets.lifted:
-            parents = hierarchy.level_parents[j]
-            share = wavelets.level_integrals[j + 1][coarse:, None] / (2 * wavelets.level_integrals[j][parents])
-            lift = sparse.csr_matrix(
-                (share.ravel(), (parents.ravel(), np.repeat(columns, 2))), shape=(coarse, fine - coarse)
-            )
-            functions = functions - hierarchy.refinement_matrix(j, butterfly=wavelets.butterfly) @ lift
+        functions = functions - hierarchy.refinement_matrix(j, butterfly=wavelets.butterfly) @ wavelets.lift(j)
         energies[coarse:fine] = np.asarray(functions.multiply(laplacian @ functions).sum(axis=0)).ravel()
     return energies
 
