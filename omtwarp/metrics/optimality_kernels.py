@@ -5,12 +5,12 @@ The potential ψ is quadratic on every triangle of the image mesh, in the baryce
     ψ(b) = Σ_k b_k ψ_k + b_0 b_1 e_0 + b_1 b_2 e_1 + b_2 b_0 e_2,
 
 and the point of the sphere is p / |p| with p = Σ_k b_k y_k. The samples of a triangle are its corners and the middles
-of its edges. Triangles, or parts of those with long edges, are the leaves of a complete binary tree in heap order, in
-which node k has the children 2k and 2k + 1.
+of its edges. Triangles, or parts of those with long edges, are the leaves of a tree (:mod:`.tree_kernels`).
 """
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import geodesic_distance, logarithm
+from omtwarp.metrics.tree_kernels import SEGMENT, leaves_below, lowest_on_triangle, next_subtree, potential_at
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -21,29 +21,6 @@ vec6d = wp.types.vector(length=6, dtype=wp.float64)
 vec11d = wp.types.vector(length=11, dtype=wp.float64)
 
 SAMPLES = wp.constant(6)  # of the potential in a triangle: as many as a quadratic function has coefficients
-SEGMENT = wp.constant(256)  # triangles below a node that one thread goes through at most, a power of two
-
-
-@wp.func
-def leaves_below(node: int, leaf_count: int, item_count: int):
-    """Return the first and the last leaf below a node, counted from 0; the last is before the first where none is."""
-    first = int(node)
-    last = int(node)
-    while first < leaf_count:
-        first = 2 * first
-        last = 2 * last + 1
-    return first - leaf_count, wp.min(last - leaf_count, item_count - 1)
-
-
-@wp.func
-def next_subtree(node: int) -> int:
-    """Return the node after a subtree of a binary tree in heap order whose root is node 1; 0 after the last one."""
-    after = int(node)
-    while after % 2 == 1 and after > 1:  # up while this is a right child
-        after = after // 2
-    if after == 1:
-        return 0
-    return after + 1
 
 
 @wp.func
@@ -51,12 +28,6 @@ def half_squared_distance(x: wp.vec3d, y: wp.vec3d) -> wp.float64:
     """Return the cost c(x, y) = d(x, y)² / 2."""
     d = geodesic_distance(x, y)
     return HALF * d * d
-
-
-@wp.func
-def potential_at(nodal: wp.vec3d, edge: wp.vec3d, b: wp.vec3d) -> wp.float64:
-    """Return the potential ψ at barycentric coordinates b of a triangle."""
-    return wp.dot(b, nodal) + b[0] * b[1] * edge[0] + b[1] * b[2] * edge[1] + b[2] * b[0] * edge[2]
 
 
 @wp.func
@@ -238,64 +209,6 @@ def lowest_on_interval(slope: wp.float64, bend: wp.float64, low: wp.float64, hig
     if bend > ZERO and slope + bend * low < ZERO and slope + bend * high > ZERO:
         least = -HALF * slope * slope / bend
     return least
-
-
-@wp.func
-def swap(order: wp.array[wp.int32], i: int, j: int):
-    """Exchange two entries of an order."""
-    kept = order[i]
-    order[i] = order[j]
-    order[j] = kept
-
-
-@wp.kernel
-def split_segments(
-    points: wp.array[wp.vec3d],
-    size: int,
-    # Data in and out:
-    order: wp.array[wp.int32],
-):
-    """Partition every segment of ``size`` entries of an order into halves that are apart in space.
-
-    The first half are the points that are lowest along the longest side of the segment's bounding box (Hoare's
-    selection, 1961); where the last segment is not full, its first half is filled first.
-    """
-    segment, _compiled_once = wp.tid()
-    low = segment * size
-    high = wp.min(low + size, points.shape[0]) - 1
-    middle = low + size // 2
-    if middle > high:
-        return
-    least = points[order[low]]
-    most = least
-    for k in range(low + 1, high + 1):
-        least = wp.min(least, points[order[k]])
-        most = wp.max(most, points[order[k]])
-    sides = most - least
-    axis = int(0)
-    if sides[1] > sides[axis]:
-        axis = 1
-    if sides[2] > sides[axis]:
-        axis = 2
-    while low < high:
-        pivot = points[order[(low + high) // 2]][axis]
-        i = int(low)
-        j = int(high)
-        while i <= j:
-            while points[order[i]][axis] < pivot:
-                i += 1
-            while points[order[j]][axis] > pivot:
-                j -= 1
-            if i <= j:
-                swap(order, i, j)
-                i += 1
-                j -= 1
-        if middle <= j:
-            high = j
-        elif middle >= i:
-            low = i
-        else:
-            low = high
 
 
 @wp.kernel
@@ -566,44 +479,6 @@ def node_bound(x: wp.vec3d, c: wp.vec3d, axis: wp.vec3d, model: vec11d, enough: 
     return base + value
 
 
-@wp.func
-def lowest_on_edge(from_value: wp.float64, to_value: wp.float64, edge: wp.float64) -> wp.float64:
-    """Return where (1 - r) from + r to + r (1 - r) edge is least over 0 <= r <= 1."""
-    if edge < ZERO:
-        r = HALF * (to_value - from_value + edge) / edge
-        return wp.min(wp.max(r, ZERO), ONE)
-    if to_value < from_value:
-        return ONE
-    return ZERO
-
-
-@wp.func
-def lowest_on_triangle(nodal: wp.vec3d, edge: wp.vec3d) -> wp.vec3d:
-    """Return the barycentric coordinates where Σ b_k nodal_k + Σ b_k b_k+1 edge_k is least over the triangle."""
-    # With b = (1 - s - t, s, t).
-    mixed = edge[1] - edge[0] - edge[2]
-    det = wp.float64(4.0) * edge[0] * edge[2] - mixed * mixed
-    if edge[0] < ZERO and det > ZERO:
-        p = nodal[1] - nodal[0] + edge[0]
-        q = nodal[2] - nodal[0] + edge[2]
-        s = (TWO * edge[2] * p + mixed * q) / det
-        t = (TWO * edge[0] * q + mixed * p) / det
-        if s >= ZERO and t >= ZERO and s + t <= ONE:
-            return wp.vec3d(ONE - s - t, s, t)
-    best = LARGE
-    out = wp.vec3d()
-    for k in range(3):
-        r = lowest_on_edge(nodal[k], nodal[(k + 1) % 3], edge[k])
-        b = wp.vec3d()
-        b[k] = ONE - r
-        b[(k + 1) % 3] = r
-        value = potential_at(nodal, edge, b)
-        if value < best:
-            best = value
-            out = b
-    return out
-
-
 @wp.kernel
 def c_transform(
     # Queries:
@@ -629,7 +504,6 @@ def c_transform(
     proven_out: wp.array[wp.float64],
     triangle_out: wp.array[wp.int32],
     weights_out: wp.array[wp.vec3d],
-    visited_out: wp.array[wp.int32],
 ):
     """Compute φ(x) = min of c(x, z) - ψ(z) over the sphere.
 
@@ -644,10 +518,8 @@ def c_transform(
     best_leaf = int(-1)
     best_weights = wp.vec3d()
     relied = LARGE
-    visited = int(0)
     node = int(1)
     while node > 0:
-        visited += 1
         inside = bool(False)
         model = models[node]
         if model[0] > -LARGE:
@@ -701,4 +573,3 @@ def c_transform(
         triangle_out[i] = triangles[best_leaf]
         best_weights = best_weights @ corners[best_leaf]
     weights_out[i] = best_weights
-    visited_out[i] = visited

@@ -16,11 +16,11 @@ from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.quarter import PARTS, QuarteredSurface, quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
+from omtwarp.metrics.optimality import torus_optimality
 from omtwarp.optimal.refinement import not_matched
 from omtwarp.optimal.solver import OptimalMap
 from omtwarp.options import AreaMatch, Progress, Record, continued, parse_refinement
 from omtwarp.torus.harmonic import QUANTUM, FlatTorus, conformal_torus, embedded_torus, quantised
-from omtwarp.torus.optimality import torus_optimality
 from omtwarp.torus.transport import Report, eased_on_torus, exact_on_torus, refine_on_torus, transport_on_torus
 
 WRONG_AREA = 1e-4  # largest relative error of an area around a vertex without a warning

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from omtwarp.metrics.ascent import ascend
+from omtwarp.metrics.dual import ascend
 
 
 class Paraboloid:

@@ -18,10 +18,10 @@ from omtwarp.geometry.operators import corner_cotangents
 from omtwarp.maps.torus_map import ring_torus as on_ring_torus
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
+from omtwarp.metrics.optimality import torus_optimality
 from omtwarp.texturing.textured import torus_pattern
 from omtwarp.torus.harmonic import FlatTorus, conformal_torus, quantised
 from omtwarp.torus.mapping import map_to_torus
-from omtwarp.torus.optimality import torus_optimality
 from omtwarp.torus.transport import transport_on_torus
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))
