@@ -295,7 +295,7 @@ def test_a_bound_raised_at_the_sources_comes_near_the_exact_optimum():
     x, y, masses, faces = latitude_map(8, twist=0.3)
     x[x[:, 2] > 0.5] = [0.0, 0.0, 1.0]
     dual = TransportDual(Surface(y, faces), x, y, masses, "cpu")
-    assert (dual.shared is not None)
+    assert dual.shared is not None
     least = ot.emd2(masses / masses.sum(), masses / masses.sum(), 0.5 * geodesic(x[:, None], y[None]) ** 2)
     own = float(masses @ dual.cost) / masses.sum()
     sources = SourceDual(dual)

@@ -7,40 +7,67 @@ from omtwarp.device.start import KERNEL_OPTIONS, wp
 
 wp.set_module_options(KERNEL_OPTIONS)
 
+
+@wp.struct
+class Fronts:
+    """The fronts of an elimination and their places in memory; see :class:`omtwarp.solvers.cholesky.Dissection`."""
+
+    block: wp.int32  # unknowns per vertex
+    first: wp.array[wp.int32]
+    owned: wp.array[wp.int32]
+    negative: wp.array[wp.int32]  # how many of a front's own columns, the last ones, have negative pivots
+    starts: wp.array[wp.int64]
+    rows: wp.array[wp.int32]
+    upward: wp.array[wp.int32]
+    family_starts: wp.array[wp.int32]
+    families: wp.array[wp.int32]
+    order: wp.array[wp.int32]
+    edge_starts: wp.array[wp.int32]
+    edges: wp.array[wp.int32]
+    edge_rows: wp.array[wp.int32]
+    edge_columns: wp.array[wp.int32]
+    turned: wp.array[wp.bool]
+    offsets: wp.array[wp.int64]  # of a front in the workspace
+    factor_offsets: wp.array[wp.int64]  # of its columns in the factor
+    routines: wp.array[wp.uint64]  # addresses of LAPACK's and BLAS's
+    factor: wp.array[wp.float64]
+
+
 # Raw pointers, because the compiler vectorises loops over them but not over Warp's arrays: three times as fast. The
 # pragmas prevent unrolling, which is no faster and takes about half of the time to compile this file. LAPACK and BLAS
 # are called by address (see multifrontal.py), so that no front passes through Python.
 ASSEMBLE = """
-    const int rows_count = starts.data[f + 1] - starts.data[f];
+    const int block = tree.block;
+    const int rows_count = tree.starts.data[f + 1] - tree.starts.data[f];
     const int size = block * rows_count, width = block * block;
-    double* __restrict__ front = workspace.data + offsets.data[f];
+    double* __restrict__ front = workspace.data + tree.offsets.data[f];
     for (int j = 0; j < size; ++j)
         #pragma clang loop interleave(disable) unroll(disable)
         for (long long i = j; i < size; ++i) front[i + (long long)j * size] = 0.0;
-    for (int k = 0; k < owned.data[f]; ++k) {
-        const double* value = diagonal.data + (long long)width * order.data[first.data[f] + k];
+    for (int k = 0; k < tree.owned.data[f]; ++k) {
+        const double* value = diagonal.data + (long long)width * tree.order.data[tree.first.data[f] + k];
         double* into = front + (long long)block * k * size + block * k;
         #pragma clang loop vectorize(disable) unroll(disable)
         for (int v = 0; v < block; ++v)
             #pragma clang loop vectorize(disable) unroll(disable)
             for (int u = v; u < block; ++u) into[(long long)v * size + u] = value[block * u + v];
     }
-    for (int e = edge_starts.data[f]; e < edge_starts.data[f + 1]; ++e) {
-        const double* value = off_diagonal.data + (long long)width * edges.data[e];
-        double* into = front + (long long)block * edge_columns.data[e] * size + block * edge_rows.data[e];
-        const bool transposed = turned.data[e];
+    for (int e = tree.edge_starts.data[f]; e < tree.edge_starts.data[f + 1]; ++e) {
+        const double* value = off_diagonal.data + (long long)width * tree.edges.data[e];
+        double* into = front + (long long)block * tree.edge_columns.data[e] * size + block * tree.edge_rows.data[e];
+        const bool transposed = tree.turned.data[e];
         #pragma clang loop vectorize(disable) unroll(disable)
         for (int v = 0; v < block; ++v)
             #pragma clang loop vectorize(disable) unroll(disable)
             for (int u = 0; u < block; ++u)
                 into[(long long)v * size + u] = transposed ? value[block * v + u] : value[block * u + v];
     }
-    for (int k = family_starts.data[f]; k < family_starts.data[f + 1]; ++k) {
-        const int c = families.data[k];
-        const int child_rows = starts.data[c + 1] - starts.data[c], child_size = block * child_rows;
-        const int* __restrict__ to = upward.data + starts.data[c];
-        const double* __restrict__ column = workspace.data + offsets.data[c];
-        for (int j = block * owned.data[c]; j < child_size; ++j) {
+    for (int k = tree.family_starts.data[f]; k < tree.family_starts.data[f + 1]; ++k) {
+        const int c = tree.families.data[k];
+        const int child_rows = tree.starts.data[c + 1] - tree.starts.data[c], child_size = block * child_rows;
+        const int* __restrict__ to = tree.upward.data + tree.starts.data[c];
+        const double* __restrict__ column = workspace.data + tree.offsets.data[c];
+        for (int j = block * tree.owned.data[c]; j < child_size; ++j) {
             const int row = j / block;
             const double* source = column + (long long)j * child_size;
             double* into = front + (long long)(block * to[row] + j % block) * size;
@@ -59,6 +86,7 @@ ASSEMBLE = """
 """
 
 ELIMINATE = """
+    const int block = tree.block;
     typedef void (*Potrf)(const char*, const int*, double*, const int*, int*);
     typedef void (*Trsm)(const char*, const char*, const char*, const char*, const int*, const int*, const double*,
                          const double*, const int*, double*, const int*);
@@ -66,12 +94,13 @@ ELIMINATE = """
                          const double*, double*, const int*);
     const char lower = 'L', right = 'R', transposed = 'T', plain = 'N';
     const double one = 1.0, minus = -1.0;
-    const int size = block * (starts.data[f + 1] - starts.data[f]), own = block * owned.data[f];
-    double* front = workspace.data + offsets.data[f];
+    const int size = block * (tree.starts.data[f + 1] - tree.starts.data[f]), own = block * tree.owned.data[f];
+    double* front = workspace.data + tree.offsets.data[f];
     int info = 0;
     // First the columns with positive pivots, then, with their sign turned, those with negative ones.
     for (int sign = 1; sign >= -1 && info == 0; sign -= 2) {
-        const int begin = sign > 0 ? 0 : own - negative.data[f], end = sign > 0 ? own - negative.data[f] : own;
+        const int positive = own - tree.negative.data[f];
+        const int begin = sign > 0 ? 0 : positive, end = sign > 0 ? positive : own;
         const int count = end - begin, rest = size - end;
         if (count == 0) continue;
         double* corner = front + begin + (long long)begin * size;
@@ -79,17 +108,17 @@ ELIMINATE = """
             for (int j = 0; j < count; ++j)
                 #pragma clang loop interleave(disable) unroll(disable)
                 for (long long i = j; i < size - begin; ++i) corner[i + (long long)j * size] *= -1.0;
-        ((Potrf)routines.data[0])(&lower, &count, corner, &size, &info);
+        ((Potrf)tree.routines.data[0])(&lower, &count, corner, &size, &info);
         if (info == 0 && rest > 0) {
             double* side = corner + count;
-            ((Trsm)routines.data[1])(&right, &lower, &transposed, &plain, &rest, &count, &one, corner, &size, side,
+            ((Trsm)tree.routines.data[1])(&right, &lower, &transposed, &plain, &rest, &count, &one, corner, &size, side,
                                      &size);
-            ((Syrk)routines.data[2])(&lower, &plain, &rest, &count, sign > 0 ? &minus : &one, side, &size, &one,
+            ((Syrk)tree.routines.data[2])(&lower, &plain, &rest, &count, sign > 0 ? &minus : &one, side, &size, &one,
                                      front + end + (long long)end * size, &size);
         }
     }
     if (own > 0) {
-        double* __restrict__ kept = factor.data + factor_offsets.data[f];
+        double* __restrict__ kept = tree.factor.data + tree.factor_offsets.data[f];
         for (int j = 0; j < own; ++j)
             #pragma clang loop interleave(disable) unroll(disable)
             for (long long i = j; i < size; ++i) kept[i + (long long)j * size] = front[i + (long long)j * size];
@@ -101,20 +130,7 @@ ELIMINATE = """
 @wp.func_native(ASSEMBLE)
 def assemble_front(
     f: int,
-    block: int,
-    first: wp.array[wp.int32],
-    owned: wp.array[wp.int32],
-    starts: wp.array[wp.int64],
-    upward: wp.array[wp.int32],
-    family_starts: wp.array[wp.int32],
-    families: wp.array[wp.int32],
-    order: wp.array[wp.int32],
-    edge_starts: wp.array[wp.int32],
-    edges: wp.array[wp.int32],
-    edge_rows: wp.array[wp.int32],
-    edge_columns: wp.array[wp.int32],
-    turned: wp.array[wp.bool],
-    offsets: wp.array[wp.int64],
+    tree: Fronts,
     diagonal: wp.array[wp.float64],
     off_diagonal: wp.array[wp.float64],
     workspace: wp.array[wp.float64],
@@ -122,68 +138,33 @@ def assemble_front(
 
 
 @wp.func_native(ELIMINATE)
-def eliminate_front(  # type: ignore[empty-body]
-    f: int,
-    block: int,
-    owned: wp.array[wp.int32],
-    negative: wp.array[wp.int32],
-    starts: wp.array[wp.int64],
-    offsets: wp.array[wp.int64],
-    factor_offsets: wp.array[wp.int64],
-    routines: wp.array[wp.uint64],
-    workspace: wp.array[wp.float64],
-    factor: wp.array[wp.float64],
-) -> int: ...
+def eliminate_front(f: int, tree: Fronts, workspace: wp.array[wp.float64]) -> int: ...  # type: ignore[empty-body]
 
 
 @wp.kernel
 def factorise_fronts(
     fronts: wp.array[wp.int32],
     eliminate: int,
-    block: int,
-    first: wp.array[wp.int32],
-    owned: wp.array[wp.int32],
-    negative: wp.array[wp.int32],
-    starts: wp.array[wp.int64],
-    upward: wp.array[wp.int32],
-    family_starts: wp.array[wp.int32],
-    families: wp.array[wp.int32],
-    order: wp.array[wp.int32],
-    edge_starts: wp.array[wp.int32],
-    edges: wp.array[wp.int32],
-    edge_rows: wp.array[wp.int32],
-    edge_columns: wp.array[wp.int32],
-    turned: wp.array[wp.bool],
-    offsets: wp.array[wp.int64],
-    factor_offsets: wp.array[wp.int64],
-    routines: wp.array[wp.uint64],
     diagonal: wp.array[wp.float64],
     off_diagonal: wp.array[wp.float64],
     # Data in and out:
     workspace: wp.array[wp.float64],
-    # Data out:
-    factor: wp.array[wp.float64],
+    # Data out, the factor among the fronts' arrays:
+    tree: Fronts,
     failed: wp.array[wp.int32],
 ):
     """Assemble fronts, each from the matrix and its children, and eliminate them in order.
 
     One thread does all of them, since a front may depend on the one before; ``failed`` is the first whose pivots have
-    the wrong sign, or -1. The last ``negative`` own columns of a front have negative pivots: with L the columns as they
-    are kept, the matrix is L S Lᵀ, S diagonal with entries 1 and -1. Where ``eliminate`` is 0 fronts are only
-    assembled.
+    the wrong sign, or -1. With L the columns as they are kept, the matrix is L S Lᵀ, S diagonal with entries 1 and -1.
+    Where ``eliminate`` is 0 fronts are only assembled.
     """
     failed[0] = wp.int32(-1)
     for k in range(fronts.shape[0]):
         f = fronts[k]
-        assemble_front(
-            f, block, first, owned, starts, upward, family_starts, families, order, edge_starts, edges, edge_rows,
-            edge_columns, turned, offsets, diagonal, off_diagonal, workspace,
-        )  # fmt: skip
+        assemble_front(f, tree, diagonal, off_diagonal, workspace)
         if eliminate == 1:
-            info = eliminate_front(
-                f, block, owned, negative, starts, offsets, factor_offsets, routines, workspace, factor
-            )
-            if info != 0:
+            if eliminate_front(f, tree, workspace) != 0:
                 failed[0] = f
                 return
 
@@ -191,28 +172,29 @@ def factorise_fronts(
 # A front's own rows are consecutive in x. Contributions to the rows above go from child to parent, as in the
 # factorisation: branches can run in parallel, and the order of every sum does not depend on the threads.
 DOWN = """
+    const int block = tree.block;
     for (int k = 0; k < fronts.shape[0]; ++k) {
         const int f = fronts.data[k];
-        const int rows_count = starts.data[f + 1] - starts.data[f];
-        const int size = block * rows_count, own = block * owned.data[f], rest = size - own;
-        double* __restrict__ y = x.data + (long long)r * unknowns + block * first.data[f];
+        const int rows_count = tree.starts.data[f + 1] - tree.starts.data[f];
+        const int size = block * rows_count, own = block * tree.owned.data[f], rest = size - own;
+        double* __restrict__ y = x.data + (long long)r * unknowns + block * tree.first.data[f];
         double* mine = carried.data + (long long)r * stride;
-        double* __restrict__ w = mine + block * starts.data[f];
+        double* __restrict__ w = mine + block * tree.starts.data[f];
         #pragma clang loop vectorize(disable) unroll(disable)
         for (int i = 0; i < size; ++i) w[i] = 0.0;
-        for (int n = family_starts.data[f]; n < family_starts.data[f + 1]; ++n) {
-            const int c = families.data[n];
-            const int child_rows = starts.data[c + 1] - starts.data[c];
-            const int* __restrict__ to = upward.data + starts.data[c];
-            const double* __restrict__ source = mine + block * starts.data[c];
-            for (int i = owned.data[c]; i < child_rows; ++i)
+        for (int n = tree.family_starts.data[f]; n < tree.family_starts.data[f + 1]; ++n) {
+            const int c = tree.families.data[n];
+            const int child_rows = tree.starts.data[c + 1] - tree.starts.data[c];
+            const int* __restrict__ to = tree.upward.data + tree.starts.data[c];
+            const double* __restrict__ source = mine + block * tree.starts.data[c];
+            for (int i = tree.owned.data[c]; i < child_rows; ++i)
                 #pragma clang loop vectorize(disable) unroll(disable)
                 for (int u = 0; u < block; ++u) w[block * to[i] + u] += source[block * i + u];
         }
         #pragma clang loop vectorize(disable) unroll(disable)
         for (int i = 0; i < own; ++i) y[i] -= w[i];
         w += own;
-        const double* column = factor.data + offsets.data[f];
+        const double* column = tree.factor.data + tree.factor_offsets.data[f];
         int j = 0;
         for (; j + 1 < own; j += 2) {
             const double* __restrict__ a = column + (long long)j * size;
@@ -243,17 +225,18 @@ DOWN = """
 
 # The rows above are gathered once for all columns of a front, behind its own, so that a column meets one stretch.
 UP = """
+    const int block = tree.block;
     for (int k = (int)fronts.shape[0] - 1; k >= 0; --k) {
         const int f = fronts.data[k];
-        const int rows_count = starts.data[f + 1] - starts.data[f];
-        const int size = block * rows_count, own = block * owned.data[f], rest = size - own;
-        double* __restrict__ w = carried.data + (long long)r * stride + block * starts.data[f];
+        const int rows_count = tree.starts.data[f + 1] - tree.starts.data[f];
+        const int size = block * rows_count, own = block * tree.owned.data[f], rest = size - own;
+        double* __restrict__ w = carried.data + (long long)r * stride + block * tree.starts.data[f];
         double* all = x.data + (long long)r * unknowns;
-        const int* row = rows.data + starts.data[f] + owned.data[f];
+        const int* row = tree.rows.data + tree.starts.data[f] + tree.owned.data[f];
         #pragma clang loop vectorize(disable) unroll(disable)
         for (int i = 0; i < rest; ++i) w[own + i] = all[block * row[i / block] + i % block];
-        double* y = all + block * first.data[f];
-        const double* column = factor.data + offsets.data[f];
+        double* y = all + block * tree.first.data[f];
+        const double* column = tree.factor.data + tree.factor_offsets.data[f];
         for (int j = own - 1; j >= 0; --j) {
             const double* __restrict__ a = column + (long long)j * size;
             double s[8] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
@@ -277,15 +260,7 @@ def substitute_down(
     fronts: wp.array[wp.int32],
     unknowns: int,
     stride: int,
-    block: int,
-    first: wp.array[wp.int32],
-    owned: wp.array[wp.int32],
-    starts: wp.array[wp.int64],
-    upward: wp.array[wp.int32],
-    family_starts: wp.array[wp.int32],
-    families: wp.array[wp.int32],
-    factor: wp.array[wp.float64],
-    offsets: wp.array[wp.int64],
+    tree: Fronts,
     carried: wp.array[wp.float64],
     x: wp.array[wp.float64],
 ): ...
@@ -297,13 +272,7 @@ def substitute_up(
     fronts: wp.array[wp.int32],
     unknowns: int,
     stride: int,
-    block: int,
-    first: wp.array[wp.int32],
-    owned: wp.array[wp.int32],
-    starts: wp.array[wp.int64],
-    rows: wp.array[wp.int32],
-    factor: wp.array[wp.float64],
-    offsets: wp.array[wp.int64],
+    tree: Fronts,
     carried: wp.array[wp.float64],
     x: wp.array[wp.float64],
 ): ...
@@ -315,16 +284,7 @@ def solve_triangular(
     transposed: int,
     unknowns: int,
     stride: int,
-    block: int,
-    first: wp.array[wp.int32],
-    owned: wp.array[wp.int32],
-    starts: wp.array[wp.int64],
-    rows: wp.array[wp.int32],
-    upward: wp.array[wp.int32],
-    family_starts: wp.array[wp.int32],
-    families: wp.array[wp.int32],
-    factor: wp.array[wp.float64],
-    offsets: wp.array[wp.int64],
+    tree: Fronts,
     # Data in and out, one thread per right-hand side:
     carried: wp.array[wp.float64],
     x: wp.array[wp.float64],
@@ -336,9 +296,6 @@ def solve_triangular(
     """
     r, _compiled_once = wp.tid()
     if transposed == 1:
-        substitute_up(r, fronts, unknowns, stride, block, first, owned, starts, rows, factor, offsets, carried, x)
+        substitute_up(r, fronts, unknowns, stride, tree, carried, x)
     else:
-        substitute_down(
-            r, fronts, unknowns, stride, block, first, owned, starts, upward, family_starts, families, factor, offsets,
-            carried, x,
-        )  # fmt: skip
+        substitute_down(r, fronts, unknowns, stride, tree, carried, x)

@@ -10,18 +10,18 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cython_blas, cython_lapack
 
-from omtwarp.device.arrays import Workspace
+from omtwarp.device.arrays import Workspace, sent
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads, core_count, load, run_all
 from omtwarp.solvers.cholesky.dissection import Dissection
-from omtwarp.solvers.cholesky.kernels import factorise_fronts, solve_triangular
+from omtwarp.solvers.cholesky.kernels import Fronts, factorise_fronts, solve_triangular
 
 PANEL = 192  # columns eliminated at once where threads share a front
 STRIP = 256  # columns of the remaining matrix that one of them updates at a time
@@ -190,7 +190,6 @@ class MultifrontalCholesky:
         self._of_trunk = list(numbers)
         self._failed = np.empty(len(groups), dtype=np.int32)
         self._groups = [wp.array(fronts, dtype=wp.int32, device="cpu", copy=False) for fronts in groups]
-        self._factorisations, self._solves = _Launches(), _Launches()
         self._upload()
 
     def _divide(self, costs: NDArray[np.float64]) -> tuple[list[NDArray[np.int32]], list[NDArray[np.int32]]]:
@@ -261,37 +260,32 @@ class MultifrontalCholesky:
         return np.flatnonzero(place >= end - np.repeat(self._negative, block * d.owned))
 
     def _upload(self) -> None:
-        d = self.dissection
-
-        def keep(values: wp.array, dtype: type) -> wp.array:
-            return wp.array(np.ascontiguousarray(values), dtype=dtype, device="cpu", copy=False)
-
-        self._first, self._owned = keep(d.first, wp.int32), keep(d.owned, wp.int32)
-        self._w_negative = keep(self._negative, wp.int32)
-        self._starts, self._rows = keep(d.starts, wp.int64), keep(d.rows, wp.int32)
-        self._w_offsets, self._w_factor_offsets = keep(self._offsets, wp.int64), keep(self._factor_offsets, wp.int64)
-        self._w_factor = wp.array(self._factor, device="cpu", copy=False)
-        self._w_failed = wp.array(self._failed, device="cpu", copy=False)
+        d, tree = self.dissection, Fronts()
         family_starts, families = d.families
-        self._families = [keep(d.upward, wp.int32), keep(family_starts, wp.int32), keep(families, wp.int32)]
-        self._rows_of_fronts = [self._first, self._owned, self._starts, self._rows, *self._families]
-        self._symbolic = [
-            self.block,
-            self._first,
-            self._owned,
-            self._w_negative,
-            self._starts,
-            *self._families,
-            keep(d.order, wp.int32),
-            keep(d.edge_starts, wp.int32),
-            keep(d.entering, wp.int32),
-            keep(d.edge_row, wp.int32),
-            keep(d.edge_column, wp.int32),
-            keep(d.edge_turned, wp.bool),
-            self._w_offsets,
-            self._w_factor_offsets,
-            wp.array([routine(name) for name in ("dpotrf", "dtrsm", "dsyrk")], dtype=wp.uint64, device="cpu"),
-        ]
+        tree.block, tree.factor = self.block, sent(self._factor, wp.float64)
+        for name, values in (
+            ("first", d.first),
+            ("owned", d.owned),
+            ("negative", self._negative),
+            ("rows", d.rows),
+            ("upward", d.upward),
+            ("family_starts", family_starts),
+            ("families", families),
+            ("order", d.order),
+            ("edge_starts", d.edge_starts),
+            ("edges", d.entering),
+            ("edge_rows", d.edge_row),
+            ("edge_columns", d.edge_column),
+        ):
+            setattr(tree, name, sent(values.astype(np.int32, copy=False), wp.int32))
+        tree.starts, tree.offsets, tree.factor_offsets = (
+            sent(values.astype(np.int64, copy=False), wp.int64)
+            for values in (d.starts, self._offsets, self._factor_offsets)
+        )
+        tree.turned = sent(d.edge_turned, wp.bool)
+        routines = [routine(name) for name in ("dpotrf", "dtrsm", "dsyrk")]
+        tree.routines = wp.array(routines, dtype=wp.uint64, device="cpu")
+        self._tree, self._w_failed = tree, sent(self._failed, wp.int32)
 
     def factorise(self, diagonal: NDArray[np.float64], off_diagonal: NDArray[np.float64]) -> None:
         """Factorise a symmetric positive definite matrix.
@@ -308,12 +302,11 @@ class MultifrontalCholesky:
         values = [np.ascontiguousarray(array, dtype=np.float64).ravel() for array in (diagonal, off_diagonal)]
         data = [wp.array(array, device="cpu", copy=False) for array in (*values, workspace)]
         load(factorise_fronts, "cpu")
-        self._factorisations.at(*data)
 
         def run(group: int) -> int:
             failed = self._w_failed[group : group + 1]
-            inputs = [self._groups[group], 1, *self._symbolic, *data, self._w_factor, failed]
-            self._factorisations.run(group, factorise_fronts, 1, inputs)
+            inputs = [self._groups[group], 1, *data, self._tree, failed]
+            wp.launch(factorise_fronts, dim=1, inputs=inputs, device="cpu")
             return int(self._failed[group])
 
         # Small matrices take less time than setting a library's number of threads.
@@ -326,8 +319,6 @@ class MultifrontalCholesky:
                     failed = max(self._share(f, data, workspace) for f in fronts.tolist())
                 else:
                     failed = max(run_all(run, groups))
-        if self._workspace is None:
-            self._factorisations.at()  # recorded launches would keep its memory
         if failed >= 0:
             raise NotPositiveDefinite(f"pivot of front {failed} of {len(self._own)} is not positive")
 
@@ -347,7 +338,7 @@ class MultifrontalCholesky:
     def _share(self, front: int, data: list[wp.array], workspace: NDArray[np.float64]) -> int:
         """Eliminate one front on all threads and keep its columns; return the front if that fails, or -1."""
         assembled = wp.array(np.array([front], dtype=np.int32), dtype=wp.int32, device="cpu")
-        inputs = [assembled, 0, *self._symbolic, *data, self._w_factor, wp.empty(1, dtype=wp.int32, device="cpu")]
+        inputs = [assembled, 0, *data, self._tree, wp.empty(1, dtype=wp.int32, device="cpu")]
         wp.launch(factorise_fronts, dim=1, inputs=inputs, device="cpu")
         own, size, begin = int(self._own[front]), int(self._sizes[front]), int(self._offsets[front])
         if not eliminate_together(own, size, workspace.ctypes.data + 8 * begin, int(self._negative[front])):
@@ -373,13 +364,11 @@ class MultifrontalCholesky:
         carried = wp.array(self._carried.numbers(count * stride), dtype=wp.float64, device="cpu", copy=False)
         x = wp.array(self._x.ravel(), dtype=wp.float64, device="cpu", copy=False)
         load(solve_triangular, "cpu")
-        self._solves.at(carried, x)
-        sizes = [block * d.vertex_count, stride, block]
-        inputs = [*sizes, *self._rows_of_fronts, self._w_factor, self._w_factor_offsets, carried, x]
+        inputs = [block * d.vertex_count, stride, self._tree, carried, x]
 
         def run(group: int, transposed: int) -> None:
-            own = [self._groups[group], transposed]
-            self._solves.run((group, transposed, count), solve_triangular, count, [*own, *inputs])
+            own = [self._groups[group], transposed, *inputs]
+            wp.launch(solve_triangular, dim=count, inputs=own, device="cpu")
 
         run_all(partial(run, transposed=0), self._of_jobs)
         for trunk in self._of_trunk:
@@ -392,27 +381,3 @@ class MultifrontalCholesky:
         out = np.empty_like(flat)
         out[d.order] = self._x.transpose(1, 2, 0)
         return out.reshape(np.shape(right))
-
-
-class _Launches:
-    """Launches of a kernel that are recorded once, and replayed while the arrays stay where they are.
-
-    A launch with twenty arguments takes 60 microseconds to prepare and 5 to replay.
-    """
-
-    def __init__(self) -> None:
-        self._places: list[int] = []
-        self._recorded: dict[Hashable, wp.Launch] = {}
-
-    def at(self, *arrays: wp.array) -> None:
-        """Say which arrays the next launches use; what was recorded with others is forgotten."""
-        places = [array.ptr for array in arrays]
-        if places != self._places:
-            self._recorded.clear()
-            self._places = places
-
-    def run(self, name: Hashable, kernel: wp.Kernel, dim: int, inputs: list[object]) -> None:
-        """Launch a kernel on the CPU, as it was first launched under that name with these arrays."""
-        if name not in self._recorded:
-            self._recorded[name] = wp.launch(kernel, dim=dim, inputs=inputs, device="cpu", record_cmd=True)
-        self._recorded[name].launch()
