@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from omtwarp.commands.spheres import run_register as register
 from PIL import Image
 from scipy import sparse
 from sphere_truths import random_rotation
@@ -21,6 +20,7 @@ from sphere_truths import random_rotation
 import omtwarp
 from omtwarp.commands._cli import main
 from omtwarp.commands._options import as_command
+from omtwarp.commands.spheres import run_register as register
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
 from omtwarp.mesh.data import read_data
