@@ -11,7 +11,7 @@ from pathlib import Path
 
 import omtwarp
 from omtwarp.cohort import read_manifest, run_cohort
-from omtwarp.cohort.table import read_table
+from omtwarp.cohort.tables import read_table
 from omtwarp.mesh.write import write_mesh
 from omtwarp.render import SurfaceView, sheet
 

@@ -19,8 +19,8 @@ from omtwarp.resampling import SpherePoints, as_points
 from omtwarp.spheres import mesh_grid
 from omtwarp.texturing.atlas import SIZE, Atlas, make_atlas
 from omtwarp.texturing.baking import PADDING, bake_materials, bake_to_uv, own_at_parts, picture_source, sphere_layout
+from omtwarp.texturing.export import Material
 from omtwarp.texturing.image import as_bytes, without_full_opacity
-from omtwarp.texturing.materials import Material
 from omtwarp.texturing.painted import PaintedMesh
 from omtwarp.texturing.seams import unwrap
 from omtwarp.texturing.textured import SphereMap, as_map

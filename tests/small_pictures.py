@@ -18,7 +18,7 @@ def shrink(put: Callable[[object, str, object], None] = setattr) -> None:
     from omtwarp.cohort import page as cohort_page
     from omtwarp.render import films, pictures
     from omtwarp.reporting import page
-    from omtwarp.shape_analysis import group_report, registration_report
+    from omtwarp.shape_analysis import reports
     from omtwarp.texturing import textured
 
     def sized(module: object, name: str, size: tuple[int, int], **fixed: object) -> None:
@@ -30,9 +30,8 @@ def shrink(put: Callable[[object, str, object], None] = setattr) -> None:
     put(page, "make_scene", partial(page.make_scene, texels=32))
     put(page, "rasterize", lambda pattern, width, **options: rasterize(pattern, min(width, 64), **options))
     put(textured, "texture", lambda *given, size=None, **options: texture(*given, size=size or 64, **options))
-    for module in (page, cohort_page, group_report, registration_report):
+    for module in (page, cohort_page, reports):
         sized(module, "preview", (48, 36))
-    sized(page, "draw_in_background", (48, 36))
-    sized(registration_report, "film", (16, 16), seconds=0.2, fps=2, backend="warp")
+    sized(reports, "film", (16, 16), seconds=0.2, fps=2, backend="warp")
     for name in ("preview", "comparison"):
         put(pictures, name, partial(getattr(pictures, name), size=(48, 36)))

@@ -10,7 +10,7 @@ import omtwarp
 from omtwarp.device.start import wp
 from omtwarp.mesh import read
 from omtwarp.texturing import rasterize
-from omtwarp.texturing.patterns.base import Pattern, srgb_colours
+from omtwarp.texturing.patterns import Pattern, srgb_colours
 from omtwarp.texturing.patterns.checker import checker_colours
 
 ROOT = Path(__file__).resolve().parents[1]

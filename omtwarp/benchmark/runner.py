@@ -11,8 +11,7 @@ from typing import TypeAlias
 import numpy as np
 from scipy import sparse
 
-from omtwarp.benchmark.measure import Clock, Facts, PeakMemory, first_use, machine, splu_reference
-from omtwarp.benchmark.roofline import kernel_table
+from omtwarp.benchmark.measure import Clock, Facts, PeakMemory, first_use, kernel_table, machine, splu_reference
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError

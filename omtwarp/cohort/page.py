@@ -26,7 +26,7 @@ def write_page(rows: Sequence[Row], folder: Path) -> Path:
     """Write ``report.html``, which needs no other file.
 
     Args:
-        rows: one per item, see :func:`omtwarp.cohort.table.write_table`.
+        rows: one per item, see :func:`omtwarp.cohort.tables.write_table`.
         folder: of the cohort's results, whose maps are drawn.
     """
     counts = Counter(str(row["status"]) for row in rows)

@@ -12,8 +12,7 @@ from typing import Unpack
 
 from omtwarp.cohort.executors import executor_for, make_folders
 from omtwarp.cohort.item import OK, Job, Row, complete_journal, forget_failure, key_of, may_write_map, read_record
-from omtwarp.cohort.manifest import Item
-from omtwarp.cohort.table import GROUP, ORDER, REGISTERED, REGISTERED_MAPS, write_table
+from omtwarp.cohort.tables import GROUP, ORDER, REGISTERED, REGISTERED_MAPS, Item, write_table
 from omtwarp.device import core_count
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.output import digest_of, folder_of_results, require_own

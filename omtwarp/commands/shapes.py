@@ -203,9 +203,8 @@ def run_group(
         output: Folder of the results.
         covariate (COLUMN): A column of the table that may explain differences, such as age or site: repeat.
     """
-    from omtwarp.shape_analysis.group import GROUP, mirrored_words, study_group, table_of
-    from omtwarp.shape_analysis.group_report import write_group_report
-    from omtwarp.shape_analysis.linear_model import check_table
+    from omtwarp.shape_analysis.group import GROUP, check_table, mirrored_words, study_group, table_of
+    from omtwarp.shape_analysis.reports import write_group_report
 
     check_folder(output)
     names, paths, rows = _listed(sources)
@@ -233,7 +232,7 @@ def run_group(
 
 def _findings(study: GroupStudy, names: Sequence[str]) -> dict[str, object]:
     """Return the findings about a group by name, ready for JSON."""
-    from omtwarp.shape_analysis.group_report import SIGNIFICANT
+    from omtwarp.shape_analysis.reports import SIGNIFICANT
 
     effects = study.effects.items()
     return {
@@ -264,8 +263,7 @@ def _listed(sources: list[str]) -> tuple[list[str], list[Path], list[Mapping[str
 
     Members of a cohort are those that it mapped, by the maps in its folder.
     """
-    from omtwarp.cohort.manifest import read_manifest
-    from omtwarp.cohort.table import map_of, table_of_cohort
+    from omtwarp.cohort.tables import map_of, read_manifest, table_of_cohort
 
     one = sources[0] if len(sources) == 1 else ""
     cohort = table_of_cohort(Path(one)) if one and one != str(STREAM) else None

@@ -243,12 +243,12 @@ class Extras:
             write_mesh(self.before, pair.radius * points, faces, spherical=True, like=pair.source)
         if self.report is not None:
             from omtwarp.registration.sides import target_points
-            from omtwarp.shape_analysis.registration_report import write_registration_page
+            from omtwarp.shape_analysis.reports import write_registration_page
 
             write_registration_page(self.report, found, moving, target_points(fixed)[0])
         if self.film is not None:
             from omtwarp.maps.result import MapResult
-            from omtwarp.shape_analysis.registration_report import film_warp
+            from omtwarp.shape_analysis.reports import film_warp
 
             film_warp(self.film, found, MapResult.load(pair.source))
 

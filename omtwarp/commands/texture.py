@@ -176,7 +176,7 @@ def standing(
     from omtwarp.mesh.surface import Surface
     from omtwarp.render.camera import Camera, camera_axes
     from omtwarp.render.scene import SurfaceView
-    from omtwarp.render.upright import posed
+    from omtwarp.render.subject import posed
 
     given = up is not None or front is not None
     if source is not None and source.suffix.lower() == ".npz" and not given:

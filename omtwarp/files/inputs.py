@@ -1,7 +1,8 @@
-"""Reading of inputs, regular files of bounded size, and of arrays whose sizes are known first; writing of arrays.
+"""Reading of inputs: regular files of bounded size, arrays whose sizes are known first, pictures; and writing arrays.
 
 Every reader of the package uses :func:`read_bytes` or :func:`read_arrays`, so that a pipe without a writer, an endless
-device, or a file that inflates without end gives an error line and does not hang.
+device, or a file that inflates without end gives an error line and does not hang. Pillow opens pictures here alone, by
+their header, and only in formats that it decodes itself.
 """
 
 from __future__ import annotations
@@ -10,12 +11,14 @@ import contextlib
 import io
 import math
 import os
+import re
 import stat
+import threading
 import warnings
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import IO, BinaryIO
+from typing import IO, TYPE_CHECKING, BinaryIO
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,10 +29,14 @@ from omtwarp.files.limits import (
     LARGEST_DIRECTORY,
     LARGEST_MESH_FILE,
     LARGEST_REPORT,
+    MOST_TEXELS,
     amount,
     memory_for_file,
 )
 from omtwarp.files.output import as_path, note_input, staged
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 
 @contextlib.contextmanager
@@ -277,3 +284,65 @@ def array_of(data: bytes, name: str = "data") -> NDArray:
         raise
     except Exception as error:  # NumPy raises many kinds on a damaged header
         raise OmtwarpError(f"not an array in NumPy's format: {brief(error)}") from None
+
+
+# Formats that textures come in and Pillow decodes itself; it would pass others, such as EPS, to programs of the system.
+FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "TGA")
+
+_pillow = threading.Lock()  # over Pillow's own limit, which is one number for the whole process
+
+
+def open_picture(stream: BinaryIO, formats: tuple[str, ...] = FORMATS) -> Image:
+    """Open a picture and read its header, without Pillow's own limit of size: the caller has one that fits.
+
+    Raises:
+        Exception: what Pillow raises on a file of another format.
+    """
+    from PIL import Image as pil
+
+    with _pillow:
+        limit = pil.MAX_IMAGE_PIXELS
+        pil.MAX_IMAGE_PIXELS = None
+        try:
+            return pil.open(stream, formats=formats)
+        finally:
+            pil.MAX_IMAGE_PIXELS = limit
+
+
+def read_stack(stream: BinaryIO) -> tuple[NDArray[np.generic], tuple[float, float, float]]:
+    """Read the pages of a TIFF file, one above another, as a volume of numbers.
+
+    Returns:
+        Numbers of columns, rows and pages, shape [X, Y, Z], and the sides of a voxel: ImageJ's, or 1.
+
+    Raises:
+        OmtwarpError: colours, pages of different sizes, several channels or times, or too many numbers.
+        Exception: what Pillow raises on a damaged file.
+    """
+    # Tags of TIFF: the description, and texels per unit of length across and down
+    described, across, down = 270, 282, 283
+    pages: list[NDArray[np.generic]] = []
+    with open_picture(stream, ("TIFF",)) as opened:
+        text = str(opened.tag_v2.get(described, ""))  # type: ignore[attr-defined]
+        per_unit = [float(opened.tag_v2.get(tag, 1.0)) for tag in (across, down)]  # type: ignore[attr-defined]
+        more = re.search(r"^(channels|frames)=([2-9]|\d{2,})", text, re.M)
+        if more:
+            raise OmtwarpError(f"a volume of several {more.group(1)}: save one of them by itself")
+        while True:
+            if opened.mode not in ("1", "L", "P", "I", "F", "I;16", "I;16L", "I;16B"):
+                raise OmtwarpError(f"pages of colours ({opened.mode}), not of labels")
+            if (len(pages) + 1) * opened.width * opened.height > MOST_TEXELS:
+                raise OmtwarpError(f"more than {MOST_TEXELS / 1e6:.0f} million voxels, which is the most")
+            page = np.asarray(opened)
+            if pages and page.shape != pages[0].shape:
+                raise OmtwarpError(f"no volume: page {len(pages)} is of another size than the first")
+            pages.append(page)
+            try:
+                opened.seek(len(pages))
+            except EOFError:
+                break
+    thick = re.search(r"^spacing=(\S+)", text, re.M)
+    sides = (1.0, 1.0, 1.0)
+    if text.startswith("ImageJ=") and thick and min(per_unit) > 0.0:
+        sides = (1.0 / per_unit[0], 1.0 / per_unit[1], abs(float(thick.group(1))))
+    return np.stack(pages).transpose(2, 1, 0), sides

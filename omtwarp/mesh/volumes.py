@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files.pictures import read_stack
+from omtwarp.files.inputs import read_stack
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.neuro import nibabel_module
 

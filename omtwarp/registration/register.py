@@ -19,12 +19,11 @@ from omtwarp.mesh.arrays import real_number
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics.certificate import Certificate, certify_triangles
 from omtwarp.options import Progress, Record
-from omtwarp.registration.areas import area_changes, with_areas
 from omtwarp.registration.folding import FOLDING_WEIGHTS
 from omtwarp.registration.group_template import Template
 from omtwarp.registration.landmarks import LandmarksLike, Pairs, pairs_of
 from omtwarp.registration.sides import Side, feature_weights_of, two_sides
-from omtwarp.registration.strain import kept_within, octaves
+from omtwarp.registration.strain import area_changes, kept_within, octaves, with_areas
 from omtwarp.registration.warp import AREA_WEIGHT, COARSE, FINE, MATCHED, Warp, Warping
 from omtwarp.resampling.resample import PointsLike
 

@@ -22,12 +22,11 @@ from omtwarp.mesh.data import VertexData, write_data
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics.certificate import certify_triangles
 from omtwarp.options import Progress
-from omtwarp.registration.areas import area_changes
 from omtwarp.registration.folding import LEAST_AREA, vertex_areas
+from omtwarp.registration.group import STEPS, Files, Kept, Member, key_of, members, write_facts
 from omtwarp.registration.register import Registration, area_penalty, register, settled
 from omtwarp.registration.sides import Side
-from omtwarp.registration.steps import STEPS, Files, Kept, Member, key_of, members, write_facts
-from omtwarp.registration.strain import octaves, strain_at_vertices
+from omtwarp.registration.strain import area_changes, octaves, strain_at_vertices
 from omtwarp.resampling import SpherePoints, as_points
 
 Floats = NDArray[np.float64]

@@ -17,12 +17,11 @@ from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.solver import OptimalMap, minimise
 from omtwarp.options import Record
 from omtwarp.refine.further import VertexTerm, strain_limit
-from omtwarp.registration.areas import warp_energy
 from omtwarp.registration.feature_term import FeatureField, FeatureTerm
 from omtwarp.registration.folding import smoothed, vertex_areas
 from omtwarp.registration.landmarks import LandmarkTerm, Pairs, TermSum
 from omtwarp.registration.matching import Matching
-from omtwarp.registration.strain import has_room, kept_within
+from omtwarp.registration.strain import has_room, kept_within, warp_energy
 
 Floats = NDArray[np.float64]
 

@@ -30,11 +30,11 @@ from omtwarp.render import annotate, output
 from omtwarp.render.camera import Camera, Shot, as_light, as_view, camera_axes, frame
 from omtwarp.render.pictures import View, checked_rate, checked_size, render
 from omtwarp.render.scene import Part, RenderJob, SurfaceView, normalisation, smooth_parts, welded_normals
-from omtwarp.render.subject import FinishedMap, Picture, is_torus_map, map_view, torus_view
-from omtwarp.render.upright import posed
+from omtwarp.render.subject import FinishedMap, Picture, is_torus_map, map_view, posed, torus_view
 from omtwarp.texturing.adaptive import rasterize
 from omtwarp.texturing.image import PictureLike
 from omtwarp.texturing.smooth import grid_shares, grid_triangles, smooth_map
+from omtwarp.texturing.textured import spheres_of, texture_torus
 
 if TYPE_CHECKING:
     from omtwarp.maps.torus_map import TorusMap
@@ -112,9 +112,8 @@ def film(
         _require_room(round(seconds * rate), width, height, target.suffix)
     choose(Backend, backend)
     backdrop(background, 1, 2)
-    studio = _Studio(
-        *_scene_of(result, pattern, image, width, view, up, front, device), background, captions, backend, device, rate
-    )
+    scene = story_of(result, pattern, image, width, view, up, front, device)
+    studio = _Studio(*scene, background, captions, backend, device, rate)
     times = studio.times(width / height, seconds, progress)
     if pictorial:
         _require_room(len(times), width, height, target.suffix)
@@ -133,32 +132,6 @@ def _require_room(frames: int, width: int, height: int, suffix: str) -> None:
             f"a film of {frames} frames of {width} x {height} pixels is more than the "
             f"{MOST_FILM_PIXELS / 1e6:.0f} million pixels that {suffix} takes: make it smaller, or use .mp4"
         )
-
-
-def _scene_of(
-    result: FinishedMap | TorusMap,
-    pattern: str,
-    image: PictureLike | None,
-    width: int,
-    view: View | None,
-    up: str | None,
-    front: str | None,
-    device: str,
-) -> tuple[Story, Callable[[float], Shot]]:
-    """Return the course of a film, and the camera for a picture of a given width over height.
-
-    Raises:
-        OmtwarpError: no map, or an unusable picture or view.
-    """
-    camera = as_view("three-quarter" if view is None else view, Camera())
-    story, shown = story_of(result, pattern, image, width, camera, up, front, device)
-    used = np.unique(story.faces)
-    extent = np.concatenate([story.surface[used], story.domain[used]])
-
-    def shot_for(aspect: float) -> Shot:
-        return frame(extent, [camera], aspect, up=shown.up, front=shown.front)[0]
-
-    return story, shot_for
 
 
 @dataclass(frozen=True)
@@ -393,34 +366,38 @@ def story_of(
     pattern: str,
     image: Picture | None,
     width: int,
-    camera: Camera,
+    view: View | None,
     up: str | None,
     front: str | None,
     device: str,
-) -> tuple[Story, SurfaceView]:
-    """Return the course of a film, and the surface with the axes that are up and to the front.
+) -> tuple[Story, Callable[[float], Shot]]:
+    """Return the course of a film, and the camera for a picture of a given width over height.
 
     Args:
         result: the map.
         pattern: that is carried along where there is no image.
         image: a picture in place of it.
         width: of the film in pixels.
-        camera: from where it is seen, which parts that have a domain each are laid out for.
+        view: from where it is seen, which parts that have a domain each are laid out for.
         up, front: axes; guessed where they are None.
         device: where the pattern is computed.
 
     Raises:
         OmtwarpError: no map, or an unusable picture.
     """
+    camera = as_view("three-quarter" if view is None else view, Camera())
     # Texels around the sphere of a pattern: two to a pixel of the picture, of which a ball fills about a half.
-    picture_widths = (512, 4096)
-    least, most = picture_widths
-    texels = int(np.clip(2 ** math.ceil(math.log2(2 * width)), least, most))
+    texels = int(np.clip(2 ** math.ceil(math.log2(2 * width)), 512, 4096))
     if is_torus_map(result):
-        return _on_torus(result, pattern, image, texels // 2, up, front)
-    if not isinstance(result, FinishedMap):
+        story, shown = _on_torus(result, pattern, image, texels // 2, up, front)
+    elif isinstance(result, FinishedMap):
+        picture = rasterize(pattern, texels, device=device) if image is None else image
+        story, shown = _on_domains(result, picture, camera, up, front)
+    else:
         raise OmtwarpError(f"cannot film a {type(result).__name__}: give a map")
-    return _on_domains(result, rasterize(pattern, texels, device=device) if image is None else image, camera, up, front)
+    used = np.unique(story.faces)
+    extent = np.concatenate([story.surface[used], story.domain[used]])
+    return story, lambda aspect: frame(extent, [camera], aspect, up=shown.up, front=shown.front)[0]
 
 
 def _on_domains(
@@ -440,15 +417,13 @@ def _on_domains(
     number = domains_of(result, len(faces))
     axes = camera_axes(camera, shown.up or "y", shown.front)
     disk = getattr(result, "disk", None)
-    if disk is not None:
-        points = np.column_stack([disk, np.zeros(len(disk))])
-        domain = placed_on(points, faces, number, *fits_of(surface, points, faces, number, "disk", axes))
-        ends = domain if weights is None else weights @ domain
-    else:
-        points = np.asarray(result.sphere)
-        fits = fits_of(surface, points, faces, number, str(getattr(result, "domain", "sphere")), axes)
-        domain = placed_on(points, faces, number, *fits)
+    points = np.asarray(result.sphere) if disk is None else np.column_stack([disk, np.zeros(len(disk))])
+    fits = fits_of(surface, points, faces, number, str(getattr(result, "domain", "sphere")), axes)
+    domain = placed_on(points, faces, number, *fits)
+    if disk is None:
         ends = placed_on(last, parts, np.repeat(number, len(parts) // len(faces)), *fits)
+    else:
+        ends = domain if weights is None else weights @ domain
     picture, name = np.asarray(shown.image), domain_name(result)
     return Story(surface, domain, ends, first, last, faces, parts, weights, picture, name), shown
 
@@ -465,7 +440,6 @@ def _on_torus(
     """Return the course of a film of a map to a torus, which ends with a ring torus."""
     tube_turns = 24  # beginnings along the tube of a ring torus that are compared
     from omtwarp.maps.torus_map import ring_torus, tube_radius
-    from omtwarp.texturing.textured import texture_torus
 
     cut = texture_torus(result, image, None if image is not None else pattern, size=texels)
     shown = posed(torus_view(result, cut.image), up, front)
@@ -517,10 +491,8 @@ def _evenly(faces: Ints, count: int, divisions: int) -> tuple[Ints, csr_matrix]:
 
 def domains_of(result: FinishedMap, count: int) -> NDArray[np.intp]:
     """Return the number of the domain that every face has, shape [F]: zeros, but with parts that have one each."""
-    part = getattr(result, "part", None)
-    if part is None or getattr(result, "cap_centres", None) is not None:
-        return np.zeros(count, dtype=np.intp)
-    return np.unique(part, return_inverse=True)[1]
+    number = spheres_of(result)
+    return np.zeros(count, dtype=np.intp) if number is None else number
 
 
 def domain_name(result: FinishedMap) -> str:

@@ -10,7 +10,6 @@ import inspect
 import logging
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
 from typing import TypeAlias, TypedDict, TypeVar, Unpack, cast
@@ -37,10 +36,8 @@ from omtwarp.render.scene import (
     build_parts,
     normalised_points,
 )
-from omtwarp.render.subject import FinishedMap, Picture, Subject, as_surface_view, map_view
-from omtwarp.render.upright import posed
+from omtwarp.render.subject import FinishedMap, Picture, Subject, as_surface_view, map_view, posed
 
-Result = TypeVar("Result")
 Function = TypeVar("Function", bound=Callable[..., object])
 
 logger = logging.getLogger("omtwarp.render")
@@ -401,40 +398,6 @@ def _captions(given: bool | Sequence[str], cameras: list[Camera]) -> list[str]:
     if len(names) != len(cameras):
         raise OmtwarpError(f"{len(names)} captions given for {len(cameras)} views")
     return names
-
-
-def draw_in_background(
-    thread: Executor, subject: Subject, finish: Callable[[Image.Image], Result], **options: Unpack[PreviewOptions]
-) -> Callable[[], Result]:
-    """Begin to draw a picture of one view by OpenGL, while the caller goes on.
-
-    Args:
-        thread: runs what does not need the caller: waiting for the picture, and ``finish``.
-        subject: as in :func:`preview`.
-        finish: makes of the picture what is wanted.
-        **options: those of :func:`preview`.
-
-    Returns:
-        A function that waits for the outcome of ``finish``. Without OpenGL it draws with the ray caster.
-    """
-    chosen = complete({**options}, "preview")
-    job, compose = _prepared(subject, chosen, cameras_of(chosen), clear=chosen["transparent"])
-    if chosen["backend"] == "warp":
-        return lambda: finish(compose(*render(job, "warp", chosen["device"]))[0])
-
-    def draw() -> Result:
-        pictures, name = gl_client.draw(job)
-        return finish(compose(pictures, f"pyrender ({name})")[0])
-
-    drawn = thread.submit(draw)
-
-    def outcome() -> Result:
-        try:
-            return drawn.result()
-        except gl_client.DrawingFailed:  # kernels are launched by the caller's thread alone
-            return finish(compose(*render(job, chosen["backend"], chosen["device"]))[0])
-
-    return outcome
 
 
 def _draw(subject: Subject, options: PreviewOptions, cameras: list[Camera], clear: bool) -> list[Image.Image]:

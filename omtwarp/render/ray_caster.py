@@ -1,21 +1,404 @@
 """Drawing with Warp: one ray per pixel through a bounding volume hierarchy, more where the picture has edges.
 
 It needs no OpenGL, runs on the CPU and on CUDA devices, and takes the same jobs as pyrender with the same camera,
-lights, texture filter and lines.
+filter, light and lines, those of the shaders in ``shaders/mesh.frag``. Single precision throughout, unlike the rest of
+the package: the result is eight bits per channel, and Warp's ray query takes nothing else.
 """
 
 from __future__ import annotations
 
+import math
+from enum import IntEnum
+
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from omtwarp.colors import parse_color, to_linear
+from omtwarp.colors import parse_color, to_linear, to_srgb
 from omtwarp.device.policy import resolve_device
-from omtwarp.device.start import wp
+from omtwarp.device.start import KERNEL_OPTIONS, wp
 from omtwarp.mesh.arrays import Bytes
-from omtwarp.render import ray_kernels as kernels
 from omtwarp.render.camera import Shot
 from omtwarp.render.scene import Appearance, Part, RenderJob
+from omtwarp.texturing.image import as_bytes
+
+wp.set_module_options(KERNEL_OPTIONS)
+
+PI_F = wp.constant(wp.float32(math.pi))
+
+
+class Kind(IntEnum):
+    """What a part's corners hold: colours, texture coordinates, or directions on the sphere."""
+
+    COLOR = 0
+    UV = 1
+    SPHERE = 2
+
+
+@wp.struct
+class View:
+    origin: wp.vec3
+    right: wp.vec3
+    up: wp.vec3
+    backward: wp.vec3
+    perspective: wp.int32
+    half_width: wp.float32
+    half_height: wp.float32
+    width: wp.int32
+    height: wp.int32
+
+
+@wp.struct
+class Geometry:
+    mesh: wp.uint64
+    normals: wp.array[wp.vec3]
+    values: wp.array[wp.vec3]
+    faces: wp.array2d[wp.int32]
+    kinds: wp.array[wp.int32]  # per face, a Kind
+    pictures: wp.array[wp.int32]  # per face, number of its picture
+    edges: wp.array[wp.int32]  # per face, 1 where its edges are drawn
+
+
+@wp.struct
+class Picture:
+    texels: wp.array2d[wp.uint8]  # every level, one after the other, [texels, 3], rows from the top
+    offsets: wp.array[wp.int32]
+    widths: wp.array[wp.int32]
+    heights: wp.array[wp.int32]
+    decode: wp.array[wp.float32]  # sRGB byte to linear
+    levels: wp.int32
+    repeat: wp.int32
+    repeat_rows: wp.int32
+    tint: wp.vec3  # linear
+
+
+@wp.struct
+class Look:
+    directions: wp.array[wp.vec3]  # towards the lights, in the camera's frame
+    powers: wp.array[wp.float32]
+    sky: wp.float32
+    ground: wp.float32
+    roughness: wp.float32
+    unlit: wp.int32
+    edge_color: wp.vec3
+    edge_width: wp.float32
+    edge_opacity: wp.float32
+
+
+@wp.func
+def light_of(c: wp.float32):
+    """Convert an sRGB value to linear light (IEC 61966-2-1), as :func:`omtwarp.colors.to_linear` does."""
+    linear = c / 12.92
+    if c > 0.04045:
+        linear = wp.pow((c + 0.055) / 1.055, 2.4)
+    return linear
+
+
+@wp.func
+def srgb_of(c: wp.float32):
+    """Convert linear light to an sRGB value (IEC 61966-2-1), as :func:`omtwarp.colors.to_srgb` does."""
+    clamped = wp.clamp(c, 0.0, 1.0)
+    encoded = clamped * 12.92
+    if clamped > 0.0031308:
+        encoded = 1.055 * wp.pow(clamped, 1.0 / 2.4) - 0.055
+    return encoded
+
+
+@wp.func
+def wrapped(index: int, count: int, repeat: int):
+    """Bring an index into [0, count): the image repeats, or its border is continued."""
+    inside = wp.clamp(index, 0, count - 1)
+    if repeat != 0:
+        inside = index - count * int(wp.floor(float(index) / float(count)))
+        inside = wp.clamp(inside, 0, count - 1)  # the quotient may round up
+    return inside
+
+
+@wp.func
+def texel(picture: Picture, level: int, column: int, row: int):
+    at = picture.offsets[level] + row * picture.widths[level] + column
+    return wp.vec3(
+        picture.decode[int(picture.texels[at, 0])],
+        picture.decode[int(picture.texels[at, 1])],
+        picture.decode[int(picture.texels[at, 2])],
+    )
+
+
+@wp.func
+def bilinear(picture: Picture, u: float, v: float, level: int):
+    width = picture.widths[level]
+    height = picture.heights[level]
+    x = u * float(width) - 0.5
+    y = (1.0 - v) * float(height) - 0.5
+    column = int(wp.floor(x))
+    row = int(wp.floor(y))
+    s = x - wp.floor(x)
+    t = y - wp.floor(y)
+    left = wrapped(column, width, picture.repeat)
+    right = wrapped(column + 1, width, picture.repeat)
+    top = wrapped(row, height, picture.repeat_rows)
+    bottom = wrapped(row + 1, height, picture.repeat_rows)
+    above = (1.0 - s) * texel(picture, level, left, top) + s * texel(picture, level, right, top)
+    below = (1.0 - s) * texel(picture, level, left, bottom) + s * texel(picture, level, right, bottom)
+    return (1.0 - t) * above + t * below
+
+
+@wp.func
+def trilinear(picture: Picture, u: float, v: float, level: float):
+    clamped = wp.clamp(level, 0.0, float(picture.levels - 1))
+    lower = int(wp.floor(clamped))
+    blend = clamped - float(lower)
+    found = bilinear(picture, u, v, lower)
+    if blend > 0.0:
+        found = (1.0 - blend) * found + blend * bilinear(picture, u, v, lower + 1)
+    return found
+
+
+@wp.func
+def filtered(picture: Picture, uv: wp.vec2, along_x: wp.vec2, along_y: wp.vec2):
+    """Return the mean colour of an image over the ellipse that the derivatives span.
+
+    Samples are taken along its long axis, at the mip level of the short one.
+    """
+    width = float(picture.widths[0])
+    height = float(picture.heights[0])
+    ax = along_x[0] * width
+    ay = along_x[1] * height
+    bx = along_y[0] * width
+    by = along_y[1] * height
+    xx = ax * ax + bx * bx
+    yy = ay * ay + by * by
+    xy = ax * ay + bx * by
+    half_gap = 0.5 * (xx - yy)
+    root = wp.sqrt(half_gap * half_gap + xy * xy)
+    longest = wp.sqrt(0.5 * (xx + yy) + root)
+    # Smallest, texels: footprints are divided by their length
+    shortest = wp.abs(ax * by - ay * bx) / wp.max(longest, wp.float32(1.0e-12))
+    axis = wp.vec2(xy, root - half_gap)
+    if half_gap >= 0.0:
+        axis = wp.vec2(half_gap + root, xy)
+    size = wp.length(axis)
+    if size > 0.0:
+        axis = axis / size
+    else:
+        axis = wp.vec2(1.0, 0.0)
+    # Most probes, along a footprint: anisotropy that textures are filtered with at most
+    probes = wp.clamp(wp.ceil(longest / wp.max(shortest, 1.0)), 1.0, wp.float32(48.0))
+    level = wp.log2(wp.max(wp.max(shortest, longest / probes), 1.0))
+    step_u = axis[0] * longest / (width * probes)
+    step_v = axis[1] * longest / (height * probes)
+    first_u = uv[0] - 0.5 * (probes - 1.0) * step_u
+    first_v = uv[1] - 0.5 * (probes - 1.0) * step_v
+    total = wp.vec3(0.0, 0.0, 0.0)
+    for k in range(int(probes)):
+        total += trilinear(picture, first_u + float(k) * step_u, first_v + float(k) * step_v, level)
+    return total / probes
+
+
+@wp.func
+def sphere_color(picture: Picture, p: wp.vec3, px: wp.vec3, py: wp.vec3):
+    """Return the equirectangular image at a point of the sphere; derivatives by the chain rule, hence no seam."""
+    across = wp.max(wp.dot(px, px), wp.dot(py, py))
+    flat2 = p[0] * p[0] + p[1] * p[1]
+    # Squared distance from the axis: the poles have no longitude.
+    rho2 = wp.max(flat2, wp.max(0.0625 * across, wp.float32(1.0e-20)))
+    rho = wp.sqrt(rho2)
+    r2 = rho2 + p[2] * p[2]
+    longitude_x = (p[0] * px[1] - p[1] * px[0]) / rho2
+    longitude_y = (p[0] * py[1] - p[1] * py[0]) / rho2
+    latitude_x = (rho * px[2] - p[2] * (p[0] * px[0] + p[1] * px[1]) / rho) / r2
+    latitude_y = (rho * py[2] - p[2] * (p[0] * py[0] + p[1] * py[1]) / rho) / r2
+    uv = wp.vec2(0.5 + wp.atan2(p[1], p[0]) / (2.0 * PI_F), 0.5 + wp.atan2(p[2], wp.sqrt(flat2)) / PI_F)
+    along_x = wp.vec2(longitude_x / (2.0 * PI_F), latitude_x / PI_F)
+    along_y = wp.vec2(longitude_y / (2.0 * PI_F), latitude_y / PI_F)
+    return filtered(picture, uv, along_x, along_y)
+
+
+@wp.func
+def lit(look: Look, albedo: wp.vec3, n: wp.vec3, v: wp.vec3):
+    """Return Lambert's diffuse term and a GGX highlight (Schlick's Fresnel, Smith's shadowing; glTF 2.0, appendix B).
+
+    With h = (l + v) / |l + v| and |l + v|² = 2 (1 + l.v) all angles come from n.l, n.v and l.v.
+    """
+    alpha2 = wp.pow(look.roughness, 4.0)
+    k = (look.roughness + 1.0) * (look.roughness + 1.0) / 8.0
+    facing = wp.dot(n, v)
+    # Least cosine towards the viewer in the highlight's shadowing, whose quotient it keeps finite.
+    shadow = wp.clamp(wp.abs(facing), wp.float32(0.001), 1.0) * (1.0 - k) + k
+    gloss = alpha2 / (4.0 * PI_F)
+    high = 0.5 + 0.5 * n[1]
+    diffuse = look.ground * (1.0 - high) + look.sky * high
+    shine = float(0.0)
+    for i in range(look.powers.shape[0]):
+        way = look.directions[i]
+        incident = wp.dot(n, way)
+        nl = wp.clamp(incident, 0.0, 1.0)
+        both = 1.0 + wp.dot(v, way)
+        # Squared length of the sum of the ways to light and viewer: they are opposite.
+        scale = 1.0 / wp.sqrt(wp.max(2.0 * both, wp.float32(1.0e-6)))
+        nh = wp.clamp((incident + facing) * scale, 0.0, 1.0)
+        fresnel = 0.04 + 0.96 * wp.pow(1.0 - wp.clamp(both * scale, 0.0, 1.0), 5.0)
+        spread = nh * nh * (alpha2 - 1.0) + 1.0
+        power = nl * look.powers[i]
+        diffuse += power * (1.0 - fresnel) / PI_F
+        shine += power * fresnel * gloss / (spread * spread * (nl * (1.0 - k) + k) * shadow)
+    return diffuse * albedo + wp.vec3(shine, shine, shine)
+
+
+@wp.func
+def ray_origin(view: View, x: float, y: float):
+    origin = view.origin
+    if view.perspective == 0:
+        across = (2.0 * x / float(view.width) - 1.0) * view.half_width
+        above = (1.0 - 2.0 * y / float(view.height)) * view.half_height
+        origin = view.origin + across * view.right + above * view.up
+    return origin
+
+
+@wp.func
+def ray_way(view: View, x: float, y: float):
+    way = -view.backward
+    if view.perspective != 0:
+        across = (2.0 * x / float(view.width) - 1.0) * view.half_width
+        above = (1.0 - 2.0 * y / float(view.height)) * view.half_height
+        way = wp.normalize(across * view.right + above * view.up - view.backward)
+    return way
+
+
+@wp.func
+def weights_on_plane(origin: wp.vec3, way: wp.vec3, p0: wp.vec3, e1: wp.vec3, e2: wp.vec3, facing: float):
+    """Return the barycentric weights of corners 1 and 2 where a ray meets a triangle's plane, and the determinant.
+
+    Moeller & Trumbore (1997). ``facing`` is the determinant of the ray the pixel is drawn with (0 for that ray itself):
+    a neighbouring ray that runs along the plane or meets it behind the camera is limited to a tenth of it.
+    """
+    across = wp.cross(way, e2)
+    determinant = wp.dot(e1, across)
+    if facing > 0.0:
+        determinant = wp.max(determinant, 0.1 * facing)
+    if facing < 0.0:
+        determinant = wp.min(determinant, 0.1 * facing)
+    if determinant == 0.0:
+        # No determinant, in place of zero, of a ray along the triangle's plane
+        determinant = wp.float32(1.0e-20)
+    to = origin - p0
+    return wp.vec3(wp.dot(to, across) / determinant, wp.dot(way, wp.cross(to, e1)) / determinant, determinant)
+
+
+@wp.func
+def line_strength(weight: float, gradient_x: float, gradient_y: float, width: float, ramp: float):
+    # Squared slope of a weight over pixels: an edge seen so large is as if it lay nowhere.
+    height = 1.0 / wp.sqrt(wp.max(gradient_x * gradient_x + gradient_y * gradient_y, wp.float32(1.0e-20)))
+    line = wp.clamp((0.5 * width - weight * height) / ramp + 0.5, 0.0, 1.0)
+    return line * wp.clamp((height - width) / (5.0 * width), 0.12, 1.0)
+
+
+@wp.func
+def sample(view: View, shape: Geometry, pictures: wp.array[Picture], look: Look, x: float, y: float, spacing: float):
+    """Return colour and coverage at a point of the picture; ``spacing`` is the width of the area it represents."""
+    origin = ray_origin(view, x, y)
+    way = ray_way(view, x, y)
+    hit = wp.mesh_query_ray(shape.mesh, origin, way, 1.0e6)
+    if not hit.result:
+        # Rays exactly at a vertex can miss; a thousandth of a pixel next to it they do not.
+        beside_x = x + wp.float32(1.1e-3)
+        beside_y = y + wp.float32(0.7e-3)
+        origin = ray_origin(view, beside_x, beside_y)
+        way = ray_way(view, beside_x, beside_y)
+        hit = wp.mesh_query_ray(shape.mesh, origin, way, 1.0e6)
+    color = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    if hit.result:
+        face = hit.face
+        picture = pictures[shape.pictures[face]]
+        i0 = shape.faces[face, 0]
+        i1 = shape.faces[face, 1]
+        i2 = shape.faces[face, 2]
+        p0 = wp.mesh_get_point(shape.mesh, 3 * face)
+        e1 = wp.mesh_get_point(shape.mesh, 3 * face + 1) - p0
+        e2 = wp.mesh_get_point(shape.mesh, 3 * face + 2) - p0
+        here = weights_on_plane(origin, way, p0, e1, e2, 0.0)
+        u = here[0]
+        v = here[1]
+        ox = ray_origin(view, x + spacing, y)
+        wx = ray_way(view, x + spacing, y)
+        oy = ray_origin(view, x, y - spacing)
+        wy = ray_way(view, x, y - spacing)
+        beside = weights_on_plane(ox, wx, p0, e1, e2, here[2])
+        above = weights_on_plane(oy, wy, p0, e1, e2, here[2])
+        ux = beside[0] - u
+        vx = beside[1] - v
+        uy = above[0] - u
+        vy = above[1] - v
+        a0 = shape.values[i0]
+        a1 = shape.values[i1] - a0
+        a2 = shape.values[i2] - a0
+        value = a0 + u * a1 + v * a2
+        kind = shape.kinds[face]
+        albedo = wp.vec3(light_of(value[0]), light_of(value[1]), light_of(value[2]))
+        if kind == Kind.UV:
+            if picture.levels == 1:
+                albedo = bilinear(picture, value[0], value[1], 0)
+            else:
+                grad_x = ux * a1 + vx * a2
+                grad_y = uy * a1 + vy * a2
+                along_x = wp.vec2(grad_x[0], grad_x[1])
+                along_y = wp.vec2(grad_y[0], grad_y[1])
+                albedo = filtered(picture, wp.vec2(value[0], value[1]), along_x, along_y)
+        if kind == Kind.SPHERE:
+            albedo = sphere_color(picture, value, ux * a1 + vx * a2, uy * a1 + vy * a2)
+        if kind != Kind.COLOR:
+            albedo = wp.cw_mul(albedo, picture.tint)
+        if look.unlit == 0:
+            n = (1.0 - u - v) * shape.normals[i0] + u * shape.normals[i1] + v * shape.normals[i2]
+            if wp.dot(wp.cross(e1, e2), way) > 0.0:
+                n = -n
+            n = wp.normalize(wp.vec3(wp.dot(n, view.right), wp.dot(n, view.up), wp.dot(n, view.backward)))
+            back = -way
+            towards = wp.vec3(wp.dot(back, view.right), wp.dot(back, view.up), wp.dot(back, view.backward))
+            albedo = lit(look, albedo, n, towards)
+        red = srgb_of(albedo[0])
+        green = srgb_of(albedo[1])
+        blue = srgb_of(albedo[2])
+        if shape.edges[face] != 0:
+            # The derivatives were taken over `spacing`; the lines' width is in whole pixels.
+            per = 1.0 / spacing
+            ramp = wp.min(2.0 * spacing, 1.0)
+            width = look.edge_width
+            line = line_strength(u, ux * per, uy * per, width, ramp)
+            line = wp.max(line, line_strength(v, vx * per, vy * per, width, ramp))
+            line = wp.max(line, line_strength(1.0 - u - v, (ux + vx) * per, (uy + vy) * per, width, ramp))
+            line = line * look.edge_opacity
+            red = (1.0 - line) * red + line * look.edge_color[0]
+            green = (1.0 - line) * green + line * look.edge_color[1]
+            blue = (1.0 - line) * blue + line * look.edge_color[2]
+        color = wp.vec4(red, green, blue, 1.0)
+    return color
+
+
+@wp.kernel
+def draw_pixels(
+    view: View,
+    shape: Geometry,
+    pictures: wp.array[Picture],
+    look: Look,
+    pixels: wp.array[wp.int32],
+    side: wp.int32,
+    spacing: wp.float32,
+    # Data out:
+    colors: wp.array2d[wp.vec4],
+):
+    """Compute listed pixels as the mean over ``side`` x ``side`` samples, each of an area ``spacing`` wide."""
+    pixel = pixels[wp.tid()]
+    row = pixel // view.width
+    column = pixel - row * view.width
+    step = 1.0 / float(side)
+    total = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    for k in range(side):
+        for j in range(side):
+            x = float(column) + (float(j) + 0.5) * step
+            y = float(row) + (float(k) + 0.5) * step
+            total += sample(view, shape, pictures, look, x, y, spacing)
+    colors[row, column] = total * (step * step)
 
 
 def draw(job: RenderJob, device: str = "auto") -> list[Bytes]:
@@ -40,42 +423,33 @@ def draw(job: RenderJob, device: str = "auto") -> list[Bytes]:
     images: list[Appearance] = [part for part in together if part.image is not None]
     grey = Appearance(kind="color", value=np.empty(0), image=np.full((1, 1, 3), 128, np.uint8), mipmaps=False)
     kept = [_picture(part, where) for part in images or [grey]]
-    pictures = wp.array(kept, dtype=kernels.Picture, device=where)
+    pictures = wp.array(kept, dtype=Picture, device=where)
     look = _look(job, where)
     drawn = []
     for k, shot in enumerate(job.shots):
         if job.one_each and k > 0:
             shape, mesh = _geometry(job.parts[k : k + 1], where)
-        view = _view(shot, job.width, job.height)
+        inputs = [_view(shot, job.width, job.height), shape, pictures, look]
         colors = wp.empty((job.height, job.width), dtype=wp.vec4, device=where)
-        size = (job.height, job.width)
-        wp.launch(
-            kernels.draw_centres,
-            size,
-            inputs=[view, shape, pictures, look, first_spacing],
-            outputs=[colors],
-            device=where,
-        )
+        _draw_pixels(np.arange(job.height * job.width), 1, first_spacing, inputs, colors)
         # More samples matter beside an edge: a step of 6/255 is the smallest that is visible as a jagged one.
         first, around = colors.numpy(), {"size": (3, 3, 1), "mode": "nearest"}
         steps = np.maximum(maximum_filter(first, **around) - first, first - minimum_filter(first, **around))
-        chosen = np.flatnonzero((steps > np.float32(6.0 / 255.0)).any(axis=2)).astype(np.int32)
-        if chosen.size:
-            pixels = wp.array(chosen, dtype=wp.int32, device=where)
-            side = 2 * max(2, job.samples)
-            wp.launch(
-                kernels.draw_finely,
-                len(chosen),
-                inputs=[view, shape, pictures, look, pixels, side],
-                outputs=[colors],
-                device=where,
-            )
+        side = 2 * max(2, job.samples)
+        chosen = np.flatnonzero((steps > np.float32(6.0 / 255.0)).any(axis=2))
+        _draw_pixels(chosen, side, 1.0 / side, inputs, colors)
         drawn.append(np.rint(np.clip(colors.numpy(), 0.0, 1.0) * 255.0).astype(np.uint8))
     del mesh, kept  # kept until here: the kernels know them by numbers only
     return drawn
 
 
-def _geometry(parts: list[Part], where: wp.Device) -> tuple[kernels.Geometry, wp.Mesh]:
+def _draw_pixels(pixels: NDArray[np.integer], side: int, spacing: float, inputs: list, colors: wp.array) -> None:
+    """Draw pixels, given by their numbers row by row, with ``side`` x ``side`` samples each."""
+    listed = wp.array(pixels, dtype=wp.int32, device=colors.device)
+    wp.launch(draw_pixels, len(pixels), inputs=[*inputs, listed, side, spacing], outputs=[colors], device=colors.device)
+
+
+def _geometry(parts: list[Part], where: wp.Device) -> tuple[Geometry, wp.Mesh]:
     """Join the parts to one mesh with unshared corners, so that a face's number is enough to find its points."""
     offsets = np.cumsum([0] + [len(part.positions) for part in parts])
     faces = np.concatenate([part.faces + offset for part, offset in zip(parts, offsets[:-1], strict=True)])
@@ -84,12 +458,12 @@ def _geometry(parts: list[Part], where: wp.Device) -> tuple[kernels.Geometry, wp
         points=wp.array(positions, dtype=wp.vec3, device=where),
         indices=wp.array(faces.ravel().astype(np.int32), dtype=wp.int32, device=where),
     )
-    shape = kernels.Geometry()
+    shape = Geometry()
     shape.mesh = mesh.id
     shape.normals = wp.array(np.concatenate([part.normals for part in parts]), dtype=wp.vec3, device=where)
     shape.values = wp.array(np.concatenate([part.value for part in parts]), dtype=wp.vec3, device=where)
     shape.faces = wp.array(faces.astype(np.int32), dtype=wp.int32, device=where)
-    kinds = np.concatenate([np.full(len(part.faces), kernels.Kind[part.kind.upper()], np.int32) for part in parts])
+    kinds = np.concatenate([np.full(len(part.faces), Kind[part.kind.upper()], np.int32) for part in parts])
     edges = np.concatenate([np.full(len(part.faces), int(part.edges), np.int32) for part in parts])
     having = np.cumsum([part.image is not None for part in parts]) - 1
     numbers = np.concatenate([np.full(len(p.faces), max(k, 0), np.int32) for p, k in zip(parts, having, strict=True)])
@@ -99,42 +473,37 @@ def _geometry(parts: list[Part], where: wp.Device) -> tuple[kernels.Geometry, wp
     return shape, mesh
 
 
-def _picture(part: Appearance, where: wp.Device) -> kernels.Picture:
+def _picture(part: Appearance, where: wp.Device) -> Picture:
     """Return a part's image with its mip levels."""
-    image = np.asarray(part.image)
-    sizes = [(image.shape[1], image.shape[0])]
-    while part.mipmaps and sizes[-1] != (1, 1):
-        width, height = sizes[-1]
-        sizes.append((max(width // 2, 1), max(height // 2, 1)))
-    counts = [width * height for width, height in sizes]
-    offsets = np.cumsum([0, *counts])
-    decode = wp.array(to_linear(np.arange(256) / 255.0).astype(np.float32), dtype=wp.float32, device=where)
-    texels = wp.empty((int(offsets[-1]), 3), dtype=wp.uint8, device=where)
-    wp.copy(texels, wp.array(image.reshape(-1, 3), dtype=wp.uint8, device=where), count=3 * counts[0])
-    for level in range(1, len(sizes)):
-        wp.launch(
-            kernels.halve_texels,
-            sizes[level][::-1],
-            inputs=[decode, int(offsets[level - 1]), *sizes[level - 1], int(offsets[level]), *sizes[level]],
-            outputs=[texels],
-            device=where,
-        )
-    picture = kernels.Picture()
-    picture.texels = texels
-    picture.decode = decode
-    picture.offsets = wp.array(offsets[:-1].astype(np.int32), dtype=wp.int32, device=where)
-    picture.widths = wp.array(np.array([width for width, _ in sizes], np.int32), dtype=wp.int32, device=where)
-    picture.heights = wp.array(np.array([height for _, height in sizes], np.int32), dtype=wp.int32, device=where)
-    picture.levels = len(sizes)
+    decode = to_linear(np.arange(256) / 255.0).astype(np.float32)
+    levels = [np.asarray(part.image)]
+    while part.mipmaps and levels[-1].shape[:2] != (1, 1):
+        light = decode[levels[-1]]
+        for axis in (0, 1):  # the mean over the rows, then the columns, that each new one covers
+            size = light.shape[axis]
+            starts = np.arange(max(size // 2, 1)) * size // max(size // 2, 1)
+            counts = np.diff(starts, append=size).astype(np.float32)
+            light = np.add.reduceat(light, starts, axis) / np.expand_dims(counts, (1 - axis, 2))
+        levels.append(as_bytes(to_srgb(light)))
+    heights, widths = np.array([level.shape[:2] for level in levels], dtype=np.int32).T
+    offsets = np.cumsum(heights * widths) - heights * widths
+    texels = np.concatenate([level.reshape(-1, 3) for level in levels])
+    picture = Picture()
+    picture.texels = wp.array(texels, dtype=wp.uint8, device=where)
+    picture.decode = wp.array(decode, dtype=wp.float32, device=where)
+    picture.offsets = wp.array(offsets, dtype=wp.int32, device=where)
+    picture.widths = wp.array(widths, dtype=wp.int32, device=where)
+    picture.heights = wp.array(heights, dtype=wp.int32, device=where)
+    picture.levels = len(levels)
     picture.repeat, picture.repeat_rows = int(part.repeat), int(part.repeat_rows)
     tint = to_linear(np.array(part.tint))
     picture.tint = wp.vec3(*(float(channel) for channel in tint))
     return picture
 
 
-def _look(job: RenderJob, where: wp.Device) -> kernels.Look:
+def _look(job: RenderJob, where: wp.Device) -> Look:
     lights = job.light.unit_directions()
-    look = kernels.Look()
+    look = Look()
     look.directions = wp.array(
         np.array([way for way, _ in lights], np.float32).reshape(-1, 3), dtype=wp.vec3, device=where
     )
@@ -146,8 +515,8 @@ def _look(job: RenderJob, where: wp.Device) -> kernels.Look:
     return look
 
 
-def _view(shot: Shot, width: int, height: int) -> kernels.View:
-    view = kernels.View()
+def _view(shot: Shot, width: int, height: int) -> View:
+    view = View()
     right, up, backward, origin = (wp.vec3(*(float(x) for x in shot.pose[:3, k])) for k in range(4))
     view.right, view.up, view.backward, view.origin = right, up, backward, origin
     view.perspective = int(shot.perspective)

@@ -137,7 +137,7 @@ class SurfaceView:
         color: the colour where nothing else is given (None: clay), and a factor on an image (None: white).
         materials: several appearances, of which ``face_material`` gives every triangle one.
         face_material: number of the material of every triangle, shape [F].
-        up: axis that points upwards in pictures; None is guessed from the shape (:mod:`omtwarp.render.upright`).
+        up: axis that points upwards in pictures; None is guessed from the shape (:mod:`omtwarp.render.subject`).
         front: axis that points at the viewer in the front view; None is guessed where ``up`` is, and otherwise +z, or
             -y where z is up.
         smooth: interpolate normals across faces; they are averaged over all vertices at the same place, so that the

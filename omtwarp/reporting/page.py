@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +20,7 @@ from omtwarp.mesh.surface import triangle_areas
 from omtwarp.metrics.certificate import Certificate
 from omtwarp.options import PatternLike
 from omtwarp.render import Camera, ScalarField, SurfaceView, preview
-from omtwarp.render.pictures import draw_in_background
-from omtwarp.render.subject import torus_view
-from omtwarp.render.upright import posed
+from omtwarp.render.subject import posed, torus_view
 from omtwarp.reporting import sections
 from omtwarp.reporting.markup import Markup, data_uri, element, figure, html, join
 from omtwarp.reporting.scene import (
@@ -47,6 +45,9 @@ from omtwarp.texturing.image import PictureLike
 from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.patterns import pattern as pattern_by_name
 from omtwarp.texturing.textured import texture_torus
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 
 def write_report(
@@ -125,13 +126,8 @@ def report_page(
     pose = posed(SurfaceView(result.vertices, result.faces), up)
     # The certificate was computed from the result's arrays: a file's statements are not trusted.
     report = shown_report(result) | {"certificate": result.certificate.to_dict()}
-    background = ThreadPoolExecutor(1)
-    try:
-        drawn = _stills(result, stages, texture, pose, picture_size, device, background)
-        scene = make_scene(result, stages, texture, pose=pose, device=device)
-        stills = drawn()
-    finally:
-        background.shutdown(wait=False, cancel_futures=True)
+    stills = _stills(result, stages, texture, pose, picture_size, device)
+    scene = make_scene(result, stages, texture, pose=pose, device=device)
     content = [
         sections.figures(stages, report),
         sections.pictures(stages, stills, shown),
@@ -198,44 +194,31 @@ def _stills(
     pose: SurfaceView,
     size: int,
     device: str,
-    background: Executor,
-) -> Callable[[], dict[str, str]]:
-    """Begin the pictures of the first and the last stage, by key: the surface, and ``sphere KEY``.
-
-    Returns:
-        A function that waits for them, and gives them as data URIs.
-    """
-    # texels around the sphere of the texture of still pictures: three for each pixel of the surface
-    picture_width = 1536
-    begun: dict[str, Callable[[], str]] = {}
-
-    def begin(key: str, subject: SurfaceView) -> None:
-        begun[key] = draw_in_background(
-            background,
-            subject,
-            lambda drawn: data_uri(drawn, "webp"),
-            size=(size, size * 3 // 4),
-            camera=Camera(margin=0.03),
-            transparent=True,
-            color_bar=False,
-            device=device,
-        )
-
-    shown = (stages[0], stages[-1])[: len(stages)]
-    for stage in shown:
-        field = ScalarField(np.clip(log2_area_ratio(stage), -RANGE, RANGE), AREA_COLOURS, (-RANGE, RANGE))
-        # Most edges, faces: with more, edges would hide the surface between them
-        edges = len(result.faces) <= 60_000
-        begin(f"sphere {stage.key}", replace(view_on_domain(result, stage, pose), scalar=field, edges=edges))
+) -> dict[str, str]:
+    """Draw the first and the last stage, as data URIs by key: the surface, and ``sphere KEY``."""
+    stills: dict[str, str] = {}
+    # Texels around the sphere of the texture of still pictures: three for each pixel of the surface. Along the side of
+    # a texel two samples: pictures average over several texels besides.
     picture: NDArray[np.generic]
     if isinstance(texture, Pattern):
-        # Picture samples, along the side of a texel: pictures average over several texels besides
-        picture = rasterize(texture, picture_width, supersample=2, device=device)
+        picture = rasterize(texture, 1536, supersample=2, device=device)
     else:
         picture = texture
-    for stage in shown:
-        begin(stage.key, replace(pose, image=picture, sphere=stage.sphere))
-    return lambda: {key: drawn() for key, drawn in begun.items()}
+    # Most edges, faces: with more, edges would hide the surface between them
+    edges = len(result.faces) <= 60_000
+    for stage in (stages[0], stages[-1])[: len(stages)]:
+        field = ScalarField(np.clip(log2_area_ratio(stage), -RANGE, RANGE), AREA_COLOURS, (-RANGE, RANGE))
+        on_domain = replace(view_on_domain(result, stage, pose), scalar=field, edges=edges)
+        on_surface = replace(pose, image=picture, sphere=stage.sphere)
+        for key, shown in ((f"sphere {stage.key}", on_domain), (stage.key, on_surface)):
+            stills[key] = data_uri(_still(shown, size, device), "webp")
+    return stills
+
+
+def _still(subject: SurfaceView, size: int, device: str) -> Image | list[Image]:
+    """Draw a picture of a page."""
+    sides, camera = (size, size * 3 // 4), Camera(margin=0.03)
+    return preview(subject, size=sides, camera=camera, transparent=True, color_bar=False, device=device)
 
 
 # Names of the record of the last stage, and its label and colour.
@@ -336,9 +319,7 @@ def _torus_page(
         subject = torus_view(result, image, which=which, on=on, pattern=pattern)
         if on == "surface":
             subject.up, subject.front = pose.up, pose.front
-        drawn.append(
-            preview(subject, size=(size, size * 3 // 4), camera=Camera(margin=0.03), transparent=True, device=device)
-        )
+        drawn.append(_still(subject, size, device))
     shown = [
         figure(picture, f"{which}, {on}. ", words) for picture, (which, on, words) in zip(drawn, PICTURES, strict=True)
     ]

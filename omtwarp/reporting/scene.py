@@ -23,7 +23,7 @@ from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas, vertex_no
 from omtwarp.render.camera import DEFAULT_FRONT, VIEWS, Camera, axis_vector, camera_axes
 from omtwarp.render.films import fits_of
 from omtwarp.render.scene import SurfaceView
-from omtwarp.render.upright import posed
+from omtwarp.render.subject import posed
 from omtwarp.reporting.markup import Markup, asset, data_block, data_uri, fill_page, html, join, script, source_hash
 from omtwarp.reporting.stages import TORUS, Stage
 from omtwarp.start.decimation import simplify
@@ -88,7 +88,7 @@ def make_scene(
         result: a finished map.
         stages: as :func:`~omtwarp.reporting.stages.stages_of` gives them.
         texture: a picture, or the name of a pattern.
-        pose: the surface's axes, as of :func:`omtwarp.render.upright.posed`; guessed from its shape by default.
+        pose: the surface's axes, as of :func:`omtwarp.render.subject.posed`; guessed from its shape by default.
         most_faces: a surface of more triangles is simplified.
         texels: of the texture along each of its six faces.
         device: where the texture is baked.

@@ -2,9 +2,8 @@
 
 from omtwarp.shape_analysis.distance import ShapeDistance, shape_distance
 from omtwarp.shape_analysis.expansion import Expansion, expand, read_coef, write_coef
-from omtwarp.shape_analysis.group import GroupStudy, study_group
-from omtwarp.shape_analysis.group_report import write_group_report
-from omtwarp.shape_analysis.linear_model import Effect, linear_effects
+from omtwarp.shape_analysis.group import Effect, GroupStudy, linear_effects, study_group
+from omtwarp.shape_analysis.reports import write_group_report
 
 __all__ = [
     "Effect",

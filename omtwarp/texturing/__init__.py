@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from omtwarp.texturing.baking import bake_to_uv as bake_to_uv
     from omtwarp.texturing.baking import bake_vertex_values as bake_vertex_values
     from omtwarp.texturing.baking import sample as sample
+    from omtwarp.texturing.export import Material as Material
     from omtwarp.texturing.image import direction_to_image as direction_to_image
     from omtwarp.texturing.image import read_image as read_image
     from omtwarp.texturing.image import rotation_matrix as rotation_matrix
-    from omtwarp.texturing.materials import Material as Material
     from omtwarp.texturing.painted import PaintedMesh as PaintedMesh
     from omtwarp.texturing.painter import paint as paint
     from omtwarp.texturing.patterns import Pattern as Pattern
@@ -37,7 +37,7 @@ _NAMES = {
     "bakes": ["BAKES"],
     "baking": ["VertexValues", "bake", "bake_to_uv", "bake_vertex_values", "sample"],
     "image": ["direction_to_image", "read_image", "rotation_matrix"],
-    "materials": ["Material"],
+    "export": ["Material"],
     "painted": ["PaintedMesh"],
     "painter": ["paint"],
     "patterns": ["Pattern", "pattern"],

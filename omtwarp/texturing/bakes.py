@@ -129,7 +129,7 @@ def detail_normals(target: Target, tangents: Floats, detail: tuple[Floats, Ints]
 
     Args:
         target: the coarser surface.
-        tangents: at its corners, shape [T, 3, 4], as :func:`omtwarp.texturing.materials.corner_tangents` gives them.
+        tangents: at its corners, shape [T, 3, 4], as :func:`omtwarp.texturing.export.corner_tangents` gives them.
         detail: vertices and faces of the detailed surface, in the same place.
 
     Returns:

@@ -1,7 +1,7 @@
 """Baking: any function on the sphere into a picture, and pictures back onto the sphere.
 
 A *source* assigns values to directions: the name of a pattern or a
-:class:`~omtwarp.texturing.patterns.base.Pattern`, an equirectangular (or sinusoidal) picture, or a Python callable from
+:class:`~omtwarp.texturing.patterns.Pattern`, an equirectangular (or sinusoidal) picture, or a Python callable from
 directions [N, 3] to values [N] or [N, C]. Numbers at the vertices of a mesh are baked through that mesh
 (:func:`bake_vertex_values`).
 
@@ -27,8 +27,8 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints
 from omtwarp.texturing import kernels
 from omtwarp.texturing.atlas import Atlas, check_size, make_atlas
+from omtwarp.texturing.export import Material
 from omtwarp.texturing.image import PictureLike, as_floats, check_projection, read_image, with_opacity
-from omtwarp.texturing.materials import Material
 from omtwarp.texturing.patterns import Pattern, is_name, pattern
 from omtwarp.texturing.seams import Unwrapped, unwrap
 
@@ -137,22 +137,14 @@ def bake(
     """
     where = resolve_device(device)
     target = _target(atlas, size)
-    return _bake(source_of(source, projection, where), target, supersample, where)
-
-
-def _bake(given: ValueSource | Pattern, target: Atlas, supersample: int, where: wp.Device) -> Picture:
-    picture = wp.zeros((target.width * target.height, given.channels), dtype=wp.float32, device=where)
-    look = Look(target, where)
+    given, look = source_of(source, projection, where), Look(target, where)
 
     def evaluate(texels: wp.array, samples: int, values: wp.array) -> None:
         given.launch(look.directions(texels, samples), values)
 
-    texels = target.texels
-    fill(texels, 1, given.channels, evaluate, picture)
-    if supersample > 1:
-        changing = _changing(picture, target.width, target.height)
-        changing = changing if target.filled else np.intersect1d(changing, texels, assume_unique=True)
-        fill(changing, int(supersample), given.channels, evaluate, picture)
+    picture = _supersampled(
+        target.texels, int(supersample), evaluate, (target.width, target.height), given.channels, where
+    )
     baked = picture.numpy().reshape(target.height, target.width, given.channels)
     target.fill_empty(baked)
     return baked
@@ -202,6 +194,26 @@ def fill(
         values = wp.empty((len(part) * count, channels), dtype=wp.float64, device=where)
         evaluate(part, samples, values)
         launch_parts(average, len(part), [Each(values, count), samples, Each(part)], [picture], where)
+
+
+def _supersampled(
+    texels: Ints,
+    samples: int,
+    evaluate: Callable[[wp.array, int, wp.array], None],
+    size: tuple[int, int],
+    channels: int,
+    where: wp.Device,
+) -> wp.array:
+    """Return a picture, some texels of which are computed, with more samples where they differ from a neighbour."""
+    width, height = size
+    picture = wp.zeros((width * height, channels), dtype=wp.float32, device=where)
+    fill(texels, 1, channels, evaluate, picture)
+    if samples > 1:
+        known = np.zeros(width * height, dtype=bool)
+        known[texels] = True
+        changing = _changing(picture, width, height)
+        fill(changing[known[changing]], samples, channels, evaluate, picture)
+    return picture
 
 
 def _changing(picture: wp.array, width: int, height: int) -> Ints:
@@ -401,7 +413,6 @@ def bake_to_uv(
     given = source_of(source, projection, where)
     turned = s if rotation is None else s @ np.asarray(rotation, dtype=np.float64)
     points = wp.array(np.ascontiguousarray(turned[faces]), dtype=wp.float64, device=where)
-    picture = wp.zeros((width * height, given.channels), dtype=wp.float32, device=where)
 
     def evaluate(texels: wp.array, samples: int, values: wp.array) -> None:
         chords = wp.empty((len(values), 3), dtype=wp.float64, device=where)
@@ -410,10 +421,7 @@ def bake_to_uv(
         wp.launch(kernels.unit_vectors, dim=len(values), inputs=[chords, directions], device=where)
         given.launch(directions, values)
 
-    fill(layout.owned(), 1, given.channels, evaluate, picture)
-    if supersample > 1:
-        changing = _changing(picture, width, height)
-        fill(changing[layout.known[changing]], int(supersample), given.channels, evaluate, picture)
+    picture = _supersampled(layout.owned(), int(supersample), evaluate, (width, height), given.channels, where)
     return layout.dilate(picture, padding).numpy().reshape(height, width, given.channels)
 
 

@@ -21,9 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device import core_count
 from omtwarp.errors import OmtwarpError, brief
-from omtwarp.files.inputs import open_input
+from omtwarp.files.inputs import FORMATS, open_input, open_picture
 from omtwarp.files.limits import LARGEST_PICTURE_FILE, LONGEST_SIDE, MOST_TEXELS
-from omtwarp.files.pictures import FORMATS, open_picture
 from omtwarp.mesh.arrays import Bytes, Floats
 from omtwarp.options import ProjectionName
 
@@ -66,7 +65,7 @@ def decoded(stream: BinaryIO, name: str) -> NDArray[np.generic]:
     """Decode a picture.
 
     Args:
-        stream: the file, of one of :data:`omtwarp.files.pictures.FORMATS`.
+        stream: the file, of one of :data:`omtwarp.files.inputs.FORMATS`.
         name: what messages call it.
 
     Raises:

@@ -16,8 +16,7 @@ from omtwarp.mesh.arrays import WELD, Bytes, Floats, Ints, whole_numbers
 from omtwarp.mesh.read import compressed, seam_copies
 from omtwarp.mesh.surface import unit_normals, vertex_normals
 from omtwarp.options import TextureFormat
-from omtwarp.texturing.export import Part, export, split_corners
-from omtwarp.texturing.materials import Material, corner_tangents
+from omtwarp.texturing.export import Material, Part, corner_tangents, export, split_corners
 
 # Of the extent of the mesh: corners of two copies of a mesh that are farther apart are not the same corner.
 ELSEWHERE = "the map's vertices are not where the mesh's are: it is a map of another mesh"

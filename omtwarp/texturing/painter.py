@@ -35,6 +35,7 @@ from omtwarp.texturing.baking import (
     tiled_copies,
     tinted,
 )
+from omtwarp.texturing.export import WHITE, Material, corner_tangents
 from omtwarp.texturing.image import (
     PictureLike,
     as_bytes,
@@ -44,7 +45,6 @@ from omtwarp.texturing.image import (
     with_opacity,
     without_full_opacity,
 )
-from omtwarp.texturing.materials import WHITE, Material, corner_tangents
 from omtwarp.texturing.painted import PaintedMesh
 from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.smooth import SmoothMap, grid_shares, grid_triangles, smooth_map

@@ -23,8 +23,8 @@ from omtwarp.mesh.ply import Column, ply_columns, polygons_of
 from omtwarp.mesh.polygons import fans
 from omtwarp.mesh.read import mesh_content, read_mesh, require_counted_from_one, utf8
 from omtwarp.mesh.scenes import gltf_header, gltf_pictures, load_scene, placed_meshes, scene_formats
+from omtwarp.texturing.export import Material
 from omtwarp.texturing.image import as_bytes, decoded, read_image, with_opacity
-from omtwarp.texturing.materials import Material
 from omtwarp.texturing.painted import PaintedMesh, corners_of, joined_seams
 
 if TYPE_CHECKING:

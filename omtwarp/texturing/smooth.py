@@ -28,9 +28,10 @@ from functools import cached_property, lru_cache, partial
 import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
+from scipy.sparse.linalg import cg
 
 from omtwarp.flips.exact import flipped_faces
-from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints
+from omtwarp.mesh.arrays import Floats, Ints
 
 HALVINGS = 4  # of the difference from the linear map, before the map is linear there
 
@@ -287,30 +288,21 @@ def _edge_derivatives(places: Floats, faces: Ints, sphere: Floats, ends: NDArray
         way[:, side] = np.where(
             size > 1e-9 * length[:, None], flat / np.maximum(size, np.finfo(float).tiny), (1.0, 0.0)
         )
-    # Of the symmetric matrix: blocks on the diagonal, [V, 2, 2], and what is above them; edges are in order of ends.
-    blocks = np.zeros((count, 2, 2))
-    for side in range(2):
-        for i, j in ((0, 0), (0, 1), (1, 1)):
-            blocks[:, i, j] += np.bincount(
-                ends[:, side], 2.0 * way[:, side, i] * way[:, side, j] / length, minlength=count
-            )
-    blocks[:, 1, 0] = blocks[:, 0, 1]
-    starts = np.concatenate([[0], np.cumsum(np.bincount(ends[:, 0], minlength=count))])
-    above = sparse.bsr_matrix(
-        (way[:, 0, :, None] * way[:, 1, None, :] / length[:, None, None], ends[:, 1], starts),
-        shape=(2 * count, 2 * count),
+    # What each edge is multiplied by, at either end: its direction there, in the columns of that vertex.
+    columns, rows = 2 * ends[:, :, None] + np.arange(2), np.arange(0, 2 * len(ends) + 1, 2)
+    at_start, at_end = (
+        sparse.csr_matrix((way[:, side].ravel(), columns[:, side].ravel(), rows), shape=(len(ends), 2 * count))
+        for side in range(2)
     )
-    rise = 3.0 * (sphere[ends[:, 1]] - sphere[ends[:, 0]]) / length[:, None] ** 2
-    right = np.zeros((2 * count, 3))
-    for side in range(2):
-        for k in range(2):
-            at = 2 * ends[:, side] + k
-            for axis in range(3):
-                right[:, axis] += np.bincount(at, way[:, side, k] * rise[:, axis], minlength=2 * count)
-    slopes = _solve(blocks, above, right).reshape(count, 2, 3)
-    return np.stack(
-        [length[:, None] * np.einsum("ek,ekj->ej", way[:, side], slopes[ends[:, side]]) for side in range(2)], axis=1
-    )
+    over_length = sparse.diags_array(1.0 / length)
+    both = at_start + at_end
+    matrix = at_start.T @ over_length @ at_start + at_end.T @ over_length @ at_end + both.T @ over_length @ both
+    right = both.T @ (3.0 * (sphere[ends[:, 1]] - sphere[ends[:, 0]]) / length[:, None] ** 2)
+    # The system is as well conditioned as that of a spline: each step of the iteration gains a digit or so, and a line
+    # moves by less than the relative residual times an edge. What no edge determines is 0.
+    scale = sparse.diags_array(1.0 / np.maximum(matrix.diagonal(), np.finfo(float).tiny))
+    slopes = np.column_stack([cg(matrix, one, rtol=1e-6, maxiter=200, M=scale)[0] for one in right.T])
+    return np.stack([length[:, None] * (one @ slopes) for one in (at_start, at_end)], axis=1)
 
 
 def _tangents(normals: Floats) -> tuple[Floats, Floats]:
@@ -321,48 +313,6 @@ def _tangents(normals: Floats) -> tuple[Floats, Floats]:
     first = np.cross(n, away)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     return first, np.cross(n, first)
-
-
-def _solve(blocks: Floats, above: sparse.bsr_matrix, right: Floats) -> Floats:
-    """Solve for three right-hand sides by conjugate gradients, preconditioned by the diagonal's blocks of two.
-
-    Args:
-        blocks: these, shape [V, 2, 2].
-        above: the part of the symmetric matrix above them.
-        right: right-hand sides, shape [2 V, 3].
-    """
-    # The derivatives' system is as well conditioned as that of a spline: each step of the iteration gains a digit or
-    # so.
-    most_steps = 60
-    tolerance = 1e-5  # relative residual; a line moves by less than that share of an edge
-    upper = above.tocsr()
-    beside = upper + upper.T
-    # Vertices without two directions of edges: undetermined derivatives are 0.
-    share = np.maximum(ROUND_OFF * np.trace(blocks, axis1=1, axis2=2), ROUND_OFF)[:, None, None]
-    inverse = np.linalg.inv(blocks + share * np.eye(2))
-
-    x = np.zeros_like(right)
-    residual = right.copy()
-    z = _by_blocks(inverse, residual)
-    direction, product = z, np.einsum("ij,ij->j", residual, z)
-    goal = tolerance**2 * product
-    for _ in range(most_steps):
-        if np.all(product <= goal):
-            break
-        image = _by_blocks(blocks, direction) + beside @ direction
-        step = product / np.maximum(np.einsum("ij,ij->j", direction, image), np.finfo(float).tiny)
-        x += step * direction
-        residual -= step * image
-        z = _by_blocks(inverse, residual)
-        fresh = np.einsum("ij,ij->j", residual, z)
-        direction = z + fresh / np.maximum(product, np.finfo(float).tiny) * direction
-        product = fresh
-    return x
-
-
-def _by_blocks(blocks: Floats, vectors: Floats) -> Floats:
-    """Multiply vectors, shape [2 V, 3], by a matrix of blocks on the diagonal, shape [V, 2, 2]."""
-    return np.matmul(blocks, vectors.reshape(-1, 2, 3)).reshape(-1, 3)
 
 
 def _inside(

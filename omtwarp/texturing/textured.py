@@ -34,7 +34,7 @@ from omtwarp.texturing.atlas import (
 )
 from omtwarp.texturing.bakes import least_visible_meridian
 from omtwarp.texturing.baking import Look, sample
-from omtwarp.texturing.export import Part, export, format_for, split_corners
+from omtwarp.texturing.export import Material, Part, export, format_for, split_corners
 from omtwarp.texturing.image import (
     PictureLike,
     as_bytes,
@@ -43,7 +43,6 @@ from omtwarp.texturing.image import (
     rotation_matrix,
     without_full_opacity,
 )
-from omtwarp.texturing.materials import Material
 from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.patterns import pattern as by_name
 from omtwarp.texturing.seams import unwrap
@@ -225,7 +224,7 @@ def texture(
         image: a path, a PIL image or an array [H, W, 3]; its left and right borders are longitude -180 and 180 degrees,
             its top is the north pole (+z).
         pattern: ``circles``, ``puzzle``, ``globe`` or ``checker``, or a
-            :class:`~omtwarp.texturing.patterns.base.Pattern`.
+            :class:`~omtwarp.texturing.patterns.Pattern`.
             With neither image nor pattern: circles of equal size, which show at a glance whether areas are preserved.
         projection: of the image: ``equirectangular``, or ``sinusoidal`` for the paper's correction of the longitude by
             cos(latitude), for pictures that were not made for a sphere.

@@ -13,7 +13,7 @@ from omtwarp.mesh.arrays import TINY, Floats, Ints
 from omtwarp.mesh.surface import plane_areas, triangle_areas
 from omtwarp.options import Domain
 from omtwarp.texturing.atlas import CUBE_FRAMES
-from omtwarp.texturing.materials import Material
+from omtwarp.texturing.export import Material
 from omtwarp.texturing.painted import PaintedMesh
 from omtwarp.texturing.textured import SphereMap, as_map, spheres_of
 

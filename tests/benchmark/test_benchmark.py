@@ -9,8 +9,16 @@ import pytest
 from typer.testing import CliRunner
 
 from omtwarp.benchmark import markdown, run, runner
-from omtwarp.benchmark.measure import PeakMemory, first_use, splu_reference, table
-from omtwarp.benchmark.roofline import LISTED, LaunchRecorder, copy_bandwidth, moved_bytes
+from omtwarp.benchmark.measure import (
+    LISTED,
+    LaunchRecorder,
+    PeakMemory,
+    copy_bandwidth,
+    first_use,
+    moved_bytes,
+    splu_reference,
+    table,
+)
 from omtwarp.benchmark.runner import fitted_exponent, growth_exponents, label, made, reference_system
 from omtwarp.commands.benchmark import parse_sizes
 from omtwarp.device.start import wp

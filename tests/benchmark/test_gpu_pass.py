@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from fake_cudss import FakeCudss
 
-from omtwarp.benchmark import gpu, gpu_parts
+from omtwarp.benchmark import gpu
 from omtwarp.solvers import cudss
 
 ROOT = Path(__file__).parents[2]
@@ -36,7 +36,7 @@ def test_a_whole_pass_on_the_cpu(tmp_path, capsys):
     found = json.loads((tmp_path / "out/gpu.json").read_text())
     assert list(found) == [part.name for part in gpu.plan("cpu", (320, 500, 600), None)]
     assert not [name for name, record in found.items() if "error" in record]
-    for kind in gpu_parts.VARIANTS:
+    for kind in gpu.VARIANTS:
         record = found["agreement, 320 faces"]["result"][kind]
         assert record["same bits twice"] and record["bijective"] and record["from the CPU, sphere"] == 0.0
     assert found["stages, 600 faces"]["result"]["cpu"].keys() >= {"conformal", "omt", "whole map"}
@@ -48,11 +48,11 @@ def test_a_whole_pass_on_the_cpu(tmp_path, capsys):
 @pytest.mark.filterwarnings("ignore::omtwarp.OmtwarpWarning")
 def test_parts_on_the_fake_device(fake):
     """What the parts say of a device that is another one than the CPU."""
-    *_, record = gpu_parts.compare("cuda:0", 320)
-    assert set(record) == set(gpu_parts.VARIANTS)
+    *_, record = gpu.compare("cuda:0", 320)
+    assert set(record) == set(gpu.VARIANTS)
     for kind in record.values():
         assert kind["same bits twice"] and 0.0 <= kind["from the CPU, sphere"] < 1e-10
-    *_, times = gpu_parts.time_stages("cuda:0", 320)
+    *_, times = gpu.time_stages("cuda:0", 320)
     assert list(times) == ["cuda:0", "cpu"]
     assert fake.downloads
 
@@ -61,7 +61,7 @@ def test_parts_on_the_fake_device(fake):
 def test_solvers_are_compared_on_cuda_alone(fake, monkeypatch):
     library = FakeCudss()
     monkeypatch.setattr(cudss, "load_library", lambda: library)
-    *_, record = gpu_parts.compare_solvers("cuda:0", 320)
+    *_, record = gpu.compare_solvers("cuda:0", 320)
     assert list(record) == ["cholesky", "cudss"]
     for kind in record.values():
         assert kind["same bits twice"] and kind["from the default"] < 1e-10
@@ -72,22 +72,22 @@ def test_solvers_are_compared_on_cuda_alone(fake, monkeypatch):
 def test_a_part_that_fails_hangs_or_crashes_leaves_what_it_had_found():
     found = "print('{\"first\": 1}', flush=True)"
     broken = 'print(\'{"second": 2, "third\', flush=True)'
-    failed = gpu.run_part(gpu.Part("", python(found, broken, "raise SystemExit('no memory')"), 60.0), 60.0)
+    failed = gpu.run_part(gpu.Planned("", python(found, broken, "raise SystemExit('no memory')"), 60.0), 60.0)
     assert failed["result"] == {"first": 1} and failed["error"] == "exit status 1: no memory"
-    late = gpu.run_part(gpu.Part("", python(found, "import time", "time.sleep(60)"), 60.0), 2.0)
+    late = gpu.run_part(gpu.Planned("", python(found, "import time", "time.sleep(60)"), 60.0), 2.0)
     assert late["result"] == {"first": 1} and late["error"] == "ended after 2 s"
-    crashed = gpu.run_part(gpu.Part("", python("import os", "os.abort()"), 60.0), 60.0)
+    crashed = gpu.run_part(gpu.Planned("", python("import os", "os.abort()"), 60.0), 60.0)
     assert crashed["result"] is None and crashed["error"].startswith("exit status -6")
-    text = gpu.run_part(gpu.Part("", python("print('3 passed, 1 skipped in 2 s')"), 60.0), 60.0)
+    text = gpu.run_part(gpu.Planned("", python("print('3 passed, 1 skipped in 2 s')"), 60.0), 60.0)
     assert text["result"] == {"output": "3 passed, 1 skipped in 2 s"} and "error" not in text
 
 
 def test_results_are_written_after_every_part(tmp_path, monkeypatch):
     """One that fails does not end the pass; those without time are named; without a device nothing more is tried."""
     parts = [
-        gpu.Part("one", python('print(\'{"a": {"b": 1.5, "c": true}}\')'), 60.0),
-        gpu.Part("two", python("raise SystemExit('<no> kernel')"), 60.0),
-        gpu.Part("three", python("print(1)"), 60.0),
+        gpu.Planned("one", python('print(\'{"a": {"b": 1.5, "c": true}}\')'), 60.0),
+        gpu.Planned("two", python("raise SystemExit('<no> kernel')"), 60.0),
+        gpu.Planned("three", python("print(1)"), 60.0),
     ]
     monkeypatch.setattr(gpu, "plan", lambda *_: parts)
     known = []
@@ -102,7 +102,7 @@ def test_results_are_written_after_every_part(tmp_path, monkeypatch):
     assert gpu.main(["--out", str(tmp_path), "--seconds", "1"]) == 1
     record = json.loads((tmp_path / "gpu.json").read_text())
     assert {entry["error"] for entry in record.values()} == {"left out: no time was left"}
-    parts[0] = gpu.Part("device", python("raise SystemExit('no device')"), 60.0)
+    parts[0] = gpu.Planned("device", python("raise SystemExit('no device')"), 60.0)
     assert gpu.main(["--out", str(tmp_path)]) == 1
     assert list(json.loads((tmp_path / "gpu.json").read_text())) == ["device"]
 

@@ -28,7 +28,7 @@ from omtwarp.mesh.neuro import structure_of
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.write import write_mesh
 from omtwarp.render import films
-from omtwarp.shape_analysis import registration_report
+from omtwarp.shape_analysis import reports
 
 SPHERE = shapes.icosphere(10)
 BLOB = shapes.blob(seed=3, sphere=SPHERE)
@@ -127,7 +127,7 @@ def test_register_writes_what_workbench_takes(desk):
 def test_register_writes_a_page_and_a_film(desk, capsys, monkeypatch):
     """The page has features of the target, before and after, and both strains; the film goes to the registered map."""
     monkeypatch.setattr(films, "PROBE_WIDTH", 16)  # motion is measured on few pixels, and few are drawn
-    monkeypatch.setattr(registration_report, "film", partial(films.film, size=(64, 36), seconds=3.0, fps=5))
+    monkeypatch.setattr(reports, "film", partial(films.film, size=(64, 36), seconds=3.0, fps=5))
     words = ["register", "lh.npz", "--to", "template.npz", "-o", "out.npz", "-q"]
     assert run(*words, "--report", "page.html", "--film", "warp.gif") == 0
     page = Path("page.html").read_text("utf-8")

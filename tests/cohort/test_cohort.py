@@ -30,7 +30,7 @@ from omtwarp.cohort.item import (
     settle,
 )
 from omtwarp.cohort.page import outliers
-from omtwarp.cohort.table import map_of, read_table
+from omtwarp.cohort.tables import map_of, read_table
 from omtwarp.commands._cli import main
 from omtwarp.errors import OmtwarpError
 from omtwarp.maps.result import MapResult

@@ -228,7 +228,7 @@ def test_a_large_picture_of_the_earth_is_read_without_a_word(tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         stream = open(tmp_path / "marble.png", "rb")
-        from omtwarp.files.pictures import open_picture
+        from omtwarp.files.inputs import open_picture
 
         with stream, open_picture(stream) as opened:
             assert opened.size == (21600, 10800)

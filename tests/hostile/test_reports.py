@@ -25,7 +25,7 @@ from omtwarp.mesh import shapes
 from omtwarp.reporting import report_page, scene, write_report
 from omtwarp.reporting.stages import REPORT
 from omtwarp.shape_analysis import study_group
-from omtwarp.shape_analysis.group_report import write_group_report
+from omtwarp.shape_analysis.reports import write_group_report
 
 INJECTION = """</script></style></title><script>alert(1)</script><img src=x onerror="alert(1)">' onload='x' "><!--"""
 BALL = shapes.icosphere(2)
@@ -133,7 +133,7 @@ def test_a_report_of_deep_brackets_is_none(tmp_path):
 @pytest.fixture
 def no_drawing(monkeypatch):
     """Replace every picture that a page draws by a small one."""
-    for module in ("cohort.page", "shape_analysis.group_report", "reporting.page"):
+    for module in ("cohort.page", "shape_analysis.reports", "reporting.page"):
         monkeypatch.setattr(f"omtwarp.{module}.preview", lambda *a, **k: Image.new("RGB", (2, 2)))
     monkeypatch.setattr("omtwarp.reporting.page.torus_view", lambda *a, **k: SimpleNamespace(up=None))
 

@@ -191,6 +191,6 @@ def test_pictures_that_hold_no_labels_are_one_line(tmp_path, monkeypatch):
         with pytest.raises(OmtwarpError, match=words) as caught:
             read_mesh(tmp_path / name)
         assert "\n" not in str(caught.value)
-    monkeypatch.setattr("omtwarp.files.pictures.MOST_TEXELS", 5 * 32 * 30)
+    monkeypatch.setattr("omtwarp.files.inputs.MOST_TEXELS", 5 * 32 * 30)
     with pytest.raises(OmtwarpError, match="million voxels, which is the most"):
         read_mesh(tmp_path / "whole.tif")

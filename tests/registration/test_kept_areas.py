@@ -10,8 +10,8 @@ import omtwarp
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.refine.further import strain_limit
-from omtwarp.registration.areas import area_changes, areas_around, warp_energy
 from omtwarp.registration.feature_term import FeatureField, FeatureTerm
+from omtwarp.registration.strain import area_changes, areas_around, warp_energy
 
 SURFACE = folded(BALL)
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from PIL import Image
 
-from omtwarp.render.films import _scene_of, _Studio
+from omtwarp.render.films import _Studio, story_of
 
 
 def film_frames(
@@ -22,6 +22,6 @@ def film_frames(
     device="cpu",
 ) -> Iterator[Image.Image]:
     """The frames of ``film``, one after another, with the same arguments."""
-    scene = _scene_of(result, "circles", image, size[0], view, up, front, device)
+    scene = story_of(result, "circles", image, size[0], view, up, front, device)
     studio = _Studio(*scene, "white", captions, backend, device, fps)
     return studio.frames(studio.times(size[0] / size[1], seconds), size)

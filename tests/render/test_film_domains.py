@@ -33,7 +33,7 @@ def bodies(places, sizes) -> tuple[np.ndarray, np.ndarray]:
 
 def told(result, **options) -> Story:
     given = {"pattern": "circles", "image": None, "width": 96, "up": "z", "front": None, "device": "cpu"} | options
-    return story_of(result, camera=CAMERA, **given)[0]
+    return story_of(result, view=CAMERA, **given)[0]
 
 
 def assert_begins_with(story: Story, vertices, faces):

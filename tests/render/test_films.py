@@ -18,7 +18,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
 from omtwarp.render import Camera, SurfaceView, films, preview
-from omtwarp.render.films import _scene_of, along_great_circles
+from omtwarp.render.films import along_great_circles, story_of
 from omtwarp.render.subject import map_view
 from omtwarp.texturing import rasterize
 
@@ -52,7 +52,7 @@ def swept(frames: list[Image.Image]) -> np.ndarray:
 def test_no_frame_jumps(creature, monkeypatch):
     """Motion is even, and where it is fastest less than 2 % of the pixels change visibly."""
     monkeypatch.setattr(films, "PROBE_WIDTH", SIZE[0])  # a quarter of the work
-    story, shot_for = _scene_of(creature, "circles", None, 960, None, None, None, "cpu")
+    story, shot_for = story_of(creature, "circles", None, 960, None, None, None, "cpu")
     studio = films._Studio(story, shot_for, "white", False, "warp", "cpu", 15.0)
     times = studio.times(16 / 9, None)
     assert times[0] == 0.0 and times[-1] == 2.0 and times == sorted(times)
@@ -93,7 +93,7 @@ def test_the_end_is_what_a_picture_of_the_sphere_shows(creature):
     """The last frame agrees with a picture of the sphere drawn by itself, camera and light the same."""
     far = Camera(field_of_view=2.0)  # that the film stands farther away shows nowhere
     *_, last = film_frames(creature, size=(128, 128), seconds=0.5, fps=8.0, captions=False, view=far, **DRAWING)
-    story, _ = _scene_of(creature, "circles", None, 128, None, None, None, "cpu")
+    story, _ = story_of(creature, "circles", None, 128, None, None, None, "cpu")
     ball = SurfaceView(story.domain, story.faces, image=np.asarray(rasterize("circles", 1024)), sphere=creature.sphere)
     alone = preview(ball, size=(128, 128), camera=far, **DRAWING)
     other = preview(replace(ball, sphere=creature.conformal), size=(128, 128), camera=far, **DRAWING)

@@ -8,7 +8,7 @@ from standing_shapes import standing_shapes
 from omtwarp.mesh import shapes
 from omtwarp.mesh.read import read_mesh
 from omtwarp.render.scene import SurfaceView
-from omtwarp.render.upright import posed, upright
+from omtwarp.render.subject import posed, upright
 
 
 @pytest.mark.parametrize("faces", [2000, 4000, 20000])

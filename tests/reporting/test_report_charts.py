@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from omtwarp.reporting import charts
+from omtwarp.reporting import sections as charts
 
 finite = st.floats(-1e6, 1e6, allow_nan=False)
 

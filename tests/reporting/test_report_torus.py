@@ -16,7 +16,7 @@ import omtwarp
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.render.scene import SurfaceView
-from omtwarp.render.upright import posed
+from omtwarp.render.subject import posed
 from omtwarp.reporting import write_report
 from omtwarp.reporting.page import torus_scene, torus_stages
 

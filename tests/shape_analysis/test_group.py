@@ -12,15 +12,14 @@ from sphere_truths import pushed_north, random_rotation
 from trimesh.exchange.ply import load_ply
 
 import omtwarp
-from omtwarp.cohort.table import write_table
+from omtwarp.cohort.tables import write_table
 from omtwarp.commands._cli import main
 from omtwarp.measures import TargetDensity
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.shapes import hippocampus, icosphere
 from omtwarp.mesh.surface import vertex_normals
 from omtwarp.shape_analysis.distance import coefficient_distance, density_distance, shape_distance
-from omtwarp.shape_analysis.group import principal_components, study_group
-from omtwarp.shape_analysis.linear_model import linear_effects
+from omtwarp.shape_analysis.group import linear_effects, principal_components, study_group
 from omtwarp.spheres import named_grid
 
 SPHERE = icosphere(8)

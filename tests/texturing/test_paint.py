@@ -15,7 +15,7 @@ from omtwarp.mesh.surface import triangle_areas, vertex_normals
 from omtwarp.texturing import Material, PaintedMesh, paint, read_painted_mesh, unwrap_uv
 from omtwarp.texturing.bakes import Target, area_ratio, mean_curvature, occlusion
 from omtwarp.texturing.baking import over, tiled_copies
-from omtwarp.texturing.materials import corner_tangents
+from omtwarp.texturing.export import corner_tangents
 from omtwarp.texturing.patterns.checker import Checker
 from omtwarp.texturing.textured import texture
 from tests.hostile.hostile_meshes import bipyramid

@@ -12,7 +12,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.options import PatternName
 from omtwarp.texturing import pattern, patterns, rasterize
 from omtwarp.texturing.image import direction_from_angles
-from omtwarp.texturing.patterns.base import Pattern
+from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.patterns.checker import Checker
 from omtwarp.texturing.patterns.circles import STORED, Circles, stored_circles
 from omtwarp.texturing.patterns.globe import Globe, coastline_segments

@@ -1,5 +1,5 @@
 #version 330 core
-// The Warp ray caster does the same computation, with the same names, in ray_kernels.py.
+// The Warp ray caster does the same computation, with the same names, in ray_caster.py.
 // UNLIT and SINGLE_LEVEL are defined by pyrender_renderer.py, the other names by pyrender.
 
 struct Material { vec4 base_color_factor; float roughness_factor; sampler2D base_color_texture; };

@@ -3,7 +3,7 @@
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, PI, wp
 from omtwarp.errors import OmtwarpError
-from omtwarp.texturing.patterns.base import Pattern, cell_of, latitude, longitude, near_multiple, srgb_colours
+from omtwarp.texturing.patterns import Pattern, cell_of, latitude, longitude, near_multiple, srgb_colours
 
 wp.set_module_options(KERNEL_OPTIONS)
 

@@ -13,7 +13,7 @@ from omtwarp.mesh.shapes import icosphere
 from omtwarp.texturing.atlas import normalised
 from omtwarp.texturing.image import direction_from_angles
 from omtwarp.texturing.kernels import cube_face
-from omtwarp.texturing.patterns.base import Pattern, colour_groups, srgb_colours
+from omtwarp.texturing.patterns import Pattern, colour_groups, srgb_colours
 
 wp.set_module_options(KERNEL_OPTIONS)
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, PI, ZERO, wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import Floats
-from omtwarp.texturing.patterns.base import Pattern, cell_of, latitude, longitude, near_multiple, srgb_colours
+from omtwarp.texturing.patterns import Pattern, cell_of, latitude, longitude, near_multiple, srgb_colours
 
 wp.set_module_options(KERNEL_OPTIONS)
 

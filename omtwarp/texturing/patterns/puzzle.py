@@ -11,7 +11,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import Floats
 from omtwarp.texturing.atlas import CUBE_FRAMES, normalised
 from omtwarp.texturing.kernels import cube_face
-from omtwarp.texturing.patterns.base import Pattern, colour_groups, srgb_colours
+from omtwarp.texturing.patterns import Pattern, colour_groups, srgb_colours
 
 wp.set_module_options(KERNEL_OPTIONS)
 
