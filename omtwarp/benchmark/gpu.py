@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from omtwarp.benchmark.measure import LaunchRecorder, copy_bandwidth
+from omtwarp.benchmark.measure import best_of, copy_bandwidth, kernel_table
 from omtwarp.benchmark.runner import made
 from omtwarp.device import core_count
 from omtwarp.device.policy import is_cuda, resolve_device
@@ -143,18 +143,6 @@ def time_copies(device: str, _faces: int) -> Iterator[Record]:
     yield record
 
 
-def best_of(work: Callable[[], object], device: wp.Device, repeats: int = 4) -> float:
-    """Return the least seconds of some runs of work, the device's part of it included."""
-    best = np.inf
-    for _ in range(repeats):
-        wp.synchronize_device(device)
-        start = time.perf_counter()
-        work()
-        wp.synchronize_device(device)
-        best = min(best, time.perf_counter() - start)
-    return best
-
-
 def compare_graphs(device: str, faces: int) -> Iterator[Record]:
     """Compare maps whose loops are recorded as graphs with those whose loops are launched step by step."""
     surface = made("blob", faces)
@@ -188,16 +176,13 @@ def time_kernels(device: str, faces: int) -> Iterator[Record]:
     """Time every kernel of a map by itself."""
     surface = made("blob", faces)
     map_to_sphere(surface, device=device)
-    with LaunchRecorder(device) as recorder:
-        map_to_sphere((surface.vertices, surface.faces), device=device)
-    slowest = sorted(recorder.kernels.items(), key=lambda item: -item[1].seconds)[:MOST_KERNELS]
     yield {
-        name: {
-            "launches": kernel.launches,
-            "milliseconds": 1e3 * kernel.seconds,
-            "GB/s": kernel.moved / max(kernel.seconds, 1e-9) / 1e9,
+        row["name"]: {
+            "launches": row["launches"],
+            "milliseconds": 1e3 * row["seconds"],
+            "GB/s": row["bytes_per_second"] / 1e9,
         }
-        for name, kernel in slowest
+        for row in kernel_table(surface, device, None)["kernels"][:MOST_KERNELS]
     }
 
 
@@ -291,16 +276,14 @@ def plan(device: str, sizes: Sequence[int], tests: Path | None) -> list[Planned]
 def run_part(part: Planned, seconds: float) -> dict[str, object]:
     """Run a part for as many seconds at most, and return what it found: ``result``, ``error`` and ``seconds``."""
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as errors:
-        start = time.perf_counter()
-        process = subprocess.Popen(part.command, stdin=subprocess.DEVNULL, stdout=out, stderr=errors)
-        error = None
+        start, error = time.perf_counter(), ""
         try:
-            status = process.wait(seconds)
-            if status != 0:
-                error = f"exit status {status}"
+            subprocess.run(
+                part.command, stdin=subprocess.DEVNULL, stdout=out, stderr=errors, timeout=seconds, check=True
+            )
+        except subprocess.CalledProcessError as ended:
+            error = f"exit status {ended.returncode}"
         except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
             error = f"ended after {seconds:.0f} s"
         taken = time.perf_counter() - start
         said = []
@@ -308,7 +291,7 @@ def run_part(part: Planned, seconds: float) -> dict[str, object]:
             stream.seek(0)
             said.append([line for line in stream.read().decode(errors="replace").splitlines() if line.strip()])
     record: dict[str, object] = {"seconds": round(taken, 1), "result": last_record(said[0])}
-    if error is not None:
+    if error:
         record["error"] = f"{error}: {said[1][-1][:400]}" if said[1] else error
     return record
 

@@ -18,7 +18,7 @@ import subprocess
 import tempfile
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
@@ -286,14 +286,12 @@ class KernelRecord:
     """Launches of a kernel, summed.
 
     Attributes:
-        module: where it is defined.
         launches: how many.
         threads: of all launches.
         seconds: time spent in it.
         moved: bytes it had to read and write.
     """
 
-    module: str
     launches: int = 0
     threads: int = 0
     seconds: float = 0.0
@@ -342,7 +340,7 @@ class LaunchRecorder:
         threads = int(np.prod(dim))
         with self._lock:
             name = f"{kernel.module.name.removeprefix('omtwarp.')}.{kernel.key}"
-            record = self.kernels.setdefault(name, KernelRecord(kernel.module.name))
+            record = self.kernels.setdefault(name, KernelRecord())
             record.launches += 1
             record.threads += threads
             if f"{kernel.module.name}.{kernel.key}" not in LISTED:
@@ -381,20 +379,24 @@ def moved_bytes(threads: int, arguments: Sequence[object]) -> int:
     return total
 
 
-def copy_bandwidth(device: str, megabytes: int = 256, repeats: int = 5) -> float:
+def best_of(work: Callable[[], object], device: wp.Device, repeats: int = 4) -> float:
+    """Return the least seconds of some runs of work, the device's part of it included."""
+    best = np.inf
+    for _ in range(repeats):
+        wp.synchronize_device(device)
+        start = time.perf_counter()
+        work()
+        wp.synchronize_device(device)
+        best = min(best, time.perf_counter() - start)
+    return best
+
+
+def copy_bandwidth(device: str, megabytes: int = 256) -> float:
     """Return the bytes per second, read and written, of the fastest of some plain copies on a device."""
     where = wp.get_device(device)
     count = megabytes * 2**20 // 8
     source, target = (wp.full(count, 1.0, dtype=wp.float64, device=where) for _ in range(2))
-    wp.copy(target, source)
-    best = np.inf
-    for _ in range(repeats):
-        wp.synchronize_device(where)
-        start = time.perf_counter()
-        wp.copy(target, source)
-        wp.synchronize_device(where)
-        best = min(best, time.perf_counter() - start)
-    return 16.0 * count / best
+    return 16.0 * count / best_of(lambda: wp.copy(target, source), where)
 
 
 def kernel_table(surface: Surface, device: str, refine: str | float | None) -> Facts:

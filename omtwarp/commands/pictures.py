@@ -6,7 +6,7 @@ import time
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -26,10 +26,6 @@ from omtwarp.commands._streams import input_file, progress_bar, step_times
 from omtwarp.commands._work import map_from, show_each, start_device, targets_of
 from omtwarp.errors import OmtwarpError
 from omtwarp.options import BACKGROUND, FILM_RATE, PICTURE_SIZE, Backend, Device, MapOptions
-
-if TYPE_CHECKING:
-    from omtwarp.render import Camera
-
 
 DEFAULT_SIZE = size_text(PICTURE_SIZE)
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".gif", ".mp4")
@@ -60,41 +56,26 @@ class Lens:
     field_of_view: float = 24.0
     projection: CameraProjection = CameraProjection.PERSPECTIVE
 
-    def camera(self) -> Camera:
-        """Return a camera with this lens."""
-        from omtwarp.render import Camera
-
-        return Camera(zoom=self.zoom, field_of_view=self.field_of_view, projection=self.projection.value)
-
 
 @dataclass(frozen=True)
 class PictureLook:
-    """What a picture shows beside the surface's own colours.
+    """What a picture shows beside the surface's own colours, and how the surface stands.
 
     Options:
+        up (AXIS): The axis that points upwards: y, z, -x, ...; guessed by default.
+        front (AXIS): The axis that points at the viewer in the front view.
         light: Lights; flat shows the colours themselves.
         transparent: Leave the background out.
         wireframe: Draw the triangles' edges.
         background (COLOUR|studio): Colour behind the surface.
     """
 
+    up: str | None = None
+    front: str | None = None
     light: LightName = LightName.STUDIO
     background: str = BACKGROUND
     transparent: bool = False
     wireframe: bool = False
-
-
-@dataclass(frozen=True)
-class Standing:
-    """How the surface stands.
-
-    Options:
-        up (AXIS): The axis that points upwards: y, z, -x, ...; guessed by default.
-        front (AXIS): The axis that points at the viewer in the front view.
-    """
-
-    up: str | None = None
-    front: str | None = None
 
 
 def run_preview(
@@ -105,7 +86,6 @@ def run_preview(
     size: Annotated[str, typer.Option(metavar="WIDTHxHEIGHT", callback=picture_size)] = DEFAULT_SIZE,
     view: list[str] | None = None,
     lens: Lens,
-    standing: Standing,
     look: PictureLook,
     image: Path | None = None,
     frames: Annotated[int | None, typer.Option(min=1)] = None,
@@ -132,7 +112,7 @@ def run_preview(
         size: Size of the picture in pixels.
         backend: What draws: OpenGL or the ray caster.
     """
-    from omtwarp.render import preview
+    from omtwarp.render import Camera, preview
 
     given = subjects or []
     if (not given and finished is None) or (len(given) == 1 and finished is not None):
@@ -148,13 +128,12 @@ def run_preview(
                 target,
                 size=as_size(size),
                 views=(view[0] if len(view) == 1 else view) if view else None,
-                camera=lens.camera(),
+                camera=Camera(**vars(lens)),
                 image=image,
                 frames=frames,
                 fps=fps,
                 backend=backend,
                 device=device,
-                **vars(standing),
                 **vars(look),
             )
             done("draw")

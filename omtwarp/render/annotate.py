@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from omtwarp.colors import backdrop, colormap_table
-from omtwarp.mesh.arrays import Bytes
+from omtwarp.mesh.arrays import ROUND_OFF, Bytes
 from omtwarp.render.scene import ScalarField
 
 
@@ -85,7 +87,7 @@ def draw_color_bar(image: Image.Image, scalar: ScalarField, color: tuple[int, in
 
 
 def ticks(low: float, high: float, logarithmic: bool = False) -> list[float]:
-    """Round values between two limits, about five of them: multiples of 1, 2 or 5 times a power of ten."""
+    """Round values between two limits, about five of them: multiples of 1, 2, 2.5 or 5 times a power of ten."""
     # Steps: a value that is so near to a tick, as a quotient of rounded numbers is, is the tick.
     near = 1e-9
     if logarithmic:
@@ -96,11 +98,19 @@ def ticks(low: float, high: float, logarithmic: bool = False) -> list[float]:
             if len(inside) >= 4:
                 return inside[:: max(1, len(inside) // 6)]
         # Less than a factor of two or so: the logarithm is nearly straight.
-    raw = (high - low) / 5.0
-    power = 10.0 ** np.floor(np.log10(raw))
-    step = next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= raw * 0.999)
-    first_step, last_step = int(np.ceil(low / step - near)), int(np.floor(high / step + near))
-    return [float(k * step) for k in range(first_step, last_step + 1)]
+    room = near * (high - low)
+    return [value for value in nice_ticks(low, high, 5) if low - room <= value <= high + room]
+
+
+def nice_ticks(low: float, high: float, count: int) -> list[float]:
+    """Round numbers from at or below ``low`` to at or above ``high``."""
+    near = 1e-9  # steps: a value that is so near to a tick, as a quotient of rounded numbers is, is the tick
+    span = max(high - low, ROUND_OFF, near * max(abs(low), abs(high)))
+    raw = span / count
+    unit = 10.0 ** math.floor(math.log10(raw))
+    step = next(unit * m for m in (1, 2, 2.5, 5, 10) if unit * m >= raw * (1 - near))
+    first, last = math.floor(low / step + near), math.ceil(high / step - near)
+    return [k * step for k in range(first, max(last, first + 1) + 1)]
 
 
 def grid(

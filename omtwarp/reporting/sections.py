@@ -13,8 +13,9 @@ from typing import cast
 import numpy as np
 
 from omtwarp.maps.result import MapReport
-from omtwarp.mesh.arrays import ROUND_OFF, TINY, Floats
+from omtwarp.mesh.arrays import TINY, Floats
 from omtwarp.options import Record
+from omtwarp.render.annotate import nice_ticks
 from omtwarp.reporting.markup import Markup, element, html, join
 from omtwarp.reporting.scene import log2_angle_ratio, log2_area_ratio
 from omtwarp.reporting.stages import Stage
@@ -203,16 +204,6 @@ class _Plot:
                 parts.append(element("text", name, class_="tick", x=self.x(tick), y=below, text_anchor="middle"))
         below = f"{self.bottom + 36:.0f}"
         return [*parts, element("text", x_label, class_="axis-name", x=self.right, y=below, text_anchor="end")]
-
-
-def nice_ticks(low: float, high: float, count: int) -> list[float]:
-    """Round numbers from at or below ``low`` to at or above ``high``."""
-    span = max(high - low, ROUND_OFF, ROUND * max(abs(low), abs(high)))
-    raw = span / count
-    unit = 10.0 ** math.floor(math.log10(raw))
-    step = next(unit * m for m in (1, 2, 2.5, 5, 10) if unit * m >= raw * (1 - ROUND))
-    first, last = math.floor(low / step + ROUND), math.ceil(high / step - ROUND)
-    return [k * step for k in range(first, max(last, first + 1) + 1)]
 
 
 def _svg(height: float, title: str, description: str, parts: Sequence[Markup]) -> Markup:

@@ -95,12 +95,7 @@ def shape_distance(
     alignment = align(first, second, check=False)
     whole = first.closed(), second.closed()
     spheres = unit_sphere(whole[0].sphere) @ alignment.rotation.T, whole[1].sphere
-    coefficients = [
-        expand(sphere, one.vertices, degree, faces=one.faces).coefficients[1:]
-        for sphere, one in zip(spheres, whole, strict=True)
-    ]
-    if scale:
-        coefficients = [numbers * np.sqrt(SPHERE_AREA / (numbers**2).sum()) for numbers in coefficients]
+    coefficients = [_coefficients(*side, degree, scale) for side in zip(spheres, whole, strict=True)]
     apart = coefficient_distance(*coefficients)
     ways = []
     for done, ends in enumerate(((first, second), (second, first)), 1):
@@ -109,6 +104,12 @@ def shape_distance(
     tell(progress, "distance", 3, 3, {})
     there, back = ways
     return ShapeDistance(apart, (there + back) / 2.0, there, back, alignment.score)
+
+
+def _coefficients(sphere: Floats, one: HasTriangles, degree: int, scale: bool) -> Floats:
+    """Return the coefficients of a surface without its place, and without its size where it is scaled."""
+    numbers = expand(sphere, one.vertices, degree, faces=one.faces).coefficients[1:]
+    return numbers * np.sqrt(SPHERE_AREA / (numbers**2).sum()) if scale else numbers
 
 
 def coefficient_distance(first: Floats, second: Floats) -> float:
@@ -183,10 +184,9 @@ def distance_matrix(spheres: list[Floats], maps: Sequence[HasTriangles], degree:
     coefficients = []
     for k, (sphere, one) in enumerate(zip(spheres, maps, strict=True)):
         try:
-            numbers = expand(sphere, one.vertices, degree, faces=one.faces).coefficients[1:]
+            coefficients.append(_coefficients(sphere, one, degree, scale))
         except OmtwarpError as error:
             raise OmtwarpError(f"map {k + 1}: {error}") from None
-        coefficients.append(numbers * np.sqrt(SPHERE_AREA / (numbers**2).sum()) if scale else numbers)
     out = np.zeros((len(maps), len(maps)))
     for i, numbers in enumerate(coefficients):
         for j in range(i):

@@ -11,7 +11,6 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh.arrays import TINY, Floats, Ints
 from omtwarp.mesh.surface import plane_areas, triangle_areas
-from omtwarp.options import Domain
 from omtwarp.texturing.atlas import CUBE_FRAMES
 from omtwarp.texturing.export import Material
 from omtwarp.texturing.painted import PaintedMesh
@@ -40,10 +39,9 @@ def unwrap_uv(
     Every triangle belongs to one chart as a whole: no vertex is added, and charts have jagged borders, a triangle wide.
     All charts are at one scale and apart from each other, and no triangle overlaps another. What the charts are:
 
-    * On the sphere the faces of the cube, in three by two cells where it is covered. A triangle belongs to the one in
-      which its centroid lies, a long one to the one that contains it best. Angles from the middle of a chart are linear
-      on the picture, so that its texels are of nearly the same size all over the sphere, and on the surface where the
-      map preserves areas.
+    * On the sphere the faces of the cube. A triangle belongs to the one in which its centroid lies, a long one to the
+      one that contains it best. Angles from the middle of a chart are linear on the picture, so that its texels are of
+      nearly the same size all over the sphere, and on the surface where the map preserves areas.
     * With several parts, each on a sphere of its own, the charts of all of them, in proportion to the parts' areas.
     * Of a map to the disk, the disk: one chart without a cut, or one for each part.
     * Of a map to a torus, a rectangle that one of the lattice's vectors bounds, cut across into as many equal strips
@@ -87,7 +85,6 @@ def laid_out(
     """
     if not ASPECTS[0] <= aspect <= ASPECTS[1] or not 0.0 <= margin <= MOST_MARGIN:
         raise OmtwarpError(f"aspect {aspect}, margin {margin}: give 0.1 to 10, and 0 to 0.1")
-    place = _packed
     if isinstance(result, TorusMap):
         vertices, faces = result.vertices, result.faces
         charts = _strips(result, aspect)
@@ -100,15 +97,13 @@ def laid_out(
             charts = _disks(vertices, faces, disk, parts)
         else:
             charts = _cubes(vertices, faces, sphere, parts)
-            whole = number is None and getattr(result, "domain", Domain.SPHERE) == Domain.SPHERE
-            place = _in_cells if whole else _packed
     turned = plane_areas(charts[0]) <= 0
     if turned.any():
         raise OmtwarpError(
             f"{turned.sum()} of {len(faces)} faces are flipped or without area in the map, first face "
             f"{int(np.argmax(turned))}: remake the map"
         )
-    mesh = PaintedMesh(vertices, faces, place(charts, aspect, margin), (Material("surface"),))
+    mesh = PaintedMesh(vertices, faces, _packed(charts, aspect, margin), (Material("surface"),))
     return mesh, len(np.unique(charts[1]))
 
 
@@ -185,41 +180,16 @@ def _angles(corners: Floats, chart: NDArray[np.intp]) -> Floats:
     return np.arctan2(local[..., 1:], local[..., :1])
 
 
-def _boxes(charts: _Charts) -> tuple[Floats, Floats]:
-    """Return the lower and upper corners of the charts' boxes, shape [C, 2]; zero where a chart is empty."""
+def _packed(charts: _Charts, aspect: float, margin: float) -> Floats:
+    """Return the coordinates of charts, on shelves in the picture."""
     plane, number = charts
-    count = int(number.max(initial=0)) + 1
-    low, high = np.zeros((count, 2)), np.zeros((count, 2))
     order = np.argsort(number, kind="stable")
     numbers, first = np.unique(number[order], return_index=True)
-    low[numbers] = np.minimum.reduceat(plane.min(axis=1)[order], first)
-    high[numbers] = np.maximum.reduceat(plane.max(axis=1)[order], first)
-    return low, high
-
-
-def _in_cells(charts: _Charts, aspect: float, margin: float) -> Floats:
-    """Return the coordinates of the faces of one cube: each chart in the middle of one of three by two cells."""
-    plane, number = charts
-    low, high = _boxes(charts)
-    cell = np.array([aspect / 3.0, 0.5])
-    inner = cell - 2.0 * margin
-    if (inner <= 0).any():
-        raise OmtwarpError(f"a margin of {margin} leaves no room for charts")
-    scale = float((inner / np.maximum((high - low).max(axis=0), TINY)).min())
-    corner = np.stack([number % 3, 1 - number // 3], axis=1)
-    centre = (corner + 0.5) * cell
-    moved = (plane - (0.5 * (low + high))[number][:, None, :]) * scale + centre[:, None, :]
-    return moved / (aspect, 1.0)
-
-
-def _packed(charts: _Charts, aspect: float, margin: float) -> Floats:
-    """Return the coordinates of any charts, on shelves in the picture."""
-    plane, number = charts
-    numbers, which = np.unique(number, return_inverse=True)
-    low, high = _boxes(charts)
-    corner, scale = pack_rows((high - low)[numbers], aspect, margin)
-    moved = (plane - low[number][:, None, :]) * scale + corner[which][:, None, :]
-    return moved / (aspect, 1.0)
+    which = np.searchsorted(numbers, number)
+    low = np.minimum.reduceat(plane.min(axis=1)[order], first)
+    high = np.maximum.reduceat(plane.max(axis=1)[order], first)
+    corner, scale = pack_rows(high - low, aspect, margin)
+    return ((plane - low[which, None]) * scale + corner[which, None]) / (aspect, 1.0)
 
 
 def pack_rows(sizes: Floats, width: float, margin: float, least: Floats | float = 0.0) -> tuple[Floats, float]:
