@@ -20,8 +20,14 @@ import os
 import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+T = TypeVar("T")
 ROOT = Path(__file__).resolve().parent
 VENV = ROOT / ".venv"
 GL = ROOT / ".gl"
@@ -34,6 +40,7 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 EXTRAS = {"test": "test", "gpu": "test,cuda"}  # of every other command: preview
 WHEELS = ROOT / "wheels"  # what `gpu` installs from without a network, where it is there; see docs/performance.md
 NO_CARD = 3  # exit status of `gpu` without a card
+INTERRUPTED = {130, 143}  # exit statuses
 
 
 class SetupError(Exception):
@@ -53,6 +60,8 @@ def main(arguments: list[str]) -> int:
         if sys.version_info < (3, 11):  # noqa: UP036 (this script is the one that meets an older Python)
             raise SetupError(f"Python 3.11 or newer is needed, this is {sys.version.split()[0]}")
         make_environment()
+        if command == "test":
+            return test(options)
         if command == "gpu" and WHEELS.is_dir():
             install_wheels(WHEELS)
         else:
@@ -65,35 +74,47 @@ def main(arguments: list[str]) -> int:
     environment.setdefault("WARP_CACHE_PATH", str(ROOT / ".warp"))
     if command == "gpu":
         return run(["-m", "omtwarp.benchmark.gpu", "--tests", str(ROOT / "tests"), *options], environment)
-    if command == "test":
-        browser()
-        node_packages()
-        return test(options, environment)
     return run(["-m", "omtwarp", command, *options], environment)
 
 
-def test(options: list[str], environment: dict[str, str]) -> int:
-    """Everything that has to be green, the quickest first; a later step still runs after one that failed."""
+def test(options: list[str]) -> int:
+    """Set up and check everything that has to be green; a later step still runs after one that failed."""
+    environment = {"WARP_CACHE_PATH": str(ROOT / ".warp"), **os.environ}
     # Two processes share two cores: threads of a linear algebra library inside them would only get in each other's way.
     environment |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    steps = {
+    # Tests start some hundred processes, each of which would compile the package's modules again.
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
+    checks = {
         "lint": ["-m", "ruff", "check", "."],
         "format": ["-m", "ruff", "format", "--check", "."],
         "types": ["-m", "mypy"],
-        "dead code": ["-m", "vulture"],
         # Each test process would compile every kernel for itself: compile them once before.
         "kernels": ["-m", "omtwarp.device.prewarm"],
-        "tests": ["-m", "pytest", "-n", "2", "--dist", "worksteal", *options],
-        "size": [".ci/count.py"],
+        "dead code": ["-m", "vulture"],
     }
+    steps = {"tests": ["-m", "pytest", "-n", "2", "--dist", "worksteal", *options], "size": [".ci/count.py"]}
     failed = {}
+    with ThreadPoolExecutor() as network, ThreadPoolExecutor(2) as cores:
+        # Packages of the system, of node and of Python wait for the network, and only the checks need the last of them.
+        libraries, readers = network.submit(system_packages), network.submit(node_packages)
+        install("test")
+        begun = {name: cores.submit(quiet, [PYTHON, *check], ROOT, environment) for name, check in checks.items()}
+        for name, check in checks.items():
+            done = until_the_end(begun[name].result)
+            say(f"{name}: python {' '.join(check)}")
+            print(done.stdout, end="", flush=True)
+            if status := exit_status(done.returncode):
+                failed[name] = status
+        environment |= until_the_end(libraries.result)
+        until_the_end(readers.result)
     for name, step in steps.items():
+        if INTERRUPTED & set(failed.values()):
+            break
         say(f"{name}: python {' '.join(step)}")
-        status = run(step, environment)
-        if status in (130, 143):  # interrupted
-            return status
-        if status:
+        if status := run(step, environment):
             failed[name] = status
+    if interrupted := INTERRUPTED & set(failed.values()):
+        return interrupted.pop()
     say(f"failed: {', '.join(failed)}" if failed else "all green")
     return next(iter(failed.values()), 0)
 
@@ -133,8 +154,14 @@ def install(extras: str) -> None:
     if any(mark.exists() and mark.read_text() == state for mark in marks):
         return
     say(f"installing omtwarp[{extras}] and its dependencies (the first time only; a minute or so)")
-    command = [PYTHON, "-m", "pip", "install", "-qq", "--disable-pip-version-check", "-e", f".[{extras}]"]
-    if subprocess.call([str(word) for word in command], cwd=ROOT) != 0:
+    pip = [str(PYTHON), "-m", "pip", "install", "-qq", "--disable-pip-version-check"]
+    what = ["-e", f".[{extras}]"]
+    # uv takes half a minute where pip takes three, but does not read pip's settings, which some networks need.
+    uv = [PYTHON, "-m", "uv", "pip", "install", "--python", PYTHON, *what]
+    if extras != "test":
+        uv.append("--compile-bytecode")  # most of what tests need is never imported, the rest compiled when it is
+    by_uv = quiet([*pip, "uv"]).returncode == 0 and quiet(uv, ROOT).returncode == 0
+    if not by_uv and subprocess.call([*pip, *what], cwd=ROOT) != 0:
         raise SetupError("pip could not install the dependencies (its message is above); is there a network?")
     stamp(extras).write_text(state)
 
@@ -198,6 +225,12 @@ def opengl() -> dict[str, str]:
         "LIBGL_DRIVERS_PATH": str(library / "dri"),
         "__EGL_VENDOR_LIBRARY_DIRS": str(GL / "usr/share/glvnd/egl_vendor.d"),
     }
+
+
+def system_packages() -> dict[str, str]:
+    """See to what the tests need of the system, one after the other: apt-get refuses to run twice at a time."""
+    browser()
+    return opengl()
 
 
 def browser() -> None:
@@ -284,18 +317,31 @@ def run(arguments: list[str], environment: dict[str, str]) -> int:
     where = ROOT if arguments[:2] != ["-m", "omtwarp"] else None
     safe = [] if where else ["-P"]  # the caller's directory is no place for modules
     process = subprocess.Popen([str(PYTHON), *safe, *arguments], env=environment, cwd=where)
+    return exit_status(until_the_end(process.wait))
+
+
+def exit_status(returned: int) -> int:
+    """What a shell makes of a process's end."""
+    return returned if returned >= 0 else 128 - returned
+
+
+def until_the_end(wait: Callable[[], T]) -> T:
+    """Wait for a process on Ctrl-C too: the terminal has sent it to the process as well, which ends in its own way."""
     while True:
         try:
-            status = process.wait()
-            return status if status >= 0 else 128 - status
+            return wait()
         except KeyboardInterrupt:
-            pass  # the terminal has sent it to the process as well, which ends in its own way
+            pass
 
 
-def quiet(command: list) -> subprocess.CompletedProcess:
-    """Run something whose output matters only if it fails."""
+def quiet(
+    command: list, cwd: Path | None = None, environment: dict[str, str] | None = None
+) -> subprocess.CompletedProcess:
+    """Run something whose output is looked at when it has ended."""
     return subprocess.run(
         [str(word) for word in command],
+        cwd=cwd,
+        env=environment,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
