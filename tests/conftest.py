@@ -77,6 +77,14 @@ def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
+def short_warps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Take few steps in registrations, where a test is not about how well these do."""
+    from small_pictures import shorten
+
+    shorten(monkeypatch.setattr)
+
+
+@pytest.fixture
 def items_here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Compute items of cohorts in this process, where a test is not about processes, which take a second to begin."""
     from omtwarp.cohort.executors import Host

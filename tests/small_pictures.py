@@ -1,15 +1,19 @@
 """Pictures of few pixels where a command chooses their size: on pages, of the demo, and films of registrations.
 
-For tests of what commands take and write, here and in processes of their own; how pictures look has tests of its own.
+For tests of what commands take and write, here and in processes of their own; how pictures look and how well features
+meet have tests of their own.
 """
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable
 from functools import partial
 
+Put = Callable[[object, str, object], None]
 
-def shrink(put: Callable[[object, str, object], None] = setattr) -> None:
+
+def shrink(put: Put = setattr) -> None:
     """Draw less for pages, the demo and films of registrations.
 
     Args:
@@ -35,3 +39,17 @@ def shrink(put: Callable[[object, str, object], None] = setattr) -> None:
     sized(reports, "film", (16, 16), seconds=0.2, fps=2, backend="warp")
     for name in ("preview", "comparison"):
         put(pictures, name, partial(getattr(pictures, name), size=(48, 36)))
+
+
+def shorten(put: Put = setattr) -> None:
+    """Warp features by one step at each of two levels, from one start, on a coarse grid."""
+    warp, register, sides = (
+        importlib.import_module(f"omtwarp.registration.{name}") for name in ("warp", "register", "sides")
+    )
+    put(warp, "ITERATIONS", 1)
+    put(warp, "FEATURE_GRID", 8)
+    put(warp, "MATCHED_GRID", 2)
+    put(warp, "PLACES", 4)
+    put(sides, "STARTS", 1)
+    for name, levels in (("COARSE", warp.COARSE), ("MATCHED", warp.COARSE), ("FINE", warp.FINE)):
+        put(register, name, levels[:1])

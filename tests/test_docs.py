@@ -23,7 +23,6 @@ from omtwarp.commands._cli import main
 from omtwarp.mesh import shapes
 from omtwarp.mesh.data import VertexData, write_data
 from omtwarp.mesh.write import write_mesh
-from omtwarp.registration import warp
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -136,10 +135,8 @@ def run_command(words: list[str]) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_commands_of_page_run(page, desk, monkeypatch, small_pictures, items_here):
-    """As they are, but warps take one step a level on a coarse grid, and pictures without a size are small."""
-    monkeypatch.setattr(warp, "ITERATIONS", 1)
-    monkeypatch.setattr(warp, "FEATURE_GRID", 8)
+def test_commands_of_page_run(page, desk, small_pictures, short_warps, items_here):
+    """As they are, but warps take few steps on a coarse grid, and pictures without a size are small."""
     commands = [
         c for block in blocks_of(page.read_text("utf-8")) if block.language in COMMANDS for c in commands_of(block)
     ]

@@ -14,7 +14,6 @@ from PIL import Image
 from omtwarp.commands._cli import SUMMARIES, app_of, main
 from omtwarp.mesh import shapes
 from omtwarp.mesh.write import write_mesh
-from omtwarp.registration import warp
 
 # A command line of each command, to which options are added.
 LINES = {
@@ -284,13 +283,11 @@ def test_every_command_has_a_line():
 
 
 @pytest.mark.parametrize("command", LINES)
-def test_every_value_of_every_option_works(place, capsys, monkeypatch, small_pictures, items_here, command):
+def test_every_value_of_every_option_works(place, capsys, small_pictures, short_warps, items_here, command):
     """No line of any value ends in an error.
 
-    Warps take one step at a level on a coarse grid: how well they do is tested elsewhere.
+    Warps take few steps on a coarse grid: how well they do is tested elsewhere.
     """
-    monkeypatch.setattr(warp, "ITERATIONS", 1)
-    monkeypatch.setattr(warp, "FEATURE_GRID", 8)
     failed = {}
     for words in every_line(command):
         shutil.rmtree("cohort", ignore_errors=True)

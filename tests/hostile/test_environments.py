@@ -115,10 +115,9 @@ commands, settings, loaded, tests = json.loads(sys.argv[1])
 if loaded:
     # Small pictures and few steps, which otherwise take most of the time.
     sys.path.append(tests)
-    importlib.import_module("small_pictures").shrink()
-    register, warp = (importlib.import_module("omtwarp.registration." + name) for name in ("register", "warp"))
-    warp.ITERATIONS, warp.FEATURE_GRID = 1, 4
-    register.COARSE, register.FINE, register.STARTS = register.COARSE[:1], register.FINE[:1], 1
+    small = importlib.import_module("small_pictures")
+    small.shrink()
+    small.shorten()
     for words in commands:  # loads the modules and kernels of each
         sys.argv[1:] = words
         try:

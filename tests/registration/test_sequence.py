@@ -119,9 +119,11 @@ def test_own_features_take_the_place_of_folds(files, tmp_path):
 def test_an_interrupted_run_goes_on(files, done, tmp_path, monkeypatch):
     found = done[1]
 
+    files = files[:3]
+
     def interrupted(stage, step, steps, info):
-        assert (stage, steps) == ("sequence", STEPS)
-        if step == 3:
+        assert (stage, steps) == ("sequence", 2)
+        if step == 1:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -129,9 +131,9 @@ def test_an_interrupted_run_goes_on(files, done, tmp_path, monkeypatch):
     calls, step = [], sequence._step
     monkeypatch.setattr(sequence, "_step", lambda *a: calls.append(1) or step(*a))
     again = register_sequence(files, tmp_path)
-    assert len(calls) == STEPS - 3
-    np.testing.assert_allclose(again.area, found.area, atol=1e-9)
-    assert [row["id"] for row in csv.DictReader((tmp_path / "table.csv").open())] == list(found.names[1:])
+    assert len(calls) == 1
+    np.testing.assert_allclose(again.area, found.area[:3], atol=1e-9)
+    assert [row["id"] for row in csv.DictReader((tmp_path / "table.csv").open())] == list(found.names[1:3])
     assert not (tmp_path / ".steps").exists()
 
 
