@@ -34,14 +34,14 @@ def test_a_whole_pass_on_the_cpu(tmp_path, capsys, monkeypatch):
 
     Parts run in this process, but for the shortest: a new one takes more than a second to begin.
     """
-    run_part, module = gpu.run_part, [sys.executable, "-P", "-m", gpu_parts.__name__]
+    run_part, module = gpu.run_part, [sys.executable, "-P", "-m", gpu.__name__]
 
-    def run_here(part: gpu.Part, seconds: float) -> dict[str, object]:
+    def run_here(part: gpu.Planned, seconds: float) -> dict[str, object]:
         assert part.command[:4] == module
         if part.name == "copies":
             return run_part(part, seconds)
         before = capsys.readouterr().out
-        assert gpu_parts.main(part.command[4:]) == 0
+        assert gpu.main(part.command[4:]) == 0
         found = capsys.readouterr().out
         print(before, end="")
         return {"seconds": 0.0, "result": gpu.last_record(found.splitlines())}
