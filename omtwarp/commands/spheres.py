@@ -264,8 +264,8 @@ class Strength:
     """
 
     keep_areas: str = "0"
-    stiffness: float = 0.44
-    max_strain: float = 1.1
+    stiffness: float = 0.59
+    max_strain: float = 1.12
 
     def keywords(self) -> dict[str, float | str]:
         """Return the options as functions take them, which refuse a text for areas unless it is ``exact``."""

@@ -19,7 +19,7 @@ from omtwarp.solvers.poisson import edge_laplacian
 
 Floats = NDArray[np.float64]
 
-FOLDING_WEIGHTS = {"sulc": 1.0, "curv": 0.52}
+FOLDING_WEIGHTS = {"sulc": 1.0, "curv": 0.48}
 """Of the two features in registration: curvature, with most of its detail where folds differ, counts about half."""
 
 AREA = 1e5  # mm²

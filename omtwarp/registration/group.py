@@ -209,8 +209,8 @@ def register_group(
     *,
     features: Mapping[str, Files] | None = None,
     rounds: int = ROUNDS,
-    stiffness: float = 0.44,
-    max_strain: float = 1.1,
+    stiffness: float = 0.59,
+    max_strain: float = 1.12,
     keep_areas: float | str = 0.0,
     progress: Progress | None = None,
 ) -> GroupRegistration:

@@ -144,8 +144,8 @@ def register(
     features: Mapping[str, ArrayLike] | None = None,
     to_features: Mapping[str, ArrayLike] | None = None,
     feature_weights: Mapping[str, float] | None = None,
-    stiffness: float = 0.44,
-    max_strain: float = 1.1,
+    stiffness: float = 0.59,
+    max_strain: float = 1.12,
     landmarks: LandmarksLike | None = None,
     keep_areas: float | str = 0.0,
     progress: Progress | None = None,
@@ -153,7 +153,7 @@ def register(
     """Warp a map's sphere so that features of its surface lie where they lie on another sphere.
 
     Minimised is the sum over features of weight times mean squared difference on the target, plus ``stiffness`` / 2
-    times the mean distortion of triangles between the sphere before and after, R + 1/R - 2 + 4.5 (D + 1/D - 2) of the
+    times the mean distortion of triangles between the sphere before and after, R + 1/R - 2 + 3 (D + 1/D - 2) of the
     ratios of stretches and areas, with a barrier that keeps it below what ``max_strain`` allows. It is minimised coarse
     to fine on grids, from two starts, of which the one with less energy after the coarse levels is taken: the rotation
     under which the features agree best, and a match of places around which they look alike, found by a discrete
@@ -171,7 +171,7 @@ def register(
         features: numbers per vertex of the map, by name, shape [V] each; with ``to_features`` of the same names they
             take the place of sulcal depth and curvature of the two surfaces.
         to_features: the same for the target.
-        feature_weights: by name; 1 for those left out, 0.52 for the curvature of the surfaces.
+        feature_weights: by name; 1 for those left out, 0.48 for the curvature of the surfaces.
         stiffness: λ. More leaves less strain and less agreement.
         max_strain: bound of |log2| of the ratio of areas, and of the ratio of the two stretches, of every triangle.
         landmarks: points and curves that correspond (:class:`Landmark`), or a file of them

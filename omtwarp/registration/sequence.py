@@ -59,8 +59,8 @@ def register_sequence(
     folder: str | os.PathLike[str],
     *,
     features: Mapping[str, Files] | None = None,
-    stiffness: float = 0.44,
-    max_strain: float = 1.1,
+    stiffness: float = 0.59,
+    max_strain: float = 1.12,
     keep_areas: float | str = 0.0,
     progress: Progress | None = None,
 ) -> SequenceRegistration:
