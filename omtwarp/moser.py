@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, THREE, TWO, ZERO, wp
-from omtwarp.device.sums import sums_for
 from omtwarp.device.threads import FIRST_THREAD, blas_threads, each, launch_parts
 from omtwarp.geometry.spherical import TINY
 from omtwarp.location import walk
 from omtwarp.measures import TargetDensity
 from omtwarp.mesh.arrays import Floats
-from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, as_sphere, as_surface
+from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, as_sphere, as_surface, triangle_areas
 from omtwarp.options import Progress, Record, tell
-from omtwarp.solvers.poisson import PoissonSolver, cotangent_solver, solve_arrays
+from omtwarp.solvers.poisson import PoissonSolver, cotangent_solver
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -50,67 +50,6 @@ def velocity_at(
     v = (ONE / (density + growth + growth * more)) * v
     size = w[0] * sizes[face[0]] + w[1] * sizes[face[1]] + w[2] * sizes[face[2]]
     return v - wp.dot(v, p) * p, size, f
-
-
-@wp.kernel
-def face_areas(
-    points: wp.array[wp.vec3d],
-    faces: wp.array[wp.vec3i],
-    # Data out:
-    areas: wp.array[wp.float64],
-):
-    f = wp.tid()
-    face = faces[f]
-    p0 = points[face[0]]
-    areas[f] = HALF * wp.length(wp.cross(points[face[1]] - p0, points[face[2]] - p0))
-
-
-@wp.kernel
-def target_masses(
-    areas: wp.array[wp.float64],
-    faces: wp.array[wp.vec3i],
-    target: wp.array[wp.float64],
-    # Data out:
-    masses: wp.array[wp.float64],
-):
-    """Integrate a density, linear between the vertices, over every triangle."""
-    f = wp.tid()
-    face = faces[f]
-    masses[f] = areas[f] * (target[face[0]] + target[face[1]] + target[face[2]]) / THREE
-
-
-@wp.kernel
-def sources_and_density(
-    areas: wp.array[wp.float64],
-    total: wp.array[wp.float64],
-    wanted: wp.array[wp.float64],
-    wanted_total: wp.array[wp.float64],
-    sphere_area: wp.float64,
-    masses: wp.array[wp.float64],
-    offsets: wp.array[wp.int32],
-    corners: wp.array[wp.int32],
-    # Data out:
-    sources: wp.array[wp.float64],
-    mu: wp.array[wp.float64],
-    excess: wp.array[wp.float64],
-):
-    """Compute the mass less the mass wanted at vertices, and both over the area on the sphere, the second less 1.
-
-    Areas and masses wanted are those of triangles, scaled to 4π. Where they are the same array ``excess`` is exactly 0.
-    """
-    v = wp.tid()
-    scale = sphere_area / total[0]
-    wanted_scale = sphere_area / wanted_total[0]
-    around = wp.float64(0.0)
-    wanted_around = wp.float64(0.0)
-    for k in range(offsets[v], offsets[v + 1]):
-        around += areas[corners[k] // 3] * scale
-        wanted_around += wanted[corners[k] // 3] * wanted_scale
-    around = around / THREE
-    wanted_around = wanted_around / THREE
-    sources[v] = masses[v] - wanted_around
-    mu[v] = wp.min(masses[v] / around, LARGE)
-    excess[v] = wp.min(wanted_around / around - ONE, LARGE)
 
 
 @wp.kernel
@@ -285,27 +224,24 @@ def moser_map(
     surface = as_surface(surface)
     where = resolve_device(device)
     tell(progress, "moser", 0, parts, {})
-    vertices, triangles = surface.vertex_count, surface.face_count
+    vertices = surface.vertex_count
     points = vectors(as_sphere(sphere, surface), where)
     mesh = surface.on(where)
     faces, rows = mesh.faces, mesh.vertex_corners
     if solver is None:
         solver = cotangent_solver(surface, points)
     tell(progress, "moser", 2, parts, {})
-    areas = wp.empty(triangles, dtype=wp.float64, device=where)
-    total = wp.empty(1, dtype=wp.float64, device=where)
-    sources, mu, excess = (wp.empty(vertices, dtype=wp.float64, device=where) for _ in range(3))
-    wp.launch(face_areas, dim=triangles, inputs=[points, faces], outputs=[areas], device=where)
-    sums_for(where).total(areas, total)
-    wanted, wanted_total = areas, total
+    here = points.numpy()
+    areas = triangle_areas(here, surface.faces)
+    around = surface.sum_to_vertices(areas * (SPHERE_AREA / areas.sum())) / 3.0
+    wanted = around
     if target is not None:
-        wanted, wanted_total = wp.empty_like(areas), wp.empty_like(total)
-        at_vertices = wp.array(target.at(points.numpy()), dtype=wp.float64, device=where)
-        wp.launch(target_masses, dim=triangles, inputs=[areas, faces, at_vertices], outputs=[wanted], device=where)
-        sums_for(where).total(wanted, wanted_total)
-    inputs = [areas, total, wanted, wanted_total, wp.float64(SPHERE_AREA), mesh.vertex_areas, *rows]
-    wp.launch(sources_and_density, dim=vertices, inputs=inputs, outputs=[sources, mu, excess], device=where)
-    (potential,) = solve_arrays(solver, [sources])
+        masses = areas * target.at(here)[surface.faces].mean(axis=1)
+        wanted = surface.sum_to_vertices(masses * (SPHERE_AREA / masses.sum())) / 3.0
+    with np.errstate(divide="ignore"):
+        densities = np.minimum([surface.vertex_areas / around, wanted / around - 1.0], float(LARGE))
+    mu, excess = (wp.array(density, dtype=wp.float64, device=where) for density in densities)
+    potential = wp.array(solver.solve(surface.vertex_areas - wanted), dtype=wp.float64, device=where)
     tell(progress, "moser", 3, parts, {})
 
     field = wp.empty(vertices, dtype=wp.vec3d, device=where)

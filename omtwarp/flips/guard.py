@@ -39,19 +39,6 @@ class Count(IntEnum):
     HELD = 4
 
 
-@wp.kernel
-def count_nonpositive(
-    points: wp.array[wp.vec3d],
-    faces: wp.array[wp.vec3i],
-    # Data out:
-    count: wp.array[wp.int32],
-):
-    """Count triangles with det[s0, s1, s2] <= 0 in floating point, which may be wrong for one that is nearly flat."""
-    face = faces[wp.tid()]
-    if not wp.dot(points[face[0]], wp.cross(points[face[1]], points[face[2]])) > ZERO:
-        wp.atomic_add(count, 0, 1)
-
-
 @wp.func
 def is_bad(before: wp.array[wp.vec3d], after: wp.array[wp.vec3d], face: wp.vec3i, floor: wp.float64):
     """Return whether a step flips a triangle, or shrinks it below its floor; one that is below it already may grow."""
@@ -205,23 +192,6 @@ class StepGuard:
         )
         self._wanted = wp.empty(self.vertex_count, dtype=wp.vec3d, device=device)
         self._ready: dict[tuple[int, int, int], tuple[wp.Launch, ...]] = {}
-
-    def count(self, points: wp.array) -> int:
-        """Count the triangles with det[s0, s1, s2] <= 0 in a map, a Warp array of vec3d [V].
-
-        As exact as floating point is.
-
-        :func:`omtwarp.flips.exact.count_flips` decides exactly.
-        """
-        self._counters.zero_()
-        wp.launch(
-            count_nonpositive,
-            dim=self.face_count,
-            inputs=[points, self._faces],
-            outputs=[self._counters],
-            device=self.device,
-        )
-        return int(self._counters.numpy()[0])
 
     def hold(self, old: wp.array, new: wp.array, rounds: int = MAX_ROUNDS) -> None:
         """Shorten the step from ``old`` (without flips) to ``new``, in place, until nothing flips or shrinks too far.

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
-from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
 from omtwarp.errors import OmtwarpError
@@ -46,12 +45,6 @@ def dual_flux_vector(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
     the cotangents of a sliver are huge and cancel, the turned edge is not.
     """
     return HALF * wp.cross(c - b, unit_normal(a, b, c))
-
-
-@wp.func
-def corner_cotangent(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.float64:
-    """Return the cotangent of the angle at ``a``."""
-    return wp.dot(b - a, c - a) / wp.max(wp.length(wp.cross(b - a, c - a)), TINY)
 
 
 @wp.kernel
@@ -110,25 +103,6 @@ def interpolate_at_vertices(
         total += weight * field[f]
         weights += weight
     interpolated_out[i] = total * (ONE / wp.max(weights, TINY))
-
-
-@wp.func
-def cotangent_at(corner: int, points: wp.array[wp.vec3d], faces: wp.array[wp.vec3i]) -> wp.float64:
-    face = faces[corner // 3]
-    k = corner % 3
-    return corner_cotangent(points[face[k]], points[face[(k + 1) % 3]], points[face[(k + 2) % 3]])
-
-
-@wp.kernel
-def edge_weights_of_corners(
-    points: wp.array[wp.vec3d],
-    faces: wp.array[wp.vec3i],
-    corners: wp.array[wp.vec2i],
-    # Data out:
-    weights: wp.array[wp.float64],
-):
-    e = wp.tid()
-    weights[e] = HALF * (cotangent_at(corners[e][0], points, faces) + cotangent_at(corners[e][1], points, faces))
 
 
 def _corner_points(vertices: ArrayLike, faces: ArrayLike) -> tuple[Floats, NDArray[np.int64], list[Floats]]:
@@ -249,8 +223,4 @@ def cotangent_edge_weights(surface: Surface, points: Floats) -> Floats:
         surface: a closed surface.
         points: positions of its vertices, shape [V, 3].
     """
-    mesh = surface.on("cpu")
-    weights = wp.empty(len(mesh.edge_corners), dtype=wp.float64, device="cpu")
-    inputs = [vectors(points, weights.device), mesh.faces, mesh.edge_corners]
-    wp.launch(edge_weights_of_corners, dim=weights.size, inputs=inputs, outputs=[weights], device="cpu")
-    return weights.numpy()
+    return 0.5 * corner_cotangents(points, surface.faces).ravel()[surface.edge_corners].sum(axis=1)

@@ -62,7 +62,7 @@ from omtwarp.solvers.mesh_factor import begin_saddle_order
 from omtwarp.start.choice import bijective_start
 from omtwarp.texturing.density import TargetLike, as_target
 from omtwarp.topology.closing import Double, quartered_double
-from omtwarp.transport.cost import AreaMonitor, transport_cost
+from omtwarp.transport.cost import area_loss, transport_cost
 from omtwarp.untangling.untangle import RepairBudget, untangle
 from omtwarp.version import package_version
 
@@ -292,7 +292,7 @@ class MapComputation:
 
     def area_error(self, sphere: Floats) -> float:
         """Return the area error of a map: how far areas on the sphere are from those of the goal."""
-        return AreaMonitor(self.goal(sphere), resolve_device(self.device)).error(self.points(sphere))
+        return area_loss(self.goal(sphere), sphere)
 
     def finish(self, name: str, sphere: Floats, iterations: int, **details: str | float | None) -> None:
         """End a stage: keep its map, and record its time and the quality of the map."""

@@ -32,7 +32,7 @@ from omtwarp.device.arrays import sent, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import Each, core_count, each, launch_parts
-from omtwarp.mesh.arrays import Floats, Ints
+from omtwarp.mesh.arrays import TINY, Floats, Ints, normalised
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics import optimality_kernels as kernels
 from omtwarp.metrics.tree_kernels import (
@@ -317,11 +317,8 @@ class TransportDual(MapDual):
         self.device = resolve_device(device)
         self.surface, self.mass = surface, mass
         self.x, self.y = vectors(x, self.device), vectors(y, self.device)
-        vertices, faces = surface.vertex_count, surface.face_count
-        displaced = wp.empty(vertices, dtype=wp.vec3d, device=self.device)
-        self._launch(kernels.vertex_displacement, vertices, [self.y, self.x], [displaced])
-        self.log: Floats = displaced.numpy()
-        self.cost: Floats = 0.5 * (self.log**2).sum(axis=1)
+        self.log = log_maps(y, x)
+        self.cost = half_squares(x, y)
         # Triangles near each other in space next to each other in the tree.
         triangles, corners = narrow_parts(y, surface.faces)
         order = order_by_halves((corners @ y[surface.faces[triangles]]).mean(axis=1))
@@ -330,8 +327,9 @@ class TransportDual(MapDual):
             wp.array(corners[order], dtype=wp.mat33d, device=self.device),
         ]
         self._faces = wp.array(surface.faces, dtype=wp.vec3i, device=self.device)
-        self._edge = wp.empty(faces, dtype=wp.vec3d, device=self.device)
-        self._launch(kernels.edge_bulges, faces, [self.y, self._faces, displaced], [self._edge])
+        self._edge = wp.array(
+            edge_bulges(y[surface.faces], self.log[surface.faces]), dtype=wp.vec3d, device=self.device
+        )
         self._leaves = leaf_count(len(order))
         offsets, segments = tree_segments(self._leaves)
         # The work of a node is in proportion to its leaves: every part of a launch gets nodes of all sizes.
@@ -357,12 +355,9 @@ class TransportDual(MapDual):
         Args:
             of_sources: return those of φ, which belongs to the x_i.
         """
-        edges = self.surface.edges
-        ends = wp.array(edges, dtype=wp.vec2i, device=self.device)
-        low, high = (wp.empty(len(edges), dtype=wp.float64, device=self.device) for _ in range(2))
-        pair = [self.y, self.x] if of_sources else [self.x, self.y]
-        self._launch(kernels.admissible_differences, len(edges), [*pair, ends], [low, high])
-        return low.numpy(), high.numpy()
+        a, b = self.surface.edges.T
+        x, y = (points.numpy() for points in ((self.y, self.x) if of_sources else (self.x, self.y)))
+        return self.cost[b] - half_squares(x[b], y[a]), half_squares(x[a], y[b]) - self.cost[a]
 
     def bound(self, potential: Floats) -> Bound:
         """Compute φ, the c-transform of ψ, at every x_i."""
@@ -415,17 +410,12 @@ class TransportDual(MapDual):
         edge φ is the quadratic with the slopes -log_x(y) at both ends, as ψ is.
         """
         surface = self.surface
-        count, corners = surface.face_count, surface.faces
-        faces = surface.on(self.device).faces
-        displaced = wp.empty(surface.vertex_count, dtype=wp.vec3d, device=self.device)
-        bulges = wp.empty(count, dtype=wp.vec3d, device=self.device)
-        means = wp.empty(count, dtype=wp.float64, device=self.device)
-        self._launch(kernels.vertex_displacement, surface.vertex_count, [self.x, self.y], [displaced])
-        self._launch(kernels.edge_bulges, count, [self.x, faces, displaced], [bulges])
-        self._launch(kernels.triangle_costs, count, [self.x, self.y, faces], [means])
-        masses = surface.face_areas * (self.mass / surface.vertex_areas)[corners].mean(axis=1)
-        duals = quadratic_means(transform, corners, bulges.numpy())
-        return float(masses @ means.numpy()), float(masses @ duals)
+        x, y = (points.numpy()[surface.faces] for points in (self.x, self.y))
+        bulges = edge_bulges(x, log_maps(x, y))
+        middles = (normalised(points + np.roll(points, -1, axis=1)) for points in (x, y))
+        masses = surface.face_areas * (self.mass / surface.vertex_areas)[surface.faces].mean(axis=1)
+        duals = quadratic_means(transform, surface.faces, bulges)
+        return float(masses @ half_squares(*middles).mean(axis=1)), float(masses @ duals)
 
     def _launch(self, kernel: wp.Kernel, count: int, inputs: list[object], outputs: list[object]) -> None:
         wp.launch(kernel, dim=count, inputs=inputs, outputs=outputs, device=self.device)
@@ -451,6 +441,28 @@ def shared_sources(points: Floats, edges: Ints, side: float) -> SharedSources | 
     apart = np.linalg.norm(points - points[chosen[of]], axis=1)
     # The gradient of half the squared distance is at most π long; arcs are at most π/2 times as long as chords.
     return SharedSources(chosen, of, 0.5 * np.pi**2 * apart)
+
+
+def log_maps(base: Floats, target: Floats) -> Floats:
+    """Return log_y(x), tangent vectors at unit vectors y that point to others x and are as long as their distances."""
+    towards = target - (base * target).sum(axis=-1, keepdims=True) * base
+    distance = np.sqrt(2.0 * half_squares(base, target))[..., None]
+    return distance / np.maximum(np.linalg.norm(towards, axis=-1, keepdims=True), TINY) * towards
+
+
+def half_squares(x: Floats, y: Floats) -> Floats:
+    """Return the cost c(x, y), half the squared distances of unit vectors."""
+    return 0.5 * np.arctan2(np.linalg.norm(np.cross(x, y), axis=-1), (x * y).sum(axis=-1)) ** 2
+
+
+def edge_bulges(corners: Floats, logs: Floats) -> Floats:
+    """Return the quadratic terms e of ψ on the edges (k, k+1) of triangles from its slopes -log at the corners, [F, 3].
+
+    They are those that a quadratic of the distance along the edge has with these slopes, its two ends averaged.
+    """
+    others, theirs = np.roll(corners, -1, axis=1), np.roll(logs, -1, axis=1)
+    ahead, back = log_maps(corners, others), log_maps(others, corners)
+    return -0.5 * ((theirs * back).sum(axis=2) + (logs * ahead).sum(axis=2))
 
 
 def quadratic_means(nodal: Floats, corners: Ints, edge_terms: Floats) -> Floats:

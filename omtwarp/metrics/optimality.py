@@ -47,12 +47,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from omtwarp.device.arrays import vectors
-from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError, choose
-from omtwarp.geometry import DifferentialOperators
 from omtwarp.geometry.axes import turned_towards
 from omtwarp.mesh.arrays import TINY, Floats, Ints, real_number, real_numbers, whole_number
 from omtwarp.mesh.surface import (
@@ -61,13 +58,10 @@ from omtwarp.mesh.surface import (
     Surface,
     as_sphere,
     as_surface,
-    plane_areas,
-    triangle_areas,
 )
-from omtwarp.metrics import optimality_kernels as kernels
-from omtwarp.metrics.dual import Bound, SourceBound, SourceDual, TorusDual, TransportDual, ascend
+from omtwarp.metrics.dual import Bound, SourceBound, SourceDual, TorusDual, TransportDual, ascend, log_maps
 from omtwarp.options import Cost, Progress, Record, tell
-from omtwarp.solvers.poisson import EdgeLaplacianSolver, cotangent_solver
+from omtwarp.solvers.poisson import EdgeLaplacianSolver
 
 ASCENT_STEPS = 3  # by default, as each costs as much as the bound itself
 GOOD_ENOUGH = 1e-4
@@ -274,7 +268,7 @@ def _measure(
 
     notify(0, {})
     dual = TransportDual(surface, x, y, mass, device)
-    curl = curl or _curl_part(surface, y, dual.log, device)
+    curl = curl or _curl(surface, y[surface.faces], dual.log)
     notify(1, {})
     fitted, swapped = dual.initial_potential()
     notify(2, {})
@@ -404,7 +398,7 @@ def torus_optimality(surface: Surface, x: Floats, y: Floats, shift: Floats, latt
     """
     moved = y - x
     cost = float(surface.vertex_areas @ (moved**2).sum(axis=1))
-    curl = _curl_in_plane(surface, y[surface.faces] + shift, moved)
+    curl = _curl(surface, y[surface.faces] + shift, moved).relative
     dual = TorusDual(surface, x, y, shift, lattice)
     fitted, _ = dual.initial_potential()
     best, taken = ascend(dual, dual.bound(fitted), ASCENT_STEPS, _excess_at(cost, GOOD_ENOUGH))
@@ -417,22 +411,31 @@ def torus_optimality(surface: Surface, x: Floats, y: Floats, shift: Floats, latt
     return TorusOptimality(curl, cost, lower, gap, wrapped, taken)
 
 
-def _curl_in_plane(surface: Surface, corner: Floats, moved: Floats) -> float:
-    """Return the part of the displacement on the image triangles that is the rotated gradient of a function."""
-    areas = plane_areas(corner)
-    field = moved[surface.faces].mean(axis=1)
-    norm = float(areas @ (field**2).sum(axis=1))
+def _curl(surface: Surface, corners: Floats, moved: Floats) -> Curl:
+    """Compute the part of a displacement on image triangles that is the rotated gradient of a function.
+
+    Args:
+        surface: F faces.
+        corners: of the image triangles, shape [F, 3, 3], or [F, 3, 2] in the plane.
+        moved: the displacement of every vertex, in the same coordinates.
+    """
+    flat = [(0, 0)] * 2 + [(0, 3 - corners.shape[2])]
+    places, field = np.pad(corners, flat), np.pad(moved[surface.faces], flat).mean(axis=1)
+    normal = np.cross(places[:, 1] - places[:, 0], places[:, 2] - places[:, 0])
+    doubled = np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), TINY)
+    field -= (field * normal).sum(axis=1, keepdims=True) / doubled**2 * normal
+    norm = 0.5 * float(doubled[:, 0] @ (field**2).sum(axis=1))
     if norm <= 1e-24 * SPHERE_AREA:  # a map that moves points by less than 1e-12 has no curl to speak of
-        return 0.0
-    # J times the gradient of a hat function is half the opposite side over the area, turned: the side itself.
-    sides = np.roll(corner, -2, axis=1) - np.roll(corner, -1, axis=1)
-    flux = -0.5 * (sides * field[:, None]).sum(axis=2)
-    right: Floats = np.bincount(surface.faces.ravel(), flux.ravel(), surface.vertex_count).astype(np.float64)
-    before, after = np.roll(corner, 1, axis=1) - corner, np.roll(corner, -1, axis=1) - corner
-    cotangents = (before * after).sum(axis=2) / (2.0 * areas[:, None])
+        return Curl(0.0, np.zeros(surface.vertex_count))
+    # J times the gradient of a hat function is half the opposite side over the area, turned: the side itself. Weakly,
+    # <J∇φ, field> is div(J field) tested with φ, since J is antisymmetric and div = -grad'.
+    after, before = np.roll(places, -1, axis=1), np.roll(places, 1, axis=1)
+    flux = -0.5 * ((before - after) * field[:, None]).sum(axis=2)
+    vorticity: Floats = np.bincount(surface.faces.ravel(), flux.ravel(), surface.vertex_count).astype(np.float64)
+    cotangents = ((after - places) * (before - places)).sum(axis=2) / doubled
     weights = 0.5 * cotangents.ravel()[surface.edge_corners].sum(axis=1)
-    stream = EdgeLaplacianSolver(surface, weights).solve(right)
-    return float(np.sqrt(max(float(stream @ right), 0.0) / norm))
+    stream = EdgeLaplacianSolver(surface, weights).solve(vorticity)
+    return Curl(float(np.sqrt(max(float(stream @ vorticity), 0.0) / norm)), stream)
 
 
 def relative_curl(
@@ -452,7 +455,7 @@ def relative_curl(
         sphere: the y_i, unit vectors, shape [V, 3]; or a Warp array of vec3d.
         start: the x_i, in the same way.
         cost: ``squared`` or ``geodesic`` distance.
-        device: where kernels run.
+        device: not used, as every measure of a map takes it.
 
     Raises:
         OmtwarpError: the mesh, a map or the cost cannot be used.
@@ -471,35 +474,10 @@ def map_curl(
     """Compute the part of the displacement that is no gradient; arguments and errors as of :func:`relative_curl`."""
     surface, cost = as_surface(surface), choose(Cost, cost)
     x, y = (p.numpy() if isinstance(p, wp.array) else as_sphere(p, surface) for p in (start, sphere))
-    log = _log_maps(y, x, device)
+    log = log_maps(y, x)
     if cost == Cost.GEODESIC:
         log /= np.maximum(np.linalg.norm(log, axis=1, keepdims=True), TINY)
-    return _curl_part(surface, y, log, device)
-
-
-def _curl_part(surface: Surface, y: Floats, log: Floats, device: str | None) -> Curl:
-    """Compute the curl of the displacement on the image mesh."""
-    where = resolve_device(device)
-    images, faces = vectors(y, where), surface.on(where).faces
-    field = wp.empty(surface.face_count, dtype=wp.vec3d, device=where)
-    inputs = [images, faces, vectors(log, where)]
-    wp.launch(kernels.face_displacement, dim=len(field), inputs=inputs, outputs=[field], device=where)
-    norm = float(triangle_areas(y, surface.faces) @ (field.numpy() ** 2).sum(axis=1))
-    if norm == 0.0:
-        return Curl(0.0, np.zeros(surface.vertex_count))
-    operators = DifferentialOperators(y, surface.faces, device=str(where))
-    # Weakly, <J∇φ, field> = div(J field) tested with φ, since J is antisymmetric and div = -grad'.
-    vorticity = operators.divergence(operators.rotate(field)).numpy()
-    stream = cotangent_solver(surface, images).solve(vorticity)
-    return Curl(float(np.sqrt(max(float(stream @ vorticity), 0.0) / norm)), stream)
-
-
-def _log_maps(base: Floats, target: Floats, device: str | None) -> Floats:
-    where = resolve_device(device)
-    out = wp.empty(len(base), dtype=wp.vec3d, device=where)
-    inputs = [vectors(base, where), vectors(target, where)]
-    wp.launch(kernels.vertex_displacement, dim=len(base), inputs=inputs, outputs=[out], device=where)
-    return out.numpy()
+    return _curl(surface, y[surface.faces], log)
 
 
 def _points(given: ArrayLike, surface: Surface, name: str) -> Floats:

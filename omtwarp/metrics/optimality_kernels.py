@@ -1,4 +1,4 @@
-"""Kernels of the optimality report: log maps, and the c-transform over a sphere covered by triangles.
+"""Kernels of the optimality report: the c-transform over a sphere covered by triangles.
 
 The potential ψ is quadratic on every triangle of the image mesh, in the barycentric coordinates b of the flat triangle,
 
@@ -9,7 +9,7 @@ of its edges. Triangles, or parts of those with long edges, are the leaves of a 
 """
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
-from omtwarp.geometry.spherical import geodesic_distance, logarithm
+from omtwarp.geometry.spherical import geodesic_distance
 from omtwarp.metrics.tree_kernels import SEGMENT, leaves_below, lowest_on_triangle, next_subtree, potential_at
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -45,77 +45,6 @@ def sample_weights(s: int) -> wp.vec3d:
         b[s - 3] = HALF
         b[(s - 2) % 3] = HALF
     return b
-
-
-@wp.kernel
-def vertex_displacement(
-    base: wp.array[wp.vec3d],
-    target: wp.array[wp.vec3d],
-    # Data out:
-    log_out: wp.array[wp.vec3d],
-):
-    i = wp.tid()
-    tangent, _distance = logarithm(base[i], target[i])
-    log_out[i] = tangent
-
-
-@wp.kernel
-def face_displacement(
-    points: wp.array[wp.vec3d],
-    faces: wp.array[wp.vec3i],
-    log: wp.array[wp.vec3d],
-    # Data out:
-    field_out: wp.array[wp.vec3d],
-):
-    """Compute the mean of the three corners' displacements, in the plane of the flat triangle."""
-    f = wp.tid()
-    face = faces[f]
-    normal = wp.normalize(wp.cross(points[face[1]] - points[face[0]], points[face[2]] - points[face[0]]))
-    mean = (log[face[0]] + log[face[1]] + log[face[2]]) / wp.float64(3.0)
-    field_out[f] = mean - wp.dot(mean, normal) * normal
-
-
-@wp.kernel
-def edge_bulges(
-    points: wp.array[wp.vec3d],
-    faces: wp.array[wp.vec3i],
-    log: wp.array[wp.vec3d],
-    # Data out:
-    edge_out: wp.array[wp.vec3d],
-):
-    """Compute the quadratic terms e of ψ on the edges (k, k+1) from the slopes -log at their ends.
-
-    They are those that a quadratic of the distance along the edge has with these slopes, its two ends averaged.
-    """
-    f = wp.tid()
-    face = faces[f]
-    out = wp.vec3d()
-    for k in range(3):
-        a = face[k]
-        b = face[(k + 1) % 3]
-        ahead, _length = logarithm(points[a], points[b])
-        back, _length = logarithm(points[b], points[a])
-        out[k] = -HALF * (wp.dot(log[b], back) + wp.dot(log[a], ahead))
-    edge_out[f] = out
-
-
-@wp.kernel
-def triangle_costs(
-    sources: wp.array[wp.vec3d],
-    images: wp.array[wp.vec3d],
-    faces: wp.array[wp.vec3i],
-    # Data out:
-    mean_out: wp.array[wp.float64],
-):
-    """Compute the mean of half the squared distance over every triangle, from the middles of its edges."""
-    f = wp.tid()
-    face = faces[f]
-    total = wp.float64(0.0)
-    for k in range(3):
-        a = face[k]
-        b = face[(k + 1) % 3]
-        total += half_squared_distance(wp.normalize(sources[a] + sources[b]), wp.normalize(images[a] + images[b]))
-    mean_out[f] = total / wp.float64(3.0)
 
 
 @wp.kernel
@@ -155,23 +84,6 @@ def largest_potentials(
                         best = j
     potential_out[i] = least
     source_out[i] = best
-
-
-@wp.kernel
-def admissible_differences(
-    sources: wp.array[wp.vec3d],
-    images: wp.array[wp.vec3d],
-    edges: wp.array[wp.vec2i],
-    # Data out:
-    low_out: wp.array[wp.float64],
-    high_out: wp.array[wp.float64],
-):
-    """Compute the bounds on ψ_b - ψ_a within which the pairs a and b do not gain by swapping partners."""
-    e = wp.tid()
-    a = edges[e][0]
-    b = edges[e][1]
-    low_out[e] = half_squared_distance(sources[b], images[b]) - half_squared_distance(sources[b], images[a])
-    high_out[e] = half_squared_distance(sources[a], images[b]) - half_squared_distance(sources[a], images[a])
 
 
 @wp.func

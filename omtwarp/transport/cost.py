@@ -5,41 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, wp
-from omtwarp.device.sums import RowSums
+from omtwarp.device.start import wp
 from omtwarp.errors import choose
-from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_sphere, as_surface
+from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_sphere, as_surface, triangle_areas
 from omtwarp.options import Cost
-
-wp.set_module_options(KERNEL_OPTIONS)
-
-
-@wp.func
-def centre(points: wp.array[wp.vec3d], face: wp.vec3i):
-    return wp.normalize(points[face[0]] + points[face[1]] + points[face[2]])
-
-
-@wp.func
-def area_error(points: wp.array[wp.vec3d], face: wp.vec3i, area: wp.float64, largest: wp.float64):
-    """Return area times D + 1/D - 2 of a triangle, D the area of its flat image over its own, at most ``largest``."""
-    p0 = points[face[0]]
-    image = HALF * wp.length(wp.cross(points[face[1]] - p0, points[face[2]] - p0))
-    # Least ratio, of areas: its reciprocal, and that times an area, stay finite
-    ratio = wp.max(image / area, wp.float64(1e-150))
-    return area * wp.min(ratio + ONE / ratio - TWO, largest)
-
-
-@wp.kernel
-def capped_area_error(
-    points: wp.array[wp.vec3d],
-    faces: wp.array[wp.vec3i],
-    areas: wp.array[wp.float64],
-    largest: wp.float64,
-    # Data out:
-    error: wp.array2d[wp.float64],
-):
-    f = wp.tid()
-    error[f, 0] = area_error(points, faces[f], areas[f], largest)
 
 
 def transport_cost(
@@ -88,27 +58,16 @@ def transport_cost(
 LARGEST_ERROR = 0.1
 
 
-class AreaMonitor:
-    """Measures the area error of a moving map on the device.
+def area_loss(surface: Surface, sphere: Floats) -> float:
+    """Measure the mean of D + 1/D - 2 weighted by original area, each triangle counting at most LARGEST_ERROR.
 
     Where a mesh is too coarse for a motion, its vertices can shorten their paths by losing area, and the cost falls
-    below that of any mass-preserving map. A falling cost is meaningful only if the area error does not grow.
+    below that of any mass-preserving map. A falling cost is meaningful only if this does not grow.
+
+    Args:
+        surface: F faces, whose areas are those wanted.
+        sphere: a map, shape [V, 3]; D is the area of a flat image over its own.
     """
-
-    def __init__(self, surface: Surface, device: wp.Device):
-        self.device = device
-        mesh = surface.on(device)
-        self._faces, self._areas = mesh.faces, mesh.face_areas
-        self._errors = wp.empty((surface.face_count, 1), dtype=wp.float64, device=device)
-        self._sums = RowSums(surface.face_count, 1, device)
-
-    def error(self, points: wp.array) -> float:
-        """Return the mean of D + 1/D - 2 weighted by original area, each triangle counting at most LARGEST_ERROR."""
-        wp.launch(
-            capped_area_error,
-            dim=len(self._errors),
-            inputs=[points, self._faces, self._areas, wp.float64(LARGEST_ERROR)],
-            outputs=[self._errors],
-            device=self.device,
-        )
-        return float(self._sums(self._errors).numpy().sum()) / SPHERE_AREA
+    # Least ratio, of areas: its reciprocal, and that times an area, stay finite
+    ratio = np.maximum(triangle_areas(sphere, surface.faces) / surface.face_areas, 1e-150)
+    return float(surface.face_areas @ np.minimum(ratio + 1.0 / ratio - 2.0, LARGEST_ERROR)) / SPHERE_AREA

@@ -20,9 +20,10 @@ from omtwarp.device.start import wp
 from omtwarp.device.sums import RowSums, partial_count
 from omtwarp.device.threads import Each, Graph, blas_threads, each, launch_parts
 from omtwarp.errors import choose
+from omtwarp.flips.exact import flipped_faces
 from omtwarp.flips.guard import StepGuard
 from omtwarp.measures import TargetDensity
-from omtwarp.mesh.arrays import Floats, Ints, real_number, whole_number
+from omtwarp.mesh.arrays import Floats, Ints, normalised, real_number, whole_number
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_sphere, as_surface
 from omtwarp.metrics.optimality import relative_curl
 from omtwarp.options import Cost, Progress, Record, Scheme, tell
@@ -33,16 +34,14 @@ from omtwarp.transport.kernels import (
     advect_points,
     begin_iteration,
     cost_and_force,
-    divide_by_area,
-    face_centres,
     inner_products,
     judge_step,
     keep_accepted,
-    longest_edges,
     turn_direction,
     values_at_points,
 )
 from omtwarp.wavelets import SphereHierarchy, SphereSampler, WaveletPreconditioner, level_for, sphere_hierarchy
+from omtwarp.wavelets.kernels import scale_values
 from omtwarp.wavelets.transform import WaveletFilter
 
 MAXIMUM_ITERATIONS = {"default": 60, "plain": 1000}
@@ -180,7 +179,7 @@ class _StreamGrid:
         spacing: of the finest nodes, in radians: below it the direction to a point is not resolved.
         preconditioner: the wavelets, each damped where vertices cannot follow it.
         filter: fades the same wavelets out; None but for plain steepest descent.
-        node_areas: float64 [N].
+        inverse_areas: one over the nodes' areas, float64 [N].
         triangles: nodes, triangles of all levels and where each level starts, as kernels take them.
         node_shares: 1/ρ at the nodes, float64 [N]; empty for the uniform density.
     """
@@ -197,7 +196,7 @@ class _StreamGrid:
         damping = resolution_damping(squares, self.sampler.point_faces.numpy(), hierarchy)
         self.preconditioner = WaveletPreconditioner(hierarchy, butterfly=True, damping=damping, device=str(device))
         self.filter = WaveletFilter(hierarchy, damping, butterfly=True, device=str(device)) if plain else None
-        self.node_areas = wp.array(hierarchy.node_areas, dtype=wp.float64, device=device)
+        self.inverse_areas = wp.array(1.0 / hierarchy.node_areas, dtype=wp.float64, device=device)
         levels = hierarchy.level_faces
         starts = np.concatenate([[0], np.cumsum([len(faces) for faces in levels])]).astype(np.int32)
         self.triangles = [
@@ -231,21 +230,22 @@ class _Flow:
         self.trial = wp.empty_like(self.points)
         mesh = surface.on(device)
         self.faces, self.masses = mesh.faces, mesh.face_areas
-        self.start_centres = self._centres_of(vectors(start, device))
-        self.centres = self._centres_of(self.points)
-        squares = self._numbers(self.face_count)
-        self.launch(longest_edges, self.face_count, [self.points, self.faces], [squares])
-        self.grid = _StreamGrid(surface, self.centres, squares.numpy(), self.plain, target)
+        before, corners = (vectors(points, device).numpy()[surface.faces] for points in (start, initial))
+        self.start_centres, self.centres = (
+            wp.array(normalised(places.sum(axis=1)), dtype=wp.vec3d, device=device) for places in (before, corners)
+        )
+        squares = ((corners - np.roll(corners, -1, axis=1)) ** 2).sum(axis=2).max(axis=1)
+        self.grid = _StreamGrid(surface, self.centres, squares, self.plain, target)
         self.shares = self._numbers(self.count if self.targeted else 0)
         self.hints = wp.full(self.count, -1, dtype=wp.int32, device=device)
         self.guard = StepGuard(surface, device)
-        self.guarded = self.guard.count(self.points) == 0
+        self.guarded = not flipped_faces(self.points, self.faces, device=device).any()
         self.measured = wp.empty((self.face_count, 2), dtype=wp.float64, device=device)
         self.turned = wp.empty(self.face_count, dtype=wp.vec3d, device=device)
         self.face_sums = RowSums(self.face_count, 2, device)
-        nodes = len(self.grid.node_areas)
-        self.gradient, self.image, self.weak, self.steepest, self.direction, self.previous = (
-            wp.zeros(nodes, dtype=wp.float64, device=device) for _ in range(6)
+        nodes = len(self.grid.inverse_areas)
+        self.gradient, self.image, self.steepest, self.direction, self.previous = (
+            wp.zeros(nodes, dtype=wp.float64, device=device) for _ in range(5)
         )
         self.products = wp.empty((partial_count(nodes), 4), dtype=wp.float64, device=device)
         self.product_sums = RowSums(partial_count(nodes), 4, device)
@@ -254,12 +254,6 @@ class _Flow:
 
     def _numbers(self, size: int) -> wp.array[wp.float64]:
         return wp.empty(size, dtype=wp.float64, device=self.device)
-
-    def _centres_of(self, points: wp.array[wp.vec3d]) -> wp.array[wp.vec3d]:
-        """Compute the centres of the triangles of an image, shape [F]."""
-        centres = wp.empty(self.face_count, dtype=wp.vec3d, device=self.device)
-        self.launch(face_centres, self.face_count, [points, self.faces], [centres])
-        return centres
 
     def launch(
         self, kernel: wp.Kernel, dim: int | tuple[int, ...], inputs: list[object], outputs: list[object]
@@ -294,9 +288,9 @@ class _Flow:
         do: the cost then falls because areas are lost.
         """
         assert self.grid.filter is not None
-        wp.copy(self.weak, self.gradient)
-        self.grid.filter.apply_adjoint(self.weak)
-        self.launch(divide_by_area, len(self.weak), [self.weak, self.grid.node_areas], [self.steepest])
+        wp.copy(self.steepest, self.gradient)
+        self.grid.filter.apply_adjoint(self.steepest)
+        self.launch(scale_values, len(self.steepest), [self.grid.inverse_areas], [self.steepest])
         self.grid.filter.apply(self.steepest)
 
     def iterate(self) -> None:

@@ -8,7 +8,6 @@ from enum import IntEnum
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.device.sums import GROUP, LANES, column_sum, first_row
 from omtwarp.geometry.spherical import TINY, logarithm
-from omtwarp.transport.cost import area_error, centre
 from omtwarp.wavelets.kernels import triangle_near
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -234,28 +233,19 @@ def keep_accepted(
         points[i] = trial[i]
 
 
-@wp.kernel
-def face_centres(
-    points: wp.array[wp.vec3d],
-    faces: wp.array[wp.vec3i],
-    # Data out:
-    centres: wp.array[wp.vec3d],
-):
-    f = wp.tid()
-    centres[f] = centre(points, faces[f])
+@wp.func
+def centre(points: wp.array[wp.vec3d], face: wp.vec3i):
+    return wp.normalize(points[face[0]] + points[face[1]] + points[face[2]])
 
 
-@wp.kernel
-def longest_edges(
-    points: wp.array[wp.vec3d],
-    faces: wp.array[wp.vec3i],
-    # Data out:
-    squares: wp.array[wp.float64],
-):
-    """Compute the square of the longest edge of every triangle."""
-    f = wp.tid()
-    a, b, c = points[faces[f][0]], points[faces[f][1]], points[faces[f][2]]
-    squares[f] = wp.max(wp.max(wp.length_sq(b - a), wp.length_sq(c - b)), wp.length_sq(a - c))
+@wp.func
+def area_error(points: wp.array[wp.vec3d], face: wp.vec3i, area: wp.float64, largest: wp.float64):
+    """Return area times D + 1/D - 2 of a triangle, D the area of its flat image over its own, at most ``largest``."""
+    p0 = points[face[0]]
+    image = HALF * wp.length(wp.cross(points[face[1]] - p0, points[face[2]] - p0))
+    # Least ratio, of areas: its reciprocal, and that times an area, stay finite
+    ratio = wp.max(image / area, wp.float64(1e-150))
+    return area * wp.min(ratio + ONE / ratio - TWO, largest)
 
 
 @wp.kernel
@@ -361,14 +351,3 @@ def values_at_points(
     g, w = triangle_near(p, hints[v], nodes, faces, level_starts)
     total = w[0] * values[faces[g, 0]] + w[1] * values[faces[g, 1]] + w[2] * values[faces[g, 2]]
     holding[v] = total / (w[0] + w[1] + w[2])
-
-
-@wp.kernel
-def divide_by_area(
-    weak: wp.array[wp.float64],
-    areas: wp.array[wp.float64],
-    # Data out:
-    strong: wp.array[wp.float64],
-):
-    i = wp.tid()
-    strong[i] = weak[i] * (ONE / areas[i])
