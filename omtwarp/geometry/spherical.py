@@ -70,3 +70,9 @@ def oriented_volume(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.float64:
 def solid_angle(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
     """Return the signed solid angle of a spherical triangle (van Oosterom and Strackee 1983), however small it is."""
     return TWO * wp.atan2(oriented_volume(a, b, c), ONE + wp.dot(a, b) + wp.dot(b, c) + wp.dot(c, a))
+
+
+@wp.func
+def corners_of(points: wp.array[wp.vec3d], face: wp.vec3i):
+    """Return where the three corners of a triangle are."""
+    return points[face[0]], points[face[1]], points[face[2]]

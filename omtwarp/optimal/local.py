@@ -27,7 +27,7 @@ from omtwarp.optimal.patch_kernels import (
 )
 from omtwarp.optimal.sphere import GeodesicCost, SphereShape
 from omtwarp.refine.energy import Terms
-from omtwarp.solvers.cholesky.envelope import COLUMNS, Envelopes
+from omtwarp.solvers.cholesky.envelope import Envelopes
 from omtwarp.solvers.cholesky.saddle import UNKNOWNS
 from omtwarp.solvers.patches import lanes_on, launch_patches
 
@@ -125,7 +125,7 @@ class LocalSteps:
         energy, device, lanes = self._energy, self._device, lanes_on(self._device)
         given = LocalEnergy()
         # Patches are a small part of the map's area, so that its scale is taken as constant.
-        given.linear, given.inverse, given.barrier = self._distortion.pressures(terms.shape, energy.area_weight)
+        given.pressures = self._distortion.pressures(terms.shape, energy.area_weight)
         given.shape_weight, given.softness = energy.shape_weight, self._cost.softness
         given.cost_factor = energy.cost_weight / (3.0 * SPHERE_AREA)
         given.least, given.regularisation, given.enough = LEAST_EIGENVALUE, REGULARISATION, enough / self._count
@@ -150,7 +150,7 @@ class LocalSteps:
         np.cumsum(np.bincount(self._faces.ravel(), minlength=len(vertices)), out=offsets[1:])
         corners = np.argsort(self._faces.ravel(), kind="stable").astype(np.int32)
         patches = SaddlePatches()
-        patches.starts, patches.first, patches.last, patches.rows = self._envelopes.upload(device)
+        patches.matrix = self._envelopes.upload(UNKNOWNS, device)
         patches.face_starts, patches.faces = sent(face_starts, wp.int32, device), sent(self._faces, wp.vec3i, device)
         patches.offsets, patches.corners = sent(offsets, wp.int32, device), sent(corners, wp.int32, device)
         patches.frames = sent(self._distortion.frames[triangles], wp.vec3d, device)
@@ -177,7 +177,6 @@ class LocalSteps:
         scratch.outside, scratch.ring, scratch.cost, scratch.worth = (numbers(count) for _ in range(4))
         scratch.right, scratch.step = (wp.empty(count, dtype=wp.vec3d, device=device) for _ in range(2))
         scratch.diagonal = wp.empty(count, dtype=wp.mat33d, device=device)
-        scratch.left = numbers(self._envelopes.size * COLUMNS * UNKNOWNS**2)
         return scratch
 
 

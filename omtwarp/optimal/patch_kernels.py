@@ -9,11 +9,12 @@ not depend on the number of lanes.
 """
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
-from omtwarp.geometry.spherical import logarithm, oriented_volume
+from omtwarp.geometry.spherical import corners_of, logarithm, oriented_volume
 from omtwarp.mesh import surface
 from omtwarp.optimal.kernels import Fit, area_gradient, cost_slope, moving_cost, neighbour_fit, raised_fit
 from omtwarp.refine.kernels import distortion_gradient, distortion_hessian, distortion_terms
 from omtwarp.solvers.cholesky.envelope import (
+    Envelope,
     add_saddle_block,
     clear_row,
     factorise_saddle_envelope,
@@ -37,16 +38,13 @@ DEFINITE, MERIT, EXPECTED, LENGTH = wp.constant(0), wp.constant(1), wp.constant(
 class SaddlePatches:
     """Patches one after another; vertices are free or fixed, in the order of elimination."""
 
-    starts: wp.array[wp.int32]  # where the vertices of every patch begin, [count + 1]
     face_starts: wp.array[wp.int32]  # and its triangles, [count + 1]
     faces: wp.array[wp.vec3i]  # places of their corners, [T]
     offsets: wp.array[wp.int32]  # where the corners at every vertex begin in ``corners``, [P + 1]
     corners: wp.array[wp.int32]  # 3 t + k of corner k of triangle t, vertex by vertex, [3 T]
     frames: wp.array[wp.vec3d]
     areas: wp.array[wp.float64]
-    first: wp.array[wp.int32]  # as of omtwarp.solvers.cholesky.envelope, [P]
-    last: wp.array[wp.int32]
-    rows: wp.array[wp.int64]
+    matrix: Envelope  # of their vertices
     free: wp.array[wp.bool]  # which vertices move, [P]
     start: wp.array[wp.vec3d]  # x of the vertices
     wanted: wp.array[wp.float64]  # areas around them
@@ -58,9 +56,7 @@ class SaddlePatches:
 class LocalEnergy:
     """The energy of :mod:`omtwarp.optimal.energy`, and how its steps are taken."""
 
-    linear: wp.float64  # factors of omtwarp.refine.energy.DistortionEnergy.pressures
-    inverse: wp.float64
-    barrier: wp.float64
+    pressures: wp.vec3d  # as of omtwarp.refine.energy.DistortionEnergy.pressures
     shape_weight: wp.float64
     cost_factor: wp.float64  # of ring times cost
     softness: wp.float64
@@ -90,7 +86,6 @@ class LocalScratch:
     right: wp.array[wp.vec3d]
     step: wp.array[wp.vec3d]
     diagonal: wp.array[wp.mat33d]  # of the matrix, as of omtwarp.solvers.cholesky.envelope, [P]
-    left: wp.array[wp.float64]
 
 
 @wp.func
@@ -111,7 +106,7 @@ def find_outside(
         face = patches.faces[t]
         scratch.solid[t] = solid_angle(points[face[0]], points[face[1]], points[face[2]])
     meet(p, lane, lanes, scratch.gates)
-    for i in range(patches.starts[p] + lane, patches.starts[p + 1], lanes):
+    for i in range(patches.matrix.starts[p] + lane, patches.matrix.starts[p + 1], lanes):
         scratch.outside[i] = ZERO
         if not patches.free[i]:
             scratch.outside[i] = patches.whole[i] - solid_angles_at(i, patches, scratch.solid)
@@ -130,20 +125,18 @@ def merit_of(
     scratch: LocalScratch,
 ) -> wp.float64:
     """Compute areas and costs, and return the merit; LARGE where a triangle lost nearly all the volume it had."""
-    begin = patches.starts[p]
-    end = patches.starts[p + 1]
+    begin = patches.matrix.starts[p]
+    end = patches.matrix.starts[p + 1]
     meet(p, lane, lanes, scratch.gates)
     for t in range(patches.face_starts[p] + lane, patches.face_starts[p + 1], lanes):
         face = patches.faces[t]
-        a = points[face[0]]
-        b = points[face[1]]
-        c = points[face[2]]
+        a, b, c = corners_of(points, face)
         angle, d, volume, steep = distortion_terms(patches.frames[t], a, b, c)
         had = oriented_volume(before[face[0]], before[face[1]], before[face[2]])
         scratch.solid[t] = solid_angle(a, b, c)
         scratch.shape[t] = LARGE
         if keeps_volume(volume, had):
-            distortion = angle + given.linear * d + given.inverse / d + given.barrier * steep
+            distortion = angle + given.pressures[0] * d + given.pressures[1] / d + given.pressures[2] * steep
             scratch.shape[t] = patches.areas[t] * distortion
     meet(p, lane, lanes, scratch.gates)
     for i in range(begin + lane, end, lanes):
@@ -186,13 +179,11 @@ def differentiate(
     """
     for t in range(patches.face_starts[p] + lane, patches.face_starts[p + 1], lanes):
         face = patches.faces[t]
-        a = points[face[0]]
-        b = points[face[1]]
-        c = points[face[2]]
+        a, b, c = corners_of(points, face)
         frame = patches.frames[t]
         share = given.shape_weight * patches.areas[t] / SPHERE_AREA
-        rows = distortion_gradient(frame, share, a, b, c, given.linear, given.inverse, given.barrier)
-        distortion_hessian(t, frame, share, a, b, c, given.linear, given.inverse, given.barrier, scratch.blocks)
+        rows = distortion_gradient(frame, share, a, b, c, given.pressures)
+        distortion_hessian(t, frame, share, a, b, c, given.pressures, scratch.blocks)
         potential = ZERO
         for k in range(3):
             potential += multipliers[face[k]] + given.cost_factor * scratch.cost[face[k]]
@@ -235,7 +226,7 @@ def corner_block(t: int, m: int, n: int, patches: SaddlePatches, scratch: LocalS
 @wp.func
 def assemble_row(i: int, patches: SaddlePatches, given: LocalEnergy, points: wp.array[wp.vec3d], scratch: LocalScratch):
     """Sum the blocks of a vertex with itself and those eliminated before it, and its right-hand side."""
-    clear_row(i, 3, patches.first, patches.rows, scratch.left)
+    clear_row(i, 3, patches.matrix)
     y = points[i]
     x = patches.start[i]
     pull, distance = logarithm(y, x)
@@ -254,7 +245,7 @@ def assemble_row(i: int, patches: SaddlePatches, given: LocalEnergy, points: wp.
                 beside = corner_block(t, wp.min(m, n), wp.max(m, n), patches, scratch)
                 if n < m:
                     beside = wp.transpose(beside)
-                add_saddle_block(i, face[n], beside, patches.first, patches.rows, scratch.left)
+                add_saddle_block(i, face[n], beside, patches.matrix)
         if patches.free[i]:
             j = face[(m + 1) % 3]
             slope = slope + scratch.pulls[t, m]
@@ -283,7 +274,7 @@ def expect(p: int, patches: SaddlePatches, scratch: LocalScratch):
     """Note the gain expected of the step, and the length to begin with: no vertex moves farther than half a radian."""
     expected = ZERO
     reach = ZERO
-    for i in range(patches.starts[p], patches.starts[p + 1]):
+    for i in range(patches.matrix.starts[p], patches.matrix.starts[p + 1]):
         u = scratch.step[i]
         missing = -scratch.right[i][2]
         expected += scratch.right[i][0] * u[0] + scratch.right[i][1] * u[1]
@@ -300,7 +291,7 @@ def mean_change(p: int, patches: SaddlePatches, scratch: LocalScratch) -> wp.flo
     """Return the mean of the multipliers' steps, weighted by the areas wanted."""
     total = ZERO
     change = ZERO
-    for i in range(patches.starts[p], patches.starts[p + 1]):
+    for i in range(patches.matrix.starts[p], patches.matrix.starts[p + 1]):
         total += patches.wanted[i]
         change += patches.wanted[i] * scratch.step[i][2]
     return change / total
@@ -323,8 +314,8 @@ def settle_small_patches(
     place, thread = wp.tid()
     p = group[place]
     lane = first_lane + thread
-    begin = patches.starts[p]
-    end = patches.starts[p + 1]
+    begin = patches.matrix.starts[p]
+    end = patches.matrix.starts[p + 1]
     find_outside(p, lane, lanes, patches, points, scratch)
     left = int(given.steps)
     while left > 0:
@@ -334,37 +325,12 @@ def settle_small_patches(
         for i in range(begin + lane, end, lanes):
             assemble_row(i, patches, given, points, scratch)
         meet(p, lane, lanes, scratch.gates)
-        factorise_saddle_envelope(
-            p,
-            lane,
-            lanes,
-            begin,
-            end,
-            patches.first,
-            patches.last,
-            patches.rows,
-            scratch.gates,
-            scratch.diagonal,
-            scratch.left,
-            scratch.numbers,
-        )
+        matrix = patches.matrix
+        factorise_saddle_envelope(p, lane, lanes, matrix, scratch.gates, scratch.diagonal, scratch.numbers)
         length = ZERO
         expected = ZERO
         if scratch.numbers[p, DEFINITE] > ZERO:
-            solve_saddle_envelope(
-                p,
-                lane,
-                lanes,
-                begin,
-                end,
-                patches.first,
-                patches.last,
-                patches.rows,
-                scratch.gates,
-                scratch.diagonal,
-                scratch.left,
-                scratch.step,
-            )
+            solve_saddle_envelope(p, lane, lanes, matrix, scratch.gates, scratch.diagonal, scratch.step)
             if lane == 0:
                 expect(p, patches, scratch)
             meet(p, lane, lanes, scratch.gates)

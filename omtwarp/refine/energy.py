@@ -63,9 +63,6 @@ class Terms:
         return own + self.strain + (0.0 if self.at_vertices is None else self.at_vertices.value)
 
 
-Pressures = tuple[wp.float64, wp.float64, wp.float64]
-
-
 # Relative to the weights of angle and area together. The barrier is zero except on triangles that stand steeply on the
 # sphere (omtwarp.refine.kernels.STEEP_COSINE) and tends to infinity as they flip, so that its weight moves minima
 # little.
@@ -118,7 +115,7 @@ class TriangleKernels:
         launch_parts(triangle_terms, self.count, [points, *each(self.faces, self.frames)], each(*outputs), self.device)
         return outputs
 
-    def gradient(self, points: wp.array, pressures: Pressures) -> wp.array:
+    def gradient(self, points: wp.array, pressures: wp.vec3d) -> wp.array:
         """Return the gradient with respect to the points that have rows, tangent to the sphere, vec3d.
 
         Args:
@@ -126,20 +123,20 @@ class TriangleKernels:
             pressures: see :meth:`DistortionEnergy.pressures`.
         """
         corners = self._scratch(3 * self.count, 3)
-        inputs = [points, *each(self.faces, self.frames, self.areas), *pressures]
+        inputs = [points, *each(self.faces, self.frames, self.areas), pressures]
         launch_parts(triangle_gradient, self.count, inputs, [Each(corners, 3)], self.device)
         gradient = empty(self.rows[0].size - 1, wp.vec3d, self.device)
         inputs = [points, *self.rows, corners, wp.float64(SPHERE_AREA), FIRST_THREAD]
         launch_parts(gather_tangent, gradient.size, inputs, [gradient], self.device)
         return gradient
 
-    def hessian(self, points: wp.array, pressures: Pressures) -> wp.array:
+    def hessian(self, points: wp.array, pressures: wp.vec3d) -> wp.array:
         """Return the Hessian of every triangle in its corners' tangent bases, positive semidefinite, shape [F, 21].
 
         Of each 6x6 matrix the entries on and above the diagonal, row by row. Valid until the workspace is taken again.
         """
         blocks = self._scratch(self.count, 21)
-        inputs = [points, *each(self.faces, self.frames, self.areas), *pressures, wp.float64(SPHERE_AREA)]
+        inputs = [points, *each(self.faces, self.frames, self.areas), pressures, wp.float64(SPHERE_AREA)]
         launch_parts(triangle_hessian, self.count, inputs, each(blocks), self.device)
         return blocks
 
@@ -256,11 +253,8 @@ class DistortionEnergy:
         """Return the Hessian of the term at vertices in their tangent bases, shape [V, 2, 2]; None without a term."""
         return None if terms.at_vertices is None else tangent_blocks(points, terms.at_vertices.hessian)
 
-    def pressures(self, terms: Terms, weight: float) -> Pressures:
+    def pressures(self, terms: Terms, weight: float) -> wp.vec3d:
         """Return the factors of D, 1 / D and the needle barrier in the energy linearised by the image's total area."""
         # Σ A (scale D + 1 / (scale D)) = 4π + (Σ A D) (Σ A / D) / 4π: each factor is the other sum over 4π.
-        return (
-            wp.float64(weight * terms.inverse_sum / SPHERE_AREA),
-            wp.float64(weight / terms.scale),
-            wp.float64(needle_weight(weight)),
-        )
+        by_ratio, by_inverse = weight * terms.inverse_sum / SPHERE_AREA, weight / terms.scale
+        return wp.vec3d(by_ratio, by_inverse, needle_weight(weight))

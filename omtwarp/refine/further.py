@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.start import KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
 from omtwarp.device.threads import Each, each, launch_parts
+from omtwarp.geometry.spherical import corners_of
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.refine.kernels import distortion_gradient, distortion_hessian, distortion_terms, gather_tangent
 from omtwarp.solvers.motion_kernels import from_tangent
@@ -70,12 +71,9 @@ def barrier_gradient(
 ):
     """Compute the gradient of A w² / (limit - w) by the corners, shape [3F], where all strains are below the limit."""
     t = wp.tid()
-    face = faces[t]
-    a = sphere[face[0]]
-    b = sphere[face[1]]
-    c = sphere[face[2]]
+    a, b, c = corners_of(sphere, faces[t])
     slope = barrier_slope(strain(frames[t], a, b, c), limit)
-    rows = distortion_gradient(frames[t], slope * areas[t], a, b, c, ONE, ONE, ZERO)
+    rows = distortion_gradient(frames[t], slope * areas[t], a, b, c, wp.vec3d(ONE, ONE, ZERO))
     for k in range(3):
         corner_gradient[3 * t + k] = rows[k]
 
@@ -103,8 +101,8 @@ def barrier_hessian(
     w = strain(frame, points[0], points[1], points[2])
     share = areas[t] / divisor
     slope = share * barrier_slope(w, limit)
-    distortion_hessian(t, frame, slope, points[0], points[1], points[2], ONE, ONE, ZERO, hessian)
-    rows = distortion_gradient(frame, ONE, points[0], points[1], points[2], ONE, ONE, ZERO)
+    distortion_hessian(t, frame, slope, points[0], points[1], points[2], wp.vec3d(ONE, ONE, ZERO), hessian)
+    rows = distortion_gradient(frame, ONE, points[0], points[1], points[2], wp.vec3d(ONE, ONE, ZERO))
     along = wp.vector(dtype=wp.float64, length=6)
     for k in range(3):
         tangent = first_tangent(points[k])

@@ -5,7 +5,7 @@ brings the image's total flat area to 4π. Angle distortion is fro / D, area dis
 """
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, THREE, TWO, ZERO, wp
-from omtwarp.geometry.spherical import oriented_volume
+from omtwarp.geometry.spherical import corners_of, oriented_volume
 from omtwarp.mesh import surface
 from omtwarp.solvers.newton import packed
 from omtwarp.solvers.triangle import (
@@ -110,11 +110,9 @@ def distortion_gradient(
     a: wp.vec3d,
     b: wp.vec3d,
     c: wp.vec3d,
-    linear: wp.float64,
-    inverse: wp.float64,
-    barrier: wp.float64,
+    pressures: wp.vec3d,
 ):
-    """Return the gradient of A [fro / D + linear D + inverse / D + barrier needle] by the corners, one per row."""
+    """Return the gradient of A [fro / D + p0 D + p1 / D + p2 needle], p the pressures, by the corners, one per row."""
     c1 = first_column(frame, a, b)
     c2 = second_column(frame, a, b, c)
     normal = wp.cross(c1, c2)
@@ -122,10 +120,10 @@ def distortion_gradient(
     normal = normal / d
     fro = wp.dot(c1, c1) + wp.dot(c2, c2)
     by_fro = TWO * area / d
-    by_det = area * (linear - (fro + inverse) / (d * d))
+    by_det = area * (pressures[0] - (fro + pressures[1]) / (d * d))
     scale = frame[0] * frame[2]
     cosine = oriented_volume(a, b, c) * scale / d
-    upright = area * barrier * needle_slope(cosine) / d
+    upright = area * pressures[2] * needle_slope(cosine) / d
     # The cosine is the ratio of the volume to D: its derivative by D joins that of the energy.
     by_det -= upright * cosine
     g1 = by_fro * c1 + by_det * wp.cross(c2, normal)
@@ -146,19 +144,14 @@ def triangle_gradient(
     faces: wp.array[wp.vec3i],
     frames: wp.array[wp.vec3d],
     areas: wp.array[wp.float64],
-    linear: wp.float64,
-    inverse: wp.float64,
-    barrier: wp.float64,
+    pressures: wp.vec3d,
     # Data out:
     corner_gradient: wp.array[wp.vec3d],
 ):
-    """Compute the gradient of A [fro / D + linear D + inverse / D + barrier needle] by the corners, shape [3F]."""
+    """Compute the gradient of A [fro / D + p0 D + p1 / D + p2 needle], p the pressures, by the corners, shape [3F]."""
     t = wp.tid()
-    face = faces[t]
-    a = sphere[face[0]]
-    b = sphere[face[1]]
-    c = sphere[face[2]]
-    rows = distortion_gradient(frames[t], areas[t], a, b, c, linear, inverse, barrier)
+    a, b, c = corners_of(sphere, faces[t])
+    rows = distortion_gradient(frames[t], areas[t], a, b, c, pressures)
     for k in range(3):
         corner_gradient[3 * t + k] = rows[k]
 
@@ -191,9 +184,7 @@ def distortion_hessian(
     a: wp.vec3d,
     b: wp.vec3d,
     c: wp.vec3d,
-    linear: wp.float64,
-    inverse: wp.float64,
-    barrier: wp.float64,
+    pressures: wp.vec3d,
     # Data out:
     hessian: wp.array2d[wp.float64],
 ):
@@ -216,12 +207,12 @@ def distortion_hessian(
     d = s1 * s2
     fro = s1 * s1 + s2 * s2
 
-    by_det = linear - (fro + inverse) / (d * d)
+    by_det = pressures[0] - (fro + pressures[1]) / (d * d)
     twist = wp.max(TWO / d + by_det, ZERO)
     flip = wp.max(TWO / d - by_det, ZERO)
-    h11 = TWO * (s2 * s2 + inverse) / (s1 * s1 * d)
-    h22 = TWO * (s1 * s1 + inverse) / (s2 * s2 * d)
-    h12 = TWO * inverse / (d * d) + by_det
+    h11 = TWO * (s2 * s2 + pressures[1]) / (s1 * s1 * d)
+    h22 = TWO * (s1 * s1 + pressures[1]) / (s2 * s2 * d)
+    h12 = TWO * pressures[1] / (d * d) + by_det
     half_sum = HALF * (h11 + h22)
     half_gap = wp.sqrt(HALF * HALF * (h11 - h22) * (h11 - h22) + h12 * h12)
     stiff = half_sum + half_gap
@@ -237,7 +228,7 @@ def distortion_hessian(
     points = wp.matrix_from_rows(a, b, c)
     scale = frame[0] * frame[2]
     tilt = oriented_volume(a, b, c) * scale / d
-    upright = wp.sqrt(barrier * needle_curvature(tilt)) / d
+    upright = wp.sqrt(pressures[2] * needle_curvature(tilt)) / d
     normals = wp.matrix_from_rows(scale * wp.cross(b, c), scale * wp.cross(c, a), scale * wp.cross(a, b))
     modes = wp.matrix(dtype=wp.float64, shape=(6, 5))
     for i in range(3):
@@ -273,26 +264,21 @@ def triangle_hessian(
     faces: wp.array[wp.vec3i],
     frames: wp.array[wp.vec3d],
     areas: wp.array[wp.float64],
-    linear: wp.float64,
-    inverse: wp.float64,
-    barrier: wp.float64,
+    pressures: wp.vec3d,
     divisor: wp.float64,
     # Data out:
     hessian: wp.array2d[wp.float64],
 ):
-    """Compute the Hessian of A [fro / D + linear D + inverse / D + barrier needle] in tangent bases, divided, [F, 21].
+    """Compute the Hessian of A [fro / D + p0 D + p1 / D + p2 needle] in tangent bases, divided, shape [F, 21].
 
     The energy depends on the singular values of the Jacobian alone, so that its second derivative by the Jacobian has
     known eigenvectors (Smith, De Goes, Kim: "Analytic eigensystems for isotropic distortion energies", 2019): twist,
     flip and two scalings. Negative eigenvalues are cut off, which makes the matrix positive semidefinite.
     """
     t, _compiled_once = wp.tid()
-    face = faces[t]
-    a = sphere[face[0]]
-    b = sphere[face[1]]
-    c = sphere[face[2]]
+    a, b, c = corners_of(sphere, faces[t])
     share = areas[t] / divisor
-    distortion_hessian(t, frames[t], share, a, b, c, linear, inverse, barrier, hessian)
+    distortion_hessian(t, frames[t], share, a, b, c, pressures, hessian)
 
 
 SPHERE_AREA = wp.constant(wp.float64(surface.SPHERE_AREA))  # of the unit sphere, 4π

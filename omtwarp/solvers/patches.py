@@ -17,6 +17,7 @@ from omtwarp.device.threads import core_count, load, run_all
 from omtwarp.mesh.patches import Patches, sides_of
 from omtwarp.solvers import newton
 from omtwarp.solvers.cholesky.envelope import (
+    Envelope,
     Envelopes,
     add_block,
     clear_row,
@@ -37,14 +38,11 @@ class PatchMeshes:
     The places of all free vertices, patch by patch in the order of elimination, come before those of the fixed ones.
     """
 
-    starts: wp.array[wp.int32]  # where the free vertices of every patch begin, [count + 1]
     face_starts: wp.array[wp.int32]  # and its triangles, [count + 1]
     faces: wp.array[wp.vec3i]  # places of their corners, [T]
     frames: wp.array[wp.vec3d]
     areas: wp.array[wp.float64]
-    first: wp.array[wp.int32]  # as of omtwarp.solvers.cholesky.envelope, [free]
-    last: wp.array[wp.int32]
-    rows: wp.array[wp.int64]
+    matrix: Envelope  # of the free vertices
     shifts: wp.array[wp.float64]  # of the diagonal, one tried after another
 
 
@@ -55,7 +53,6 @@ class PatchScratch:
     gradient: wp.array2d[wp.float64]  # of every triangle by the tangent coordinates of its corners, [T, 6]
     blocks: wp.array2d[wp.float64]  # Hessian of every triangle, [T, 21]
     diagonal: wp.array[wp.mat22d]  # of the matrix, as of omtwarp.solvers.cholesky.envelope, [free]
-    left: wp.array[wp.float64]
     slopes: wp.array[wp.float64]  # gradient by the free vertices, two numbers each
     direction: wp.array[wp.float64]
 
@@ -63,10 +60,10 @@ class PatchScratch:
 @wp.func
 def assemble(p: int, patches: PatchMeshes, growth: wp.float64, scratch: PatchScratch):
     """Sum the Hessians of the triangles, and let the diagonal grow by a share of its mean at each vertex."""
-    begin = patches.starts[p]
-    end = patches.starts[p + 1]
+    begin = patches.matrix.starts[p]
+    end = patches.matrix.starts[p + 1]
     for i in range(begin, end):
-        clear_row(i, 2, patches.first, patches.rows, scratch.left)
+        clear_row(i, 2, patches.matrix)
         scratch.diagonal[i] = wp.mat22d(ZERO, ZERO, ZERO, ZERO)
     for t in range(patches.face_starts[p], patches.face_starts[p + 1]):
         face = patches.faces[t]
@@ -82,7 +79,7 @@ def assemble(p: int, patches: PatchMeshes, growth: wp.float64, scratch: PatchScr
                     if m < n:
                         left = scratch.blocks[t, lower - 1]
                     block = wp.mat22d(scratch.blocks[t, upper], right, left, scratch.blocks[t, lower])
-                    add_block(i, j, block, patches.first, patches.rows, scratch.diagonal, scratch.left)
+                    add_block(i, j, block, patches.matrix, scratch.diagonal)
     for i in range(begin, end):
         own = scratch.diagonal[i]
         more = growth * HALF * (own[0, 0] + own[1, 1])
@@ -95,8 +92,8 @@ def find_direction(p: int, patches: PatchMeshes, growth: wp.float64, scratch: Pa
 
     The slope is not finite where no shift makes the matrix definite.
     """
-    begin = patches.starts[p]
-    end = patches.starts[p + 1]
+    begin = patches.matrix.starts[p]
+    end = patches.matrix.starts[p + 1]
     for k in range(2 * begin, 2 * end):
         scratch.slopes[k] = ZERO
     for t in range(patches.face_starts[p], patches.face_starts[p + 1]):
@@ -109,13 +106,12 @@ def find_direction(p: int, patches: PatchMeshes, growth: wp.float64, scratch: Pa
     for attempt in range(patches.shifts.shape[0]):
         if not definite:
             assemble(p, patches, growth + patches.shifts[attempt], scratch)
-            definite = factorise_envelope(begin, end, patches.first, patches.rows, scratch.diagonal, scratch.left)
+            definite = factorise_envelope(begin, end, patches.matrix, scratch.diagonal)
     if not definite:
         return wp.float64(wp.NAN)
     for k in range(2 * begin, 2 * end):
         scratch.direction[k] = -scratch.slopes[k]
-    first = patches.first
-    solve_envelope(begin, end, first, patches.last, patches.rows, scratch.diagonal, scratch.left, scratch.direction)
+    solve_envelope(begin, end, patches.matrix, scratch.diagonal, scratch.direction)
     slope = ZERO
     for k in range(2 * begin, 2 * end):
         slope += scratch.direction[k] * scratch.slopes[k]
@@ -127,7 +123,7 @@ def find_descent(p: int, patches: PatchMeshes, scratch: PatchScratch) -> wp.floa
     """Compute the gradient over the diagonal of the Hessian as the direction, and return the slope along it."""
     assemble(p, patches, ZERO, scratch)
     slope = ZERO
-    for i in range(patches.starts[p], patches.starts[p + 1]):
+    for i in range(patches.matrix.starts[p], patches.matrix.starts[p + 1]):
         own = scratch.diagonal[i]
         for u in range(2):
             k = 2 * i + u
@@ -142,7 +138,7 @@ def find_descent(p: int, patches: PatchMeshes, scratch: PatchScratch) -> wp.floa
 def longest_move(p: int, patches: PatchMeshes, scratch: PatchScratch) -> wp.float64:
     """Return how far the direction moves a vertex at the most, in radians."""
     longest = ZERO
-    for i in range(patches.starts[p], patches.starts[p + 1]):
+    for i in range(patches.matrix.starts[p], patches.matrix.starts[p + 1]):
         square = scratch.direction[2 * i] * scratch.direction[2 * i]
         square += scratch.direction[2 * i + 1] * scratch.direction[2 * i + 1]
         longest = wp.max(longest, square)
@@ -201,7 +197,7 @@ class SmallPatches:
         place = np.arange(len(self.patches.vertices), dtype=np.int32)
         place[order] = np.arange(len(order), dtype=np.int32)
         meshes = PatchMeshes()
-        meshes.starts, meshes.first, meshes.last, meshes.rows = self.envelopes.upload()
+        meshes.matrix = self.envelopes.upload(2)
         meshes.face_starts = sent(self.face_starts, wp.int32)
         meshes.faces = sent(place[self.patches.faces[self.triangles]], wp.vec3i)
         meshes.frames = sent(frames[self.triangles], wp.vec3d)
@@ -215,8 +211,7 @@ class SmallPatches:
         scratch = PatchScratch()
         scratch.gradient = sent(np.empty((triangles, 6)), wp.float64)
         scratch.blocks = sent(np.empty((triangles, 21)), wp.float64)
-        diagonal, left = self.envelopes.storage(2)
-        scratch.diagonal, scratch.left = sent(diagonal, wp.mat22d), sent(left, wp.float64)
+        scratch.diagonal = wp.empty(free, dtype=wp.mat22d, device="cpu")
         scratch.slopes, scratch.direction = (sent(np.empty(2 * free), wp.float64) for _ in range(2))
         return scratch
 

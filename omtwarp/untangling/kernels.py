@@ -12,7 +12,7 @@ has no sign and its terms other derivatives, so that a common kernel would be tw
 """
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
-from omtwarp.geometry.spherical import oriented_volume, solid_angle
+from omtwarp.geometry.spherical import corners_of, oriented_volume, solid_angle
 from omtwarp.mesh import surface
 from omtwarp.solvers.newton import packed
 from omtwarp.solvers.patches import (
@@ -68,10 +68,7 @@ def untangle_value(
 ):
     """Compute the energy of every triangle and its signed solid angle."""
     t = wp.tid()
-    face = faces[t]
-    a = sphere[face[0]]
-    b = sphere[face[1]]
-    c = sphere[face[2]]
+    a, b, c = corners_of(sphere, faces[t])
     value[t] = untangle_energy(frames[t], areas[t], a, b, c, epsilon[t], weight)
     solid[t] = solid_angle(a, b, c)
 
@@ -171,10 +168,7 @@ def untangle_newton(
 ):
     """Compute gradient [F, 6] and Hessian [F, 21], see :func:`packed`, in the tangent bases of the three corners."""
     t, _compiled_once = wp.tid()
-    face = faces[t]
-    a = sphere[face[0]]
-    b = sphere[face[1]]
-    c = sphere[face[2]]
+    a, b, c = corners_of(sphere, faces[t])
     untangle_derivatives(t, frames[t], areas[t], a, b, c, epsilon[t], weight, gradient, hessian)
 
 
@@ -243,10 +237,7 @@ def energy_of(
         return LARGE
     energy = ZERO
     for t in range(patches.face_starts[p], patches.face_starts[p + 1]):
-        face = patches.faces[t]
-        a = points[face[0]]
-        b = points[face[1]]
-        c = points[face[2]]
+        a, b, c = corners_of(points, patches.faces[t])
         energy += untangle_energy(patches.frames[t], patches.areas[t], a, b, c, eps, weight)
     return energy
 
@@ -272,8 +263,8 @@ def untangle_small_patches(
     """
     thread, _compiled_once = wp.tid()
     p = group[thread]
-    begin = patches.starts[p]
-    end = patches.starts[p + 1]
+    begin = patches.matrix.starts[p]
+    end = patches.matrix.starts[p + 1]
     share = shares[p]
     eps = given.largest
     sheets = sheets_of(p, patches, share, points)
@@ -287,10 +278,7 @@ def untangle_small_patches(
             left -= 1
             steps += 1
             for t in range(patches.face_starts[p], patches.face_starts[p + 1]):
-                face = patches.faces[t]
-                a = points[face[0]]
-                b = points[face[1]]
-                c = points[face[2]]
+                a, b, c = corners_of(points, patches.faces[t])
                 frame = patches.frames[t]
                 area = patches.areas[t]
                 untangle_derivatives(t, frame, area, a, b, c, eps, given.weight, scratch.gradient, scratch.blocks)

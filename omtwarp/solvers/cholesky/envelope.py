@@ -29,6 +29,17 @@ wp.set_module_options(KERNEL_OPTIONS)
 COLUMNS = wp.constant(4)  # vertices whose blocks a row stores entry by entry, as a group
 
 
+@wp.struct
+class Envelope:
+    """Matrices one after another, as :class:`Envelopes` has them."""
+
+    starts: wp.array[wp.int32]
+    first: wp.array[wp.int32]
+    last: wp.array[wp.int32]
+    rows: wp.array[wp.int64]
+    left: wp.array[wp.float64]  # their blocks left of the diagonal
+
+
 @dataclass(frozen=True, eq=False)
 class Envelopes:
     """Independent matrices whose patterns are the edges between vertices, some unknowns to a vertex.
@@ -81,15 +92,15 @@ class Envelopes:
         groups = (places + COLUMNS - 1) // COLUMNS - first // COLUMNS
         return cls(order, starts, first, last, np.cumsum(groups) - groups, int(groups.sum()), operations)
 
-    def storage(self, unknowns: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return memory for all matrices with so many unknowns to a vertex: for diagonals, and what is left of them."""
-        count = len(self.order)
-        return np.empty((count, unknowns, unknowns)), np.empty(self.size * COLUMNS * unknowns**2)
-
-    def upload(self, device: wp.Device | str = "cpu") -> list[wp.array]:
-        """Return starts, first, last and rows as arrays that kernels on a device read."""
-        numbers = [self.starts, self.first, self.last]
-        return [*(sent(values, wp.int32, device) for values in numbers), sent(self.rows, wp.int64, device)]
+    def upload(self, unknowns: int, device: wp.Device | str = "cpu") -> Envelope:
+        """Return what kernels on a device read of the matrices, with memory for so many unknowns to a vertex."""
+        matrices = Envelope()
+        matrices.starts, matrices.first, matrices.last = (
+            sent(values, wp.int32, device) for values in (self.starts, self.first, self.last)
+        )
+        matrices.rows = sent(self.rows, wp.int64, device)
+        matrices.left = wp.empty(self.size * COLUMNS * unknowns**2, dtype=wp.float64, device=device)
+        return matrices
 
 
 # With Warp's own vectors, of which the compiler makes no vectors of the processor, a factorisation of 1,000 vertices
@@ -155,9 +166,10 @@ SUBSTITUTE = """
             for (int b = 0; b < a; ++b) s[a] -= own[SIZE * a + b] * s[b];
             s[a] *= own[SIZE * a + a];
         }
-        for (int i = j + 1 + lane; i <= last.data[j]; i += lanes) {
-            if (first.data[i] > j) continue;
-            const double* block = left.data + (long long)width * (rows.data[i] - first.data[i] / 4 + j / 4) + j % 4;
+        for (int i = j + 1 + lane; i <= m.last.data[j]; i += lanes) {
+            if (m.first.data[i] > j) continue;
+            const long long group = m.rows.data[i] - m.first.data[i] / 4 + j / 4;
+            const double* block = m.left.data + width * group + j % 4;
             for (int a = 0; a < SIZE; ++a)
                 for (int b = 0; b < SIZE; ++b) y[SIZE * i + a] -= block[4 * (SIZE * a + b)] * s[b];
         }
@@ -168,13 +180,13 @@ SUBSTITUTE = """
     MEET
     for (int i = end - 1; i >= begin; --i) {
         const double* own = (const double*)(diagonal.data + i);
-        const double* row = left.data + (long long)width * (rows.data[i] - first.data[i] / 4);
+        const double* row = m.left.data + (long long)width * (m.rows.data[i] - m.first.data[i] / 4);
         for (int a = SIZE - 1; a >= 0; --a) {
             s[a] = y[SIZE * i + a];
             for (int b = a + 1; b < SIZE; ++b) s[a] -= own[SIZE * b + a] * s[b];
             s[a] *= own[SIZE * a + a];
         }
-        for (int j = first.data[i] + lane; j < i; j += lanes) {
+        for (int j = m.first.data[i] + lane; j < i; j += lanes) {
             const double* block = row + (long long)width * (j / 4) + j % 4;
             for (int b = 0; b < SIZE; ++b) {
                 double sum = 0.0;
@@ -208,43 +220,27 @@ def saddle_product_of_rows(  # type: ignore[empty-body]
 
 
 @wp.func
-def group_of(i: int, j: int, first: wp.array[wp.int32], rows: wp.array[wp.int64]) -> int:
+def group_of(i: int, j: int, m: Envelope) -> int:
     """Return which group has the block with rows of vertex i and columns of vertex j, first[i] <= j < i."""
-    return int(rows[i]) + j // COLUMNS - first[i] // COLUMNS
+    return int(m.rows[i]) + j // COLUMNS - m.first[i] // COLUMNS
 
 
 @wp.func
-def groups_before(i: int, first: wp.array[wp.int32]) -> int:
+def groups_before(i: int, m: Envelope) -> int:
     """Return how many groups the blocks of vertex i with the vertices before it take."""
-    return (i + COLUMNS - 1) // COLUMNS - first[i] // COLUMNS
+    return (i + COLUMNS - 1) // COLUMNS - m.first[i] // COLUMNS
 
 
 @wp.func
-def clear_row(
-    i: int,
-    size: int,
-    first: wp.array[wp.int32],
-    rows: wp.array[wp.int64],
-    # Data in and out:
-    left: wp.array[wp.float64],
-):
+def clear_row(i: int, size: int, m: Envelope):
     """Set the blocks of vertex i with those before it, of ``size`` rows each, to zero."""
     numbers = size * size * COLUMNS
-    for k in range(numbers * int(rows[i]), numbers * (int(rows[i]) + groups_before(i, first))):
-        left[k] = ZERO
+    for k in range(numbers * int(m.rows[i]), numbers * (int(m.rows[i]) + groups_before(i, m))):
+        m.left[k] = ZERO
 
 
 @wp.func
-def add_block(
-    i: int,
-    j: int,
-    block: wp.mat22d,
-    first: wp.array[wp.int32],
-    rows: wp.array[wp.int64],
-    # Data in and out:
-    diagonal: wp.array[wp.mat22d],
-    left: wp.array[wp.float64],
-):
+def add_block(i: int, j: int, block: wp.mat22d, m: Envelope, diagonal: wp.array[wp.mat22d]):
     """Add a block with rows of vertex i and columns of vertex j, on whichever side of the diagonal is kept."""
     if i == j:
         diagonal[i] = diagonal[i] + block
@@ -253,58 +249,42 @@ def add_block(
     if i < j:
         kept = wp.transpose(block)
     column = wp.min(i, j)
-    at = 4 * COLUMNS * group_of(wp.max(i, j), column, first, rows) + column % COLUMNS
+    at = 4 * COLUMNS * group_of(wp.max(i, j), column, m) + column % COLUMNS
     for a in range(2):
         for b in range(2):
-            left[at] = left[at] + kept[a, b]
+            m.left[at] = m.left[at] + kept[a, b]
             at += COLUMNS
 
 
 @wp.func
-def add_saddle_block(
-    i: int,
-    j: int,
-    block: wp.mat33d,
-    first: wp.array[wp.int32],
-    rows: wp.array[wp.int64],
-    # Data in and out:
-    left: wp.array[wp.float64],
-):
+def add_saddle_block(i: int, j: int, block: wp.mat33d, m: Envelope):
     """Add a block with rows of vertex i and columns of vertex j < i."""
-    at = 9 * COLUMNS * group_of(i, j, first, rows) + j % COLUMNS
+    at = 9 * COLUMNS * group_of(i, j, m) + j % COLUMNS
     for a in range(3):
         for b in range(3):
-            left[at] = left[at] + block[a, b]
+            m.left[at] = m.left[at] + block[a, b]
             at += COLUMNS
 
 
 @wp.func
-def factorise_envelope(
-    begin: int,
-    end: int,
-    first: wp.array[wp.int32],
-    rows: wp.array[wp.int64],
-    # Data in and out:
-    diagonal: wp.array[wp.mat22d],
-    left: wp.array[wp.float64],
-) -> bool:
+def factorise_envelope(begin: int, end: int, m: Envelope, diagonal: wp.array[wp.mat22d]) -> bool:
     """Replace the matrix of the vertices begin to end - 1 by its Cholesky factor, with the diagonal inverted.
 
     Returns whether all pivots are positive.
     """
     for i in range(begin, end):
-        for j in range(first[i], i + 1):
-            both = wp.max(first[i], first[j])
+        for j in range(m.first[i], i + 1):
+            both = wp.max(m.first[i], m.first[j])
             count = (j + COLUMNS - 1) // COLUMNS - both // COLUMNS
-            total = product_of_rows(group_of(i, both, first, rows), group_of(j, both, first, rows), count, left)
+            total = product_of_rows(group_of(i, both, m), group_of(j, both, m), count, m.left)
             if j < i:
                 own = diagonal[j]
-                at = 4 * COLUMNS * group_of(i, j, first, rows) + j % COLUMNS
+                at = 4 * COLUMNS * group_of(i, j, m) + j % COLUMNS
                 for a in range(2):
-                    x = (left[at] - total[a, 0]) * own[0, 0]
-                    y = (left[at + COLUMNS] - total[a, 1] - x * own[1, 0]) * own[1, 1]
-                    left[at] = x
-                    left[at + COLUMNS] = y
+                    x = (m.left[at] - total[a, 0]) * own[0, 0]
+                    y = (m.left[at + COLUMNS] - total[a, 1] - x * own[1, 0]) * own[1, 1]
+                    m.left[at] = x
+                    m.left[at + COLUMNS] = y
                     at += 2 * COLUMNS
             else:
                 rest = diagonal[i] - total
@@ -320,17 +300,7 @@ def factorise_envelope(
 
 
 @wp.func_native("    const int lane = 0, lanes = 1;" + SUBSTITUTE.replace("MEET", "").replace("SIZE", "2"))
-def solve_envelope(
-    begin: int,
-    end: int,
-    first: wp.array[wp.int32],
-    last: wp.array[wp.int32],
-    rows: wp.array[wp.int64],
-    diagonal: wp.array[wp.mat22d],
-    left: wp.array[wp.float64],
-    # Data in and out:
-    x: wp.array[wp.float64],
-):
+def solve_envelope(begin: int, end: int, m: Envelope, diagonal: wp.array[wp.mat22d], x: wp.array[wp.float64]):
     """Replace the right-hand side, two numbers a vertex, by the solution."""
 
 
@@ -359,26 +329,21 @@ def factorise_saddle_envelope(
     p: int,
     lane: int,
     lanes: int,
-    begin: int,
-    end: int,
-    first: wp.array[wp.int32],
-    last: wp.array[wp.int32],
-    rows: wp.array[wp.int64],
+    m: Envelope,
     gates: wp.array[wp.int32],
     # Data in and out:
     diagonal: wp.array[wp.mat33d],
-    left: wp.array[wp.float64],
     definite: wp.array2d[wp.float64],
 ):
-    """Factorise a quasi-definite matrix L S Lᵀ with S = diag(1, 1, -1) at every vertex, the diagonal of L inverted.
+    """Factorise quasi-definite matrix p as L S Lᵀ, S = diag(1, 1, -1) at every vertex, the diagonal of L inverted.
 
     The third unknown of every vertex is a multiplier (:mod:`omtwarp.solvers.cholesky.saddle`). ``definite`` of p gets 1
     where all pivots have their signs, otherwise 0.
     """
-    for j in range(begin, end):
+    for j in range(m.starts[p], m.starts[p + 1]):
         if lane == 0:
-            at = group_of(j, first[j], first, rows)
-            total = saddle_product_of_rows(at, at, groups_before(j, first), left)
+            at = group_of(j, m.first[j], m)
+            total = saddle_product_of_rows(at, at, groups_before(j, m), m.left)
             definite[p, 0] = ZERO
             if saddle_pivot(j, diagonal[j] - total, diagonal):
                 definite[p, 0] = ONE
@@ -386,38 +351,35 @@ def factorise_saddle_envelope(
         if not definite[p, 0] > ZERO:
             return
         own = diagonal[j]
-        for i in range(j + 1 + lane, last[j] + 1, lanes):
-            if first[i] <= j:
-                both = wp.max(first[i], first[j])
+        for i in range(j + 1 + lane, m.last[j] + 1, lanes):
+            if m.first[i] <= j:
+                both = wp.max(m.first[i], m.first[j])
                 count = (j + COLUMNS - 1) // COLUMNS - both // COLUMNS
-                u = group_of(i, both, first, rows)
-                total = saddle_product_of_rows(u, group_of(j, both, first, rows), count, left)
-                at = 9 * COLUMNS * group_of(i, j, first, rows) + j % COLUMNS
+                total = saddle_product_of_rows(group_of(i, both, m), group_of(j, both, m), count, m.left)
+                at = 9 * COLUMNS * group_of(i, j, m) + j % COLUMNS
                 for a in range(3):
-                    x = (left[at] - total[a, 0]) * own[0, 0]
-                    y = (left[at + COLUMNS] - total[a, 1] - x * own[1, 0]) * own[1, 1]
-                    z = (left[at + 2 * COLUMNS] - total[a, 2] - x * own[2, 0] - y * own[2, 1]) * own[2, 2]
-                    left[at] = x
-                    left[at + COLUMNS] = y
-                    left[at + 2 * COLUMNS] = -z
+                    x = (m.left[at] - total[a, 0]) * own[0, 0]
+                    y = (m.left[at + COLUMNS] - total[a, 1] - x * own[1, 0]) * own[1, 1]
+                    z = (m.left[at + 2 * COLUMNS] - total[a, 2] - x * own[2, 0] - y * own[2, 1]) * own[2, 2]
+                    m.left[at] = x
+                    m.left[at + COLUMNS] = y
+                    m.left[at + 2 * COLUMNS] = -z
                     at += 3 * COLUMNS
         meet(p, lane, lanes, gates)
 
 
-@wp.func_native(SUBSTITUTE.replace("MEET", MEET).replace("SIZE", "3"))
+@wp.func_native(
+    "    const int begin = m.starts.data[p], end = m.starts.data[p + 1];"
+    + SUBSTITUTE.replace("MEET", MEET).replace("SIZE", "3")
+)
 def solve_saddle_envelope(
     p: int,
     lane: int,
     lanes: int,
-    begin: int,
-    end: int,
-    first: wp.array[wp.int32],
-    last: wp.array[wp.int32],
-    rows: wp.array[wp.int64],
+    m: Envelope,
     gates: wp.array[wp.int32],
     diagonal: wp.array[wp.mat33d],
-    left: wp.array[wp.float64],
     # Data in and out:
     x: wp.array[wp.vec3d],
 ):
-    """Replace the right-hand side by the solution: two coordinates and the multiplier of every vertex."""
+    """Replace the right-hand side of matrix p by the solution: two coordinates and the multiplier of every vertex."""

@@ -11,6 +11,7 @@ from omtwarp.device.start import KERNEL_OPTIONS, wp
 from omtwarp.mesh.shapes import blob, icosphere
 from omtwarp.solvers.cholesky.envelope import (
     COLUMNS,
+    Envelope,
     Envelopes,
     factorise_envelope,
     factorise_saddle_envelope,
@@ -23,49 +24,41 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 @wp.kernel
 def solve_each(
-    starts: wp.array[wp.int32],
-    first: wp.array[wp.int32],
-    last: wp.array[wp.int32],
-    rows: wp.array[wp.int64],
+    m: Envelope,
     # Data in and out:
     diagonal: wp.array[wp.mat22d],
-    left: wp.array[wp.float64],
     x: wp.array[wp.float64],
     # Data out:
     definite: wp.array2d[wp.float64],
 ):
     p, _compiled_once = wp.tid()
-    if factorise_envelope(starts[p], starts[p + 1], first, rows, diagonal, left):
+    begin, end = m.starts[p], m.starts[p + 1]
+    if factorise_envelope(begin, end, m, diagonal):
         definite[p, 0] = wp.float64(1.0)
-        solve_envelope(starts[p], starts[p + 1], first, last, rows, diagonal, left, x)
+        solve_envelope(begin, end, m, diagonal, x)
 
 
 @wp.kernel
 def solve_each_saddle(
-    starts: wp.array[wp.int32],
-    first: wp.array[wp.int32],
-    last: wp.array[wp.int32],
-    rows: wp.array[wp.int64],
+    m: Envelope,
     # Data in and out:
     diagonal: wp.array[wp.mat33d],
-    left: wp.array[wp.float64],
     x: wp.array[wp.vec3d],
     # Data out:
     definite: wp.array2d[wp.float64],
 ):
     p, _compiled_once = wp.tid()
-    begin, end = starts[p], starts[p + 1]
-    gates = starts  # one lane has no others to wait for
-    factorise_saddle_envelope(p, 0, 1, begin, end, first, last, rows, gates, diagonal, left, definite)
+    gates = m.starts  # one lane has no others to wait for
+    factorise_saddle_envelope(p, 0, 1, m, gates, diagonal, definite)
     if definite[p, 0] > wp.float64(0.0):
-        solve_saddle_envelope(p, 0, 1, begin, end, first, last, rows, gates, diagonal, left, x)
+        solve_saddle_envelope(p, 0, 1, m, gates, diagonal, x)
 
 
 def solved(edges, matrix, count, dense, right, unknowns=2):
     """Solve with the blocks of dense matrices; return the solution and whether each matrix has the right signs."""
     envelopes = Envelopes.of_edges(edges, matrix, count)
-    diagonal, left = envelopes.storage(unknowns)
-    groups = left.reshape(envelopes.size, unknowns, unknowns, COLUMNS)
+    diagonal, uploaded = np.empty((len(matrix), unknowns, unknowns)), envelopes.upload(unknowns)
+    groups = uploaded.left.numpy().reshape(envelopes.size, unknowns, unknowns, COLUMNS)
     groups[:] = 0.0
     blocks = dense.reshape(len(matrix), unknowns, len(matrix), unknowns).swapaxes(1, 2)
     for i, own in enumerate(envelopes.order):
@@ -80,12 +73,11 @@ def solved(edges, matrix, count, dense, right, unknowns=2):
         kernel, block, numbers = solve_each_saddle, wp.mat33d, wp.vec3d
     arrays = [
         (diagonal, block),
-        (left, wp.float64),
         (x if unknowns == 3 else x.ravel(), numbers),
         (definite, wp.float64),
     ]
     outputs = [wp.array(values, dtype=kind, device="cpu", copy=False) for values, kind in arrays]
-    wp.launch(kernel, dim=count, inputs=envelopes.upload(), outputs=outputs, device="cpu")
+    wp.launch(kernel, dim=count, inputs=[uploaded], outputs=outputs, device="cpu")
     out = np.empty((len(matrix), unknowns))
     out[envelopes.order] = x
     return out.ravel(), definite[:, 0] > 0.0
