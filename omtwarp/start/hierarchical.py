@@ -25,7 +25,7 @@ from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import count_flips
 from omtwarp.geometry.axes import order_by_place
-from omtwarp.mesh.arrays import Floats, Ints, real_number
+from omtwarp.mesh.arrays import TINY, Floats, Ints, real_number
 from omtwarp.mesh.surface import MeshLike, Surface, as_surface, triangle_areas
 from omtwarp.options import Progress, tell
 from omtwarp.start.decimation import MAX_VALENCE, Hierarchy, Level, Removal, Vertex, integers, simplify
@@ -33,8 +33,6 @@ from omtwarp.start.hierarchical_kernels import (
     insert_on_equator,
     insert_vertices,
     relax_vertices,
-    slide_on_equator,
-    triangle_coefficients,
 )
 from omtwarp.topology.kind import boundary_half_edges
 
@@ -163,7 +161,7 @@ class Embedding:
         colours[level.vertices] = np.arange(len(level.vertices))
         self.device = device
         self.area_weight = area_weight
-        self.points: wp.array = wp.array(surface.scaled_vertices, dtype=wp.vec3d, device=device)
+        self.points = surface.scaled_vertices
         self.sphere: wp.array = wp.array(start, dtype=wp.vec3d, device=device)
         self.colours = integers(colours, device)
         self.enter(level)
@@ -221,24 +219,7 @@ class Embedding:
         self.vertices, self.offsets, self.heads, self.thirds = (
             integers(x, self.device) for x in (level.vertices, level.offsets, level.heads, level.thirds)
         )
-        self.coefficients: wp.array = wp.empty(len(level.heads), dtype=wp.vec4d, device=self.device)
-        # Part of an equilateral triangle mixed into each coarse triangle's metric.
-        wp.launch(
-            triangle_coefficients,
-            dim=len(level.vertices),
-            inputs=[
-                self.vertices,
-                self.offsets,
-                self.heads,
-                self.thirds,
-                integers(level.half_edge_faces, self.device),
-                wp.array(level.face_masses, dtype=wp.float64, device=self.device),
-                self.points,
-                0.001,
-            ],
-            outputs=[self.coefficients],
-            device=self.device,
-        )
+        self.coefficients = wp.array(self.coefficients_of(level), dtype=wp.vec4d, device=self.device)
         colour = self.colours.numpy()[level.vertices]
         self.slots = integers(np.argsort(colour, kind="stable"), self.device)
         self.kept: list[wp.array] = []  # what recorded launches read
@@ -250,6 +231,22 @@ class Embedding:
             if end > begin
             for move in self.moves_of(self.slots[int(begin) : int(end)])
         ]
+
+    def coefficients_of(self, level: Level) -> Floats:
+        """Return cotangents at vertex, head and third of the triangle in space, and its area, for every half-edge.
+
+        Adding one number to all three squared lengths adds an equilateral triangle's metric: slivers, and the flattened
+        limbs of coarse levels, get a shape that can be reached.
+        """
+        part = 0.001  # of an equilateral triangle
+        tails = np.repeat(level.vertices, np.diff(level.offsets))
+        p, q, r = (self.points[ends] for ends in (tails, level.heads, level.thirds))
+        squares = np.stack([((one - other) ** 2).sum(axis=1) for one, other in ((r, q), (p, r), (q, p))])
+        squares += part * squares.sum(axis=0) + TINY
+        # Heron: 16 area^2; the added metric keeps it away from 0.
+        heron = squares.sum(axis=0) ** 2 - 2.0 * (squares**2).sum(axis=0)
+        cotangents = (squares.sum(axis=0) - 2.0 * squares) / np.sqrt(np.maximum(heron, TINY))
+        return np.column_stack([cotangents.T, level.face_masses[level.half_edge_faces]])
 
     def relax(self, vertices: Ints) -> None:
         """Move these vertices, no two of which are neighbours."""
@@ -268,10 +265,10 @@ class Embedding:
 
         The caller keeps ``slots`` alive.
         """
-        return [self.recorded(relax_vertices, slots)]
+        return [self.recorded(slots)]
 
-    def recorded(self, kernel: wp.Kernel, slots: wp.array, *more: object) -> wp.Launch:
-        """Return a recorded launch of a kernel that moves vertices; ``more`` are its last inputs."""
+    def recorded(self, slots: wp.array, pole: int = -1, on_equator: bool = False) -> wp.Launch:
+        """Return a recorded launch of the kernel that moves vertices, anywhere or along the equator."""
         area_weight, count = self.area_weight, len(self.level.vertices)
         if 4 * count <= len(self.sphere):
             # The areas of coarse triangles are exact, their shapes only approximate: on a level of n vertices, a
@@ -280,9 +277,9 @@ class Embedding:
             area_weight = max(area_weight, 1e4 / count)
         mesh = [self.vertices, self.offsets, self.heads, self.thirds, self.coefficients]
         move = wp.launch(
-            kernel,
+            relax_vertices,
             dim=len(slots),
-            inputs=[slots, *mesh, area_weight, *more],
+            inputs=[slots, *mesh, area_weight, pole, on_equator],
             outputs=[self.sphere],
             device=self.device,
             record_cmd=True,
@@ -395,9 +392,9 @@ class _HemisphereEmbedding(Embedding):
         places = slots.numpy()
         kinds = self.kinds[self.level.vertices[places]]
         moves = []
-        for kind, kernel, more in ((Vertex.INSIDE, relax_vertices, ()), (Vertex.RIM, slide_on_equator, (self.pole,))):
+        for kind in (Vertex.INSIDE, Vertex.RIM):
             if (kinds == kind).any():
                 own = integers(places[kinds == kind], self.device)
                 self.kept.append(own)
-                moves.append(self.recorded(kernel, own, *more))
+                moves.append(self.recorded(own, self.pole, kind == Vertex.RIM))
         return moves

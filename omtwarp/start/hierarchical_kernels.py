@@ -1,7 +1,7 @@
 """Kernels of the coarse-to-fine embedding: insertion of vertices, and moves that cannot flip a triangle."""
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
-from omtwarp.geometry.spherical import TINY
+from omtwarp.geometry.spherical import first_tangent
 from omtwarp.start.decimation import MAX_VALENCE
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -100,43 +100,6 @@ def insert_vertices(
     least_determinants[i] = least_of_ring(best, rings, i, count, sphere)
 
 
-@wp.kernel
-def triangle_coefficients(
-    vertices: wp.array[wp.int32],
-    offsets: wp.array[wp.int32],
-    heads: wp.array[wp.int32],
-    thirds: wp.array[wp.int32],
-    half_edge_faces: wp.array[wp.int32],
-    face_masses: wp.array[wp.float64],
-    points: wp.array[wp.vec3d],
-    rounding: wp.float64,
-    # Data out:
-    coefficients: wp.array[wp.vec4d],
-):
-    """Compute cotangents at vertex, head and third of the triangle in space, and its target area, for every half-edge.
-
-    Adding one number to all three squared lengths adds an equilateral triangle's metric: slivers, and the flattened
-    limbs of coarse levels, get a shape that can be reached.
-    """
-    i, _compiled_once = wp.tid()
-    p = points[vertices[i]]
-    for h in range(offsets[i], offsets[i + 1]):
-        q = points[heads[h]]
-        r = points[thirds[h]]
-        a = wp.length_sq(r - q)
-        b = wp.length_sq(p - r)
-        c = wp.length_sq(q - p)
-        extra = rounding * (a + b + c) + TINY
-        a += extra
-        b += extra
-        c += extra
-        # Heron: 16 area^2; the added metric keeps it away from 0.
-        root = wp.sqrt(wp.max(TWO * (a * b + b * c + c * a) - (a * a + b * b + c * c), TINY))
-        coefficients[h] = wp.vec4d(
-            (b + c - a) / root, (c + a - b) / root, (a + b - c) / root, face_masses[half_edge_faces[h]]
-        )
-
-
 @wp.func
 def star_energy(
     x: wp.vec3d,
@@ -182,13 +145,16 @@ def relax_vertices(
     thirds: wp.array[wp.int32],
     coefficients: wp.array[wp.vec4d],
     area_weight: wp.float64,
+    pole: int,
+    on_equator: wp.bool,
     # Data in and out:
     sphere: wp.array[wp.vec3d],
 ):
     """Take a Newton step with a line search for vertices of which no two are neighbours.
 
-    The energy of ``star_energy`` is a sum of quadratics over positive linear functions of ``x``, hence convex: its
-    Hessian needs no modification and the step is a descent direction.
+    They move ``on_equator``, or anywhere; a closed surface has the pole -1. The energy of ``star_energy`` is a sum of
+    quadratics over positive linear functions of ``x``, hence convex: its Hessian needs no modification and the step is
+    a descent direction.
     """
     slot, _compiled_once = wp.tid()
     i = slots[slot]
@@ -207,6 +173,8 @@ def relax_vertices(
         normal = wp.cross(a, b - a)
         det = wp.dot(x, normal)
         least = wp.min(least, det)
+        if heads[h] == pole or thirds[h] == pole:
+            continue
         stretch = k[0] * wp.length_sq(b - a) + k[1] * wp.length_sq(x - b) + k[2] * wp.length_sq(x - a)
         top = k[3] * (stretch + TWO * area_weight * k[3])
         slope = TWO * k[3] * (k[1] * (x - b) + k[2] * (x - a))
@@ -221,10 +189,9 @@ def relax_vertices(
         )
     if least <= ZERO:
         return
-    axis = wp.vec3d(ONE, ZERO, ZERO)
-    if wp.abs(x[0]) > HALF:
-        axis = wp.vec3d(ZERO, ONE, ZERO)
-    t1 = wp.normalize(wp.cross(x, axis))
+    t1 = first_tangent(x)
+    if on_equator:
+        t1 = wp.vec3d(-x[1], x[0], ZERO)
     t2 = wp.cross(x, t1)
     g1 = wp.dot(gradient, t1)
     g2 = wp.dot(gradient, t2)
@@ -233,6 +200,8 @@ def relax_vertices(
     h11 = wp.dot(t1, hessian * t1) + bend
     h12 = wp.dot(t1, hessian * t2)
     h22 = wp.dot(t2, hessian * t2) + bend
+    if on_equator:
+        g2, h12, h22 = ZERO, ZERO, ONE
     det2 = h11 * h22 - h12 * h12
     if not (det2 > ZERO):
         return
@@ -246,8 +215,7 @@ def relax_vertices(
     step = ONE / wp.max(ONE, wp.length(direction))
     for _ in range(_HALVINGS):
         trial = wp.normalize(x + step * direction)
-        # A closed surface has no pole: -1.
-        value = star_energy(trial, begin, end, heads, thirds, coefficients, sphere, area_weight, bound, -1)
+        value = star_energy(trial, begin, end, heads, thirds, coefficients, sphere, area_weight, bound, pole)
         if value < energy + _SUFFICIENT_DECREASE * step * descent:
             sphere[v] = trial
             return
@@ -297,62 +265,3 @@ def insert_on_equator(
     placed = wp.vec3d(best[0], best[1], ZERO)
     sphere[v] = placed
     least_determinants[i] = least_of_ring(placed, rings, i, count, sphere)
-
-
-@wp.kernel
-def slide_on_equator(
-    slots: wp.array[wp.int32],
-    vertices: wp.array[wp.int32],
-    offsets: wp.array[wp.int32],
-    heads: wp.array[wp.int32],
-    thirds: wp.array[wp.int32],
-    coefficients: wp.array[wp.vec4d],
-    area_weight: wp.float64,
-    pole: int,
-    # Data in and out:
-    sphere: wp.array[wp.vec3d],
-):
-    """Take a Newton step with a line search along the equator, see :func:`relax_vertices`."""
-    slot, _compiled_once = wp.tid()
-    i = slots[slot]
-    v = vertices[i]
-    begin = offsets[i]
-    end = offsets[i + 1]
-    x = sphere[v]
-    along = wp.vec3d(-x[1], x[0], ZERO)
-    gradient = ZERO
-    radial = ZERO
-    curvature = ZERO
-    least = wp.float64(2.0)
-    for h in range(begin, end):
-        a = sphere[heads[h]]
-        b = sphere[thirds[h]]
-        normal = wp.cross(a, b - a)
-        det = wp.dot(x, normal)
-        least = wp.min(least, det)
-        if heads[h] != pole and thirds[h] != pole:
-            k = coefficients[h]
-            stretch = k[0] * wp.length_sq(b - a) + k[1] * wp.length_sq(x - b) + k[2] * wp.length_sq(x - a)
-            top = k[3] * (stretch + TWO * area_weight * k[3])
-            slope = TWO * k[3] * (k[1] * (x - b) + k[2] * (x - a))
-            by_det = HALF * area_weight - top / (det * det)
-            turned = wp.dot(normal, along)
-            leaning = wp.dot(slope, along)
-            gradient += leaning / det + by_det * turned
-            radial += wp.dot(slope, x) / det + by_det * det
-            curvature += (TWO * k[3] * (k[1] + k[2]) - TWO * leaning * turned / det) / det
-            curvature += TWO * top * turned * turned / (det * det * det)
-    curvature += wp.max(-radial, ZERO)
-    if least <= ZERO or not (curvature > ZERO) or gradient == ZERO:
-        return
-    bound = wp.min(_SAFE_DETERMINANT, HALF * least)
-    energy = star_energy(x, begin, end, heads, thirds, coefficients, sphere, area_weight, ZERO, pole)
-    move = -gradient / curvature
-    step = ONE / wp.max(ONE, wp.abs(move))
-    for _ in range(_HALVINGS):
-        there = wp.normalize(x + (step * move) * along)
-        value = star_energy(there, begin, end, heads, thirds, coefficients, sphere, area_weight, bound, pole)
-        if value < energy + _SUFFICIENT_DECREASE * step * move * gradient:
-            sphere[v] = there
-            return
-        step *= HALF

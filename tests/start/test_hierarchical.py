@@ -315,6 +315,8 @@ def test_a_relaxed_vertex_stands_at_the_minimum_of_its_energy():
                 wp.array(np.roll(np.arange(count), -1), dtype=wp.int32, device=CPU),
                 wp.array(np.hstack([cotangents, areas[:, None]]), dtype=wp.vec4d, device=CPU),
                 weight,
+                -1,
+                False,
             ],
             outputs=[sphere],
             device=CPU,
