@@ -1,10 +1,11 @@
-"""Sums on the device in an order that depends only on the number of terms, and sums by NumPy on the host."""
+"""Sums on the device in an order that depends only on the number of terms, sums by NumPy, and linear combinations."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.device.arrays import empty
 from omtwarp.device.policy import shares_host_memory
 from omtwarp.device.start import KERNEL_OPTIONS, wp
 
@@ -249,3 +250,32 @@ class Reading:
 def sums_for(device: wp.Device) -> DeviceSum | HostSum:
     """Choose where sums are computed: on CUDA by kernels, else by NumPy."""
     return HostSum() if shares_host_memory(device) else DeviceSum(device)
+
+
+@wp.kernel
+def linear_combination(
+    factor: wp.float64,
+    one: wp.array[wp.float64],
+    other_factor: wp.float64,
+    other: wp.array[wp.float64],
+    # Data out:
+    sums: wp.array[wp.float64],
+):
+    """Compute factor times one plus other_factor times the other."""
+    i = wp.tid()
+    sums[i] = factor * one[i] + other_factor * other[i]
+
+
+def combine(
+    factor: float, one: wp.array, other_factor: float, other: wp.array, out: wp.array | None = None
+) -> wp.array:
+    """Return factor times one plus other_factor times other, float64, shape [N], in ``out`` where it is given."""
+    sums = empty(one.size, wp.float64, one.device) if out is None else out
+    inputs = [wp.float64(factor), one, wp.float64(other_factor), other]
+    wp.launch(linear_combination, dim=one.size, inputs=inputs, outputs=[sums], device=one.device)
+    return sums
+
+
+def scaled(values: wp.array, factor: float, out: wp.array | None = None) -> wp.array:
+    """Return a multiple of numbers, float64, shape [N], in ``out`` where it is given."""
+    return combine(factor, values, 0.0, values, out)

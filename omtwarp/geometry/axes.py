@@ -147,9 +147,8 @@ def turned_towards(sphere: Floats, target: Floats, weights: Floats) -> Floats:
     Returns:
         ``sphere`` after the best rotation, shape [V, 3].
     """
-    left, _, right = np.linalg.svd((weights[:, None] * target).T @ sphere)
-    left[:, 2] *= np.sign(np.linalg.det(left @ right))
-    return np.ascontiguousarray(sphere @ (left @ right).T)
+    rotation, _ = fitted_rotation((weights[:, None] * sphere).T @ target)
+    return np.ascontiguousarray(sphere @ rotation.T)
 
 
 def turned_about_pole(sphere: Floats, target: Floats, weights: Floats) -> Floats:

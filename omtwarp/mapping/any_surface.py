@@ -22,7 +22,7 @@ from omtwarp.mesh.arrays import Floats, edge_keys
 from omtwarp.mesh.origins import Derived, Origins
 from omtwarp.mesh.quarter import PARTS, quarter
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, triangle_areas
-from omtwarp.mesh.validate import unit_coordinates
+from omtwarp.mesh.validate import mesh_arrays, unit_coordinates
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.open_surfaces.caps import disk_to_cap, hemisphere_to_disk, pack_caps
 from omtwarp.open_surfaces.held import (
@@ -136,7 +136,7 @@ def map_surface(
     domain, fill_area = choose(Domain, domain), choose(FillArea, fill_area)
     chosen = MapOptions.parse(**options)
     along = _loops_to_cut(cut, cut_along)
-    vertices, faces = _arrays(mesh)
+    vertices, faces = mesh_arrays(mesh)
     parts, of_file = parts_of(vertices, faces), mesh.origins if isinstance(mesh, Surface) else None
     together = together and len(parts) > 1
     if len(parts) == 1 and parts[0].is_sphere and domain in ("auto", "sphere"):
@@ -403,15 +403,6 @@ def _on_torus(part: Part, progress: Progress | None, options: MapOptions) -> Tor
             device=device,
         )
     return torus_in_input_order(result, ordered, part)
-
-
-def _arrays(mesh: MeshLike) -> tuple[ArrayLike, ArrayLike]:
-    """Return the vertices and faces of any of the accepted forms, unchecked."""
-    if isinstance(mesh, tuple | list) and len(mesh) == 2:
-        return mesh[0], mesh[1]
-    if hasattr(mesh, "vertices") and hasattr(mesh, "faces"):
-        return mesh.vertices, mesh.faces
-    raise OmtwarpError(f"expected a trimesh.Trimesh or (vertices, faces), got {type(mesh).__name__}")
 
 
 @dataclass(frozen=True, eq=False)

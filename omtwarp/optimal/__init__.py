@@ -1,6 +1,7 @@
 """The discrete optimal map: least transport cost among maps that keep the areas around vertices (section 4.3)."""
 
-from omtwarp.optimal.map_energy import MapEnergy
-from omtwarp.optimal.solver import GAIN, SHAPE_WEIGHT, OptimalMap, optimal_map
+from omtwarp.optimal.energy import SHAPE_WEIGHT
+from omtwarp.optimal.solver import GAIN, OptimalMap, optimal_map
+from omtwarp.optimal.sphere import MapEnergy
 
 __all__ = ["GAIN", "SHAPE_WEIGHT", "MapEnergy", "OptimalMap", "optimal_map"]

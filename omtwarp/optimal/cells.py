@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from omtwarp.device.arrays import Workspace, empty
 from omtwarp.device.start import KERNEL_OPTIONS, wp
+from omtwarp.device.sums import scaled
 from omtwarp.device.threads import FIRST_THREAD, Each, each, launch_parts
 from omtwarp.mesh.quarter import PARTS, QuarteredSurface
 from omtwarp.mesh.surface import Surface
-from omtwarp.optimal.combination import scaled
 from omtwarp.optimal.kernels import areas_around, corner_sums, edge_slopes
 from omtwarp.solvers.mesh_factor import SaddlePointFactor, cell_saddle_factor, coordinate_factor, surface_saddle_factor
 

@@ -26,11 +26,10 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.mesh.surface import as_unit_vectors
 from omtwarp.optimal.cells import TriangleCells
-from omtwarp.optimal.energy import MapTerms, TransportEnergy
+from omtwarp.optimal.energy import SHAPE_WEIGHT, MapTerms, TransportEnergy
 from omtwarp.optimal.solver import (
     GROWING_PENALTIES,
     PENALTY,
-    SHAPE_WEIGHT,
     STEPS_OF_ROUND,
     OptimalMap,
     minimise,

@@ -201,20 +201,6 @@ def area_errors(
 
 
 @wp.kernel
-def linear_combination(
-    factor: wp.float64,
-    one: wp.array[wp.float64],
-    other_factor: wp.float64,
-    other: wp.array[wp.float64],
-    # Data out:
-    sums: wp.array[wp.float64],
-):
-    """Compute factor times one plus other_factor times the other."""
-    i = wp.tid()
-    sums[i] = factor * one[i] + other_factor * other[i]
-
-
-@wp.kernel
 def vertex_entries(
     offsets: wp.array[wp.int32],
     corners: wp.array[wp.int32],

@@ -66,6 +66,24 @@ def jacobian(frame: wp.vec3d, b: wp.vec2d, c: wp.vec2d):
     return one, two, one[0] * two[1] - one[1] * two[0]
 
 
+@wp.func
+def column_weights(frame: wp.vec3d, k: int):
+    """Return the derivatives of the two columns of the Jacobian by a coordinate of corner k."""
+    if k == 0:
+        return -frame[0], -frame[1] - frame[2]
+    if k == 1:
+        return frame[0], frame[1]
+    return ZERO, frame[2]
+
+
+@wp.func
+def determinant_slope(first: wp.float64, second: wp.float64, one: wp.vec2d, two: wp.vec2d, axis: int) -> wp.float64:
+    """Return the derivative of the determinant where a coordinate moves the columns of the Jacobian so much."""
+    if axis == 0:
+        return first * two[1] - second * one[1]
+    return second * one[0] - first * two[0]
+
+
 @wp.kernel
 def plane_triangles(
     points: wp.array[wp.vec2d],
@@ -147,28 +165,14 @@ def plane_hessians(
     twice = TWO * area_weight / (d * d * d)
     at = int(0)
     for p in range(6):
-        k = p // 2
-        x = p - 2 * k
-        first, second = -frame[0], -frame[1] - frame[2]
-        if k == 1:
-            first, second = frame[0], frame[1]
-        elif k == 2:
-            first, second = ZERO, frame[2]
-        slope = first * two[1] - second * one[1]  # of the determinant
-        if x == 1:
-            slope = second * one[0] - first * two[0]
+        first, second = column_weights(frame, p // 2)
+        x = p % 2
+        slope = determinant_slope(first, second, one, two, x)
         along = first * one[x] + second * two[x]
         for q in range(p, 6):
-            m = q // 2
-            y = q - 2 * m
-            first_q, second_q = -frame[0], -frame[1] - frame[2]
-            if m == 1:
-                first_q, second_q = frame[0], frame[1]
-            elif m == 2:
-                first_q, second_q = ZERO, frame[2]
-            slope_q = first_q * two[1] - second_q * one[1]
-            if y == 1:
-                slope_q = second_q * one[0] - first_q * two[0]
+            first_q, second_q = column_weights(frame, q // 2)
+            y = q % 2
+            slope_q = determinant_slope(first_q, second_q, one, two, y)
             along_q = first_q * one[y] + second_q * two[y]
             both = ZERO
             if x == y:

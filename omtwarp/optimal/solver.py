@@ -21,13 +21,13 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
+from omtwarp.device.sums import combine, scaled
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.mesh.arrays import real_number, real_numbers, whole_number
 from omtwarp.mesh.patches import Patches
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, as_surface, as_unit_vectors
-from omtwarp.optimal.combination import combine, scaled
-from omtwarp.optimal.energy import AREA_WEIGHT, MapTerms, TransportEnergy
+from omtwarp.optimal.energy import AREA_WEIGHT, SHAPE_WEIGHT, MapTerms, TransportEnergy
 from omtwarp.optimal.kernels import single_gains
 from omtwarp.optimal.local import LocalSteps, freed_vertices
 from omtwarp.optimal.sphere import Sphere, energy_on_sphere
@@ -37,7 +37,6 @@ from omtwarp.solvers.newton import SUFFICIENT_DECREASE
 
 Numbers = NDArray[np.float64]
 
-SHAPE_WEIGHT = 0.01  # β: on scans the optimal cost rises by some 0.04 %, and the map is smooth
 PENALTY = 1000.0  # μ: weight of the remaining area errors beside the cost
 # Penalties where a minimisation begins far from the optimum: the first allows longer steps, and more of them take
 # longer for the same maps.
