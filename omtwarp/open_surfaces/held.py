@@ -36,7 +36,7 @@ from omtwarp.optimal.exact import restore_areas
 from omtwarp.optimal.plane import Plane, PlaneCost, PlaneShape
 from omtwarp.optimal.refinement import MOST_WEIGHT, match_area
 from omtwarp.optimal.solver import PENALTY, minimise
-from omtwarp.optimal.sphere import NoCost, Sphere, SphereShape
+from omtwarp.optimal.sphere import NoCost, Sphere
 from omtwarp.refine.energy import DistortionEnergy
 from omtwarp.solvers.cholesky.saddle import COORDINATES, SaddleMatrix
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
@@ -419,7 +419,7 @@ def exact_on_cap(points: Floats, mesh: Quartered) -> tuple[Floats, float]:
     surface, device = mesh.as_surface(), resolve_device("cpu")
     area = float(triangle_solid_angles(*(points[mesh.faces[:, k]] for k in range(3))).sum())
     cost = NoCost(surface, vectors(points, device), device)
-    shape = SphereShape(DistortionEnergy(surface, device))
+    shape = DistortionEnergy(surface, device)
     energy = HeldEnergy(HeldSphere(surface, device), mesh.held, mesh.cells(surface, area), cost, shape)
     found, error = _exact(energy, points)
     return np.where(mesh.held[:, None], points, found), error

@@ -43,6 +43,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.cells import Cells
 from omtwarp.optimal.kernels import area_errors, raise_diagonal, vertex_entries
+from omtwarp.refine.energy import ShapeTerms
 from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.solvers.cholesky.saddle import COORDINATES, SaddleMatrix
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
@@ -109,27 +110,6 @@ class VertexCost(Protocol):
         Of each 2x2 matrix row by row, in the frame of the point. Eigenvalues are raised to ``least`` times twice the
         mass.
         """
-
-
-class ShapeTerms(Protocol):
-    """The distortion of one map.
-
-    Attributes:
-        angle, area: mean distortions of the triangles, less 2.
-        d_volume: what steps keep positive of every triangle, float64, shape [F], on the device.
-    """
-
-    @property
-    def angle(self) -> float: ...
-
-    @property
-    def area(self) -> float: ...
-
-    @property
-    def d_volume(self) -> wp.array: ...
-
-    def total(self, weight: float) -> float:
-        """Return angle plus ``weight`` times area distortion, and what keeps triangles from turning over."""
 
 
 class Shape(Protocol):

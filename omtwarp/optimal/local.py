@@ -25,8 +25,8 @@ from omtwarp.optimal.patch_kernels import (
     scatter_patches,
     settle_small_patches,
 )
-from omtwarp.optimal.sphere import GeodesicCost, SphereShape
-from omtwarp.refine.energy import Terms
+from omtwarp.optimal.sphere import GeodesicCost
+from omtwarp.refine.energy import DistortionEnergy, Terms
 from omtwarp.solvers.cholesky.envelope import Envelopes
 from omtwarp.solvers.cholesky.saddle import UNKNOWNS
 from omtwarp.solvers.patches import lanes_on, launch_patches
@@ -80,9 +80,9 @@ class LocalSteps:
     """
 
     def __init__(self, energy: TransportEnergy, patches: Patches, stiffness: Numbers, constrained: bool):
-        assert isinstance(energy.vertex_cost, GeodesicCost) and isinstance(energy.shape, SphereShape)
+        assert isinstance(energy.vertex_cost, GeodesicCost) and isinstance(energy.shape, DistortionEnergy)
         self._energy, self._device, self._constrained = energy, energy.device, constrained
-        self._cost, self._distortion = energy.vertex_cost, energy.shape.distortion
+        self._cost, self._distortion = energy.vertex_cost, energy.shape
         sides = sides_of(patches.faces)
         sides = sides[(sides[:, 0] < patches.free) | (sides[:, 1] < patches.free)]
         count = len(patches.vertices)

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.arrays import Workspace, empty, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.device.sums import Reading
 from omtwarp.device.threads import FIRST_THREAD, Each, each, launch_parts
 from omtwarp.flips.exact import flipped_faces
 from omtwarp.mesh.arrays import normalised, real_number, real_numbers
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_surface, as_unit_vectors
 from omtwarp.optimal.cells import Cells, MeasuredRings, RingCells
-from omtwarp.optimal.energy import AREA_WEIGHT, SHAPE_WEIGHT, MapTerms, ShapeTerms, TransportEnergy
+from omtwarp.optimal.energy import AREA_WEIGHT, SHAPE_WEIGHT, MapTerms, TransportEnergy
 from omtwarp.optimal.kernels import area_slopes, cost_metric, transport_gradient, vertex_costs
 from omtwarp.refine.energy import DistortionEnergy, Terms
 from omtwarp.refine.further import VertexTerm
@@ -139,31 +136,6 @@ class NoCost(GeodesicCost):
         return wp.zeros((self._count, 4), dtype=wp.float64, device=self._device)
 
 
-class SphereShape:
-    """The distortion of the triangles of a surface's maps to the sphere.
-
-    Args:
-        distortion: evaluates it.
-    """
-
-    def __init__(self, distortion: DistortionEnergy):
-        self.distortion = distortion
-
-    def begin(self, points: wp.array, reading: Reading) -> Callable[[Numbers], Terms]:
-        """Begin to measure the distortion of a map."""
-        return self.distortion.begin(points, reading)
-
-    def gradient(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
-        """Return the gradient by the vertices, tangent to the sphere, vec3d, shape [V]."""
-        assert isinstance(terms, Terms)
-        return self.distortion.gradient(points, terms, weight)
-
-    def hessian(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
-        """Return every triangle's Hessian, shape [F, 21], as :meth:`DistortionEnergy.hessian` does."""
-        assert isinstance(terms, Terms)
-        return self.distortion.hessian(points, terms, weight)
-
-
 def energy_on_sphere(
     surface: Surface,
     start: wp.array,
@@ -187,10 +159,9 @@ def energy_on_sphere(
         softness: as of :class:`GeodesicCost`.
     """
     kept = RingCells(surface, device) if cells is None else cells
-    cost, shape = GeodesicCost(surface, start, device, softness), SphereShape(DistortionEnergy(surface, device))
+    cost, shape = GeodesicCost(surface, start, device, softness), DistortionEnergy(surface, device)
     where = Sphere(surface, device) if domain is None else domain
-    workspace = shape.distortion.workspace
-    energy = TransportEnergy(where, kept, cost, shape, shape_weight, area_weight=area_weight, workspace=workspace)
+    energy = TransportEnergy(where, kept, cost, shape, shape_weight, area_weight=area_weight, workspace=shape.workspace)
     energy.has_local_steps = domain is None and isinstance(kept, RingCells)
     return energy
 
@@ -219,8 +190,8 @@ class ShapeEnergy(TransportEnergy):
         self.distortion = DistortionEnergy(surface, device, most_strain=most_strain, vertex_term=vertex_term)
         kept = MeasuredRings(surface, device) if cells is None else cells
         cost = NoCost(surface, vectors(normalised(surface.vertices), device), device)
-        domain, shape, workspace = Sphere(surface, device), SphereShape(self.distortion), self.distortion.workspace
-        super().__init__(domain, kept, cost, shape, 1.0, 0.0, area_weight, workspace=workspace)
+        weights, workspace = (1.0, 0.0, area_weight), self.distortion.workspace
+        super().__init__(Sphere(surface, device), kept, cost, self.distortion, *weights, workspace=workspace)
         # The kernel of local steps knows neither the barrier nor the further term.
         self.has_local_steps = isinstance(kept, RingCells) and not self.distortion.extended
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from omtwarp.device.policy import shares_host_memory
 from omtwarp.device.start import wp
 from omtwarp.device.sums import Reading
 from omtwarp.device.threads import FIRST_THREAD, Each, each, launch_parts
-from omtwarp.mesh.surface import SPHERE_AREA, Surface, scaled_areas
+from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.refine.further import StrainBarrier, VertexDerivatives, VertexTerm, tangent_blocks
 from omtwarp.refine.kernels import (
     distortion_summands,
@@ -23,6 +24,27 @@ from omtwarp.refine.kernels import (
     triangle_terms,
 )
 from omtwarp.solvers.triangle import triangle_frames
+
+
+class ShapeTerms(Protocol):
+    """The distortion of one map.
+
+    Attributes:
+        angle, area: mean distortions of the triangles, less 2.
+        d_volume: what steps keep positive of every triangle, float64, shape [F], on the device.
+    """
+
+    @property
+    def angle(self) -> float: ...
+
+    @property
+    def area(self) -> float: ...
+
+    @property
+    def d_volume(self) -> wp.array: ...
+
+    def total(self, weight: float) -> float:
+        """Return angle plus ``weight`` times area distortion, and what keeps triangles from turning over."""
 
 
 @dataclass(frozen=True)
@@ -74,28 +96,42 @@ def needle_weight(weight: float) -> float:
     return NEEDLE_SHARE * (1.0 + weight)
 
 
-class TriangleKernels:
-    """Launches, on all cores, the kernels of the energy over some triangles.
+class DistortionEnergy:
+    """Evaluates maps of one surface on one device.
 
     Args:
-        faces: their corners among the points given, vec3i, shape [F].
-        frames: see :func:`omtwarp.solvers.triangle.triangle_frames`, vec3d, shape [F].
-        areas: on the original surface, float64, shape [F].
-        rows: corners of the triangles around the first points, those with a gradient: offsets and corners, int32.
-        workspace: on the CPU, memory for the results of :meth:`gradient` and :meth:`hessian`. On CUDA, where
-            allocations are cheap and memory is scarce, it is allocated for each call.
+        surface: the original surface, V vertices and F faces.
+        device: a Warp device.
+        most_strain: a limit of the strain of triangles (:mod:`omtwarp.refine.further`), which a barrier keeps.
+        vertex_term: a further energy, at the vertices. This and the barrier need a device that is the host.
+
+    Attributes:
+        workspace: on the host, for gradients, Hessians and the fronts of factorisations. On CUDA, where allocations are
+            cheap and memory is scarce, memory is allocated for each call.
+        frames: of the triangles, on the host, shape [F, 3].
     """
 
     def __init__(
         self,
-        faces: wp.array,
-        frames: wp.array,
-        areas: wp.array,
-        rows: list[wp.array],
-        workspace: Workspace,
+        surface: Surface,
+        device: wp.Device,
+        *,
+        most_strain: float | None = None,
+        vertex_term: VertexTerm | None = None,
     ):
-        self.device, self.count, self._workspace = faces.device, len(faces), workspace
-        self.faces, self.frames, self.areas, self.rows = faces, frames, areas, rows
+        self.surface, self.device = surface, device
+        self.areas, self.frames, self.workspace = surface.face_areas, triangle_frames(surface), Workspace()
+        mesh = surface.on(device)
+        own = wp.array(self.frames, dtype=wp.vec3d, device=device, copy=False)
+        self._count, self._rows = surface.face_count, mesh.vertex_corners
+        self._mesh = [mesh.faces, own, mesh.face_areas]
+        self._barrier = None if most_strain is None else StrainBarrier(self._mesh, self._rows, most_strain)
+        self._vertex_term = vertex_term
+
+    @property
+    def extended(self) -> bool:
+        """Whether there is more in the energy than the distortion of triangles."""
+        return self._barrier is not None or self._vertex_term is not None
 
     def _scratch(self, rows: int, columns: int) -> wp.array:
         """Return a temporary array from the shared workspace.
@@ -106,90 +142,8 @@ class TriangleKernels:
             if columns == 3:
                 return wp.empty(rows, dtype=wp.vec3d, device=self.device)
             return wp.empty((rows, columns), dtype=wp.float64, device=self.device)
-        numbers = self._workspace.numbers(rows * columns).reshape(rows, columns)
+        numbers = self.workspace.numbers(rows * columns).reshape(rows, columns)
         return wp.array(numbers, dtype=wp.vec3d if columns == 3 else wp.float64, device=self.device, copy=False)
-
-    def terms(self, points: wp.array) -> list[wp.array]:
-        """Return angle distortion less 2, D, det[s0, s1, s2] and needle barrier of every triangle, shape [F] each."""
-        outputs = [empty(self.count, wp.float64, self.device) for _ in range(4)]
-        launch_parts(triangle_terms, self.count, [points, *each(self.faces, self.frames)], each(*outputs), self.device)
-        return outputs
-
-    def gradient(self, points: wp.array, pressures: wp.vec3d) -> wp.array:
-        """Return the gradient with respect to the points that have rows, tangent to the sphere, vec3d.
-
-        Args:
-            points: vec3d.
-            pressures: see :meth:`DistortionEnergy.pressures`.
-        """
-        corners = self._scratch(3 * self.count, 3)
-        inputs = [points, *each(self.faces, self.frames, self.areas), pressures]
-        launch_parts(triangle_gradient, self.count, inputs, [Each(corners, 3)], self.device)
-        gradient = empty(self.rows[0].size - 1, wp.vec3d, self.device)
-        inputs = [points, *self.rows, corners, wp.float64(SPHERE_AREA), FIRST_THREAD]
-        launch_parts(gather_tangent, gradient.size, inputs, [gradient], self.device)
-        return gradient
-
-    def hessian(self, points: wp.array, pressures: wp.vec3d) -> wp.array:
-        """Return the Hessian of every triangle in its corners' tangent bases, positive semidefinite, shape [F, 21].
-
-        Of each 6x6 matrix the entries on and above the diagonal, row by row. Valid until the workspace is taken again.
-        """
-        blocks = self._scratch(self.count, 21)
-        inputs = [points, *each(self.faces, self.frames, self.areas), pressures, wp.float64(SPHERE_AREA)]
-        launch_parts(triangle_hessian, self.count, inputs, each(blocks), self.device)
-        return blocks
-
-
-class DistortionEnergy:
-    """Evaluates maps of one surface on one device.
-
-    Args:
-        surface: the original surface, V vertices and F faces.
-        device: a Warp device.
-        areas: what every triangle counts in the sums, scaled to 4π in all, shape [F]; its measure where left out.
-        most_strain: a limit of the strain of triangles (:mod:`omtwarp.refine.further`), which a barrier keeps.
-        vertex_term: a further energy, at the vertices. This and the barrier need a device that is the host.
-
-    Attributes:
-        workspace: on the host, for Hessians and the fronts of factorisations.
-        frames: of the triangles, on the host, shape [F, 3].
-    """
-
-    def __init__(
-        self,
-        surface: Surface,
-        device: wp.Device,
-        areas: NDArray[np.float64] | None = None,
-        *,
-        most_strain: float | None = None,
-        vertex_term: VertexTerm | None = None,
-    ):
-        self.surface = surface
-        self.device = device
-        self.areas = surface.face_areas if areas is None else scaled_areas(areas, surface.face_count)
-        self.workspace = Workspace()
-        mesh = surface.on(device)
-        self.frames = triangle_frames(surface)
-        own = wp.array(self.frames, dtype=wp.vec3d, device=device, copy=False)
-        counted = mesh.face_areas if areas is None else wp.array(self.areas, dtype=wp.float64, device=device)
-        self.triangles = TriangleKernels(mesh.faces, own, counted, mesh.vertex_corners, self.workspace)
-        self._barrier: StrainBarrier | None = None
-        if most_strain is not None:
-            self._barrier = StrainBarrier(mesh.faces, own, counted, mesh.vertex_corners, most_strain)
-        self._vertex_term = vertex_term
-
-    @property
-    def extended(self) -> bool:
-        """Whether there is more in the energy than the distortion of triangles."""
-        return self._barrier is not None or self._vertex_term is not None
-
-    def upload(self, sphere: NDArray[np.float64]) -> wp.array:
-        """Copy points to the device as vec3d, shape [V].
-
-        On the CPU they share the memory of the given array, which must not change.
-        """
-        return vectors(sphere, self.device)
 
     def terms(self, points: wp.array) -> Terms:
         """Return the distortions and per-triangle ratios of a map."""
@@ -198,8 +152,10 @@ class DistortionEnergy:
 
     def begin(self, points: wp.array, reading: Reading) -> Callable[[NDArray[np.float64]], Terms]:
         """Begin to compute what :meth:`terms` returns; return what makes it of the numbers that are read."""
-        angles, ratio, volume, steepness = self.triangles.terms(points)
-        areas = self.triangles.areas
+        faces, frames, areas = self._mesh
+        # Angle distortion less 2, D, det[s0, s1, s2] and needle barrier of every triangle.
+        angles, ratio, volume, steepness = measured = [empty(self._count, wp.float64, self.device) for _ in range(4)]
+        launch_parts(triangle_terms, self._count, [points, *each(faces, frames)], each(*measured), self.device)
         place, total = reading.place()
         reading.add(areas, ratio, total)
         excess, inverse = (empty(ratio.size, wp.float64, self.device) for _ in range(2))
@@ -226,9 +182,15 @@ class DistortionEnergy:
 
         return finish
 
-    def gradient(self, points: wp.array, terms: Terms, weight: float) -> wp.array:
+    def gradient(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
         """Return the gradient of the energy by the vertices, tangent to the sphere, vec3d, shape [V]."""
-        gradient = self.triangles.gradient(points, self.pressures(terms, weight))
+        assert isinstance(terms, Terms)
+        corners = self._scratch(3 * self._count, 3)
+        inputs = [points, *each(*self._mesh), self.pressures(terms, weight)]
+        launch_parts(triangle_gradient, self._count, inputs, [Each(corners, 3)], self.device)
+        gradient = empty(self.surface.vertex_count, wp.vec3d, self.device)
+        inputs = [points, *self._rows, corners, wp.float64(SPHERE_AREA), FIRST_THREAD]
+        launch_parts(gather_tangent, gradient.size, inputs, [gradient], self.device)
         if not self.extended:
             return gradient
         total, here = gradient.numpy().copy(), points.numpy()
@@ -239,12 +201,15 @@ class DistortionEnergy:
             total += further - (further * here).sum(axis=1, keepdims=True) * here
         return vectors(total, self.device)
 
-    def hessian(self, points: wp.array, terms: Terms, weight: float) -> wp.array:
+    def hessian(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
         """Return the Hessian of every triangle in its corners' tangent bases, positive semidefinite, shape [F, 21].
 
         Of each 6x6 matrix the entries on and above the diagonal, row by row. Valid until the workspace is taken again.
         """
-        blocks = self.triangles.hessian(points, self.pressures(terms, weight))
+        assert isinstance(terms, Terms)
+        blocks = self._scratch(self._count, 21)
+        inputs = [points, *each(*self._mesh), self.pressures(terms, weight), wp.float64(SPHERE_AREA)]
+        launch_parts(triangle_hessian, self._count, inputs, each(blocks), self.device)
         if self._barrier is not None:
             blocks.numpy()[:] += self._barrier.hessian(points)
         return blocks

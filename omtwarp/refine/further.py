@@ -131,30 +131,29 @@ class StrainBarrier:
     """The mean over the triangles of w² / (limit - w), weighted by original area; infinite where one reaches the limit.
 
     Args:
-        faces: corners of the triangles, vec3i, shape [F], on the host as all that follows.
-        frames: see :func:`omtwarp.solvers.triangle.triangle_frames`, vec3d, shape [F].
-        areas: on the original surface, float64, shape [F].
+        mesh: of every triangle the corners, vec3i, the frame (:func:`omtwarp.solvers.triangle.triangle_frames`), vec3d,
+            and the area on the original surface, float64, shape [F] each, on the host as all that follows.
         rows: corners of the triangles around the vertices: offsets and corners, int32.
         limit: see :func:`strain_limit`.
     """
 
-    def __init__(self, faces: wp.array, frames: wp.array, areas: wp.array, rows: list[wp.array], limit: float):
-        self._faces, self._frames, self._areas, self._rows = faces, frames, areas, rows
-        self._limit, self._count, self._device = limit, len(faces), faces.device
+    def __init__(self, mesh: list[wp.array], rows: list[wp.array], limit: float):
+        self._mesh, self._rows, self._limit = mesh, rows, limit
+        self._count, self._device = len(mesh[0]), mesh[0].device
 
     def value(self, points: wp.array) -> float:
         """Return the barrier at a map, vec3d [V]."""
         strains = wp.empty(self._count, dtype=wp.float64, device=self._device)
-        launch_parts(strain_terms, self._count, [points, *each(self._faces, self._frames)], each(strains), self._device)
+        launch_parts(strain_terms, self._count, [points, *each(*self._mesh[:2])], each(strains), self._device)
         found = strains.numpy()
         if not found.max() < self._limit:
             return float("inf")
-        return float(self._areas.numpy() @ (found**2 / (self._limit - found))) / SPHERE_AREA
+        return float(self._mesh[2].numpy() @ (found**2 / (self._limit - found))) / SPHERE_AREA
 
     def gradient(self, points: wp.array) -> NDArray[np.float64]:
         """Return the gradient by the vertices, tangent to the sphere, shape [V, 3]."""
         corners = wp.empty(3 * self._count, dtype=wp.vec3d, device=self._device)
-        inputs = [points, *each(self._faces, self._frames, self._areas), wp.float64(self._limit)]
+        inputs = [points, *each(*self._mesh), wp.float64(self._limit)]
         launch_parts(barrier_gradient, self._count, inputs, [Each(corners, 3)], self._device)
         gradient = wp.empty(self._rows[0].size - 1, dtype=wp.vec3d, device=self._device)
         inputs = [points, *self._rows, corners, wp.float64(SPHERE_AREA), 0]
@@ -167,8 +166,7 @@ class StrainBarrier:
         It is laid out as by :meth:`omtwarp.refine.energy.DistortionEnergy.hessian`.
         """
         blocks = wp.empty((self._count, 21), dtype=wp.float64, device=self._device)
-        own = each(self._faces, self._frames, self._areas)
-        inputs = [points, *own, wp.float64(self._limit), wp.float64(SPHERE_AREA)]
+        inputs = [points, *each(*self._mesh), wp.float64(self._limit), wp.float64(SPHERE_AREA)]
         launch_parts(barrier_hessian, self._count, inputs, each(blocks), self._device)
         return np.asarray(blocks.numpy())
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.flips.exact import flipped_faces
@@ -59,15 +60,15 @@ def stretches(source, image, faces):
 def test_the_barrier_is_what_it_says(bent):
     surface, sphere = bent
     plain, barred = (DistortionEnergy(surface, resolve_device("cpu"), most_strain=limit) for limit in (None, 0.6))
-    strain = barred.terms(barred.upload(sphere)).strain
+    strain = barred.terms(vectors(sphere, barred.device)).strain
     s = stretches(surface.scaled_vertices, sphere, surface.faces)
     ratio, det = s[:, 0] / s[:, 1], s.prod(axis=1)
     w = ratio + 1 / ratio + det + 1 / det - 4
     assert 0.1 < w.max() < 0.6
     assert strain == pytest.approx(np.average(w**2 / (0.6 - w), weights=surface.face_areas), rel=1e-9)
-    assert plain.terms(plain.upload(sphere)).strain == 0.0
+    assert plain.terms(vectors(sphere, plain.device)).strain == 0.0
     assert DistortionEnergy(surface, resolve_device("cpu"), most_strain=0.9 * w.max()).terms(
-        barred.upload(sphere)
+        vectors(sphere, barred.device)
     ).strain == float("inf")
 
 
@@ -83,14 +84,14 @@ def test_derivatives_agree_with_differences(bent):
     surface, sphere = bent
     term = Pull(unit(sphere + 0.1 * np.random.default_rng(1).normal(size=sphere.shape)), 3.0)
     energy = DistortionEnergy(surface, resolve_device("cpu"), most_strain=0.6, vertex_term=term)
-    points = energy.upload(sphere)
+    points = vectors(sphere, energy.device)
     terms = energy.terms(points)
     gradient = energy.gradient(points, terms, 1.0).numpy()
     step = np.random.default_rng(2).normal(size=sphere.shape)
     step -= (step * sphere).sum(axis=1, keepdims=True) * sphere
 
     def value(t):
-        return energy.terms(energy.upload(unit(sphere + t * step))).total(1.0)
+        return energy.terms(vectors(unit(sphere + t * step), energy.device)).total(1.0)
 
     difference = (value(1e-5) - value(-1e-5)) / 2e-5
     assert difference == pytest.approx(float((gradient * step).sum()), rel=1e-5)
