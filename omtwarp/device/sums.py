@@ -1,13 +1,15 @@
-"""Sums on the device in an order that depends only on the number of terms, sums by NumPy, and linear combinations."""
+"""Sums on the device in an order that depends only on the terms, sums by NumPy, combinations and sparse products."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from omtwarp.device.arrays import empty
 from omtwarp.device.policy import shares_host_memory
 from omtwarp.device.start import KERNEL_OPTIONS, wp
+from omtwarp.device.threads import FIRST_THREAD, launch_parts
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -279,3 +281,48 @@ def combine(
 def scaled(values: wp.array, factor: float, out: wp.array | None = None) -> wp.array:
     """Return a multiple of numbers, float64, shape [N], in ``out`` where it is given."""
     return combine(factor, values, 0.0, values, out)
+
+
+@wp.kernel
+def add_product(
+    offsets: wp.array[wp.int32],
+    columns: wp.array[wp.int32],
+    weights: wp.array[wp.float64],
+    source: wp.array[wp.float64],
+    factor: wp.float64,
+    first: int,
+    # Data in and out:
+    target: wp.array[wp.float64],
+):
+    """Add (factor) x (the product of a sparse matrix, row by row, with ``source``)."""
+    i = first + wp.tid()
+    total = wp.float64(0.0)
+    for n in range(offsets[i], offsets[i + 1]):
+        total += weights[n] * source[columns[n]]
+    target[i] = target[i] + factor * total  # spelt out: += on an array is an atomic addition in Warp
+
+
+class SparseProduct:
+    """A sparse matrix on a device, and its products with arrays.
+
+    Args:
+        matrix: shape [M, N].
+        device: a Warp device.
+    """
+
+    def __init__(self, matrix: sparse.spmatrix | NDArray[np.float64], device: wp.Device) -> None:
+        rows = sparse.csr_matrix(matrix)
+        kinds = ((rows.indptr, wp.int32), (rows.indices, wp.int32), (rows.data, wp.float64))
+        self._count, self._device = rows.shape[0], device
+        self._rows = [wp.array(numbers, dtype=kind, device=device) for numbers, kind in kinds]
+
+    def add(self, source: wp.array, target: wp.array, factor: float = 1.0) -> None:
+        """Add (factor) x (the product with ``source``, shape [N]) to ``target``, shape [M]."""
+        launch_parts(add_product, self._count, [*self._rows, source, factor, FIRST_THREAD], [target], self._device)
+
+    def __call__(self, source: wp.array, factor: float = 1.0) -> wp.array:
+        """Return (factor) x (the product with ``source``, shape [N]), shape [M]."""
+        product = empty(self._count, wp.float64, self._device)
+        product.zero_()
+        self.add(source, product, factor)
+        return product

@@ -10,18 +10,19 @@ the quartered mesh.
 
 from __future__ import annotations
 
-from typing import Protocol
+from abc import abstractmethod
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
-from omtwarp.device.arrays import Workspace, empty
+from omtwarp.device.arrays import Workspace
 from omtwarp.device.start import KERNEL_OPTIONS, wp
-from omtwarp.device.sums import scaled
-from omtwarp.device.threads import FIRST_THREAD, Each, each, launch_parts
+from omtwarp.device.sums import SparseProduct, scaled
+from omtwarp.device.threads import FIRST_THREAD, launch_parts
 from omtwarp.mesh.quarter import PARTS, QuarteredSurface
 from omtwarp.mesh.surface import Surface
-from omtwarp.optimal.kernels import areas_around, corner_sums, edge_slopes
+from omtwarp.optimal.kernels import edge_slopes
 from omtwarp.solvers.mesh_factor import SaddlePointFactor, cell_saddle_factor, coordinate_factor, surface_saddle_factor
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -33,67 +34,6 @@ CORNER_SHARE, MIDDLE_SHARE = 1.0 / 12.0, 1.0 / 4.0  # of a triangle's mass, on e
 # of triangles, which are corrected afterwards.
 MAX_RING_RMS, MAX_RING_ERROR = 2e-4, 9e-3
 MAX_CELL_RMS, MAX_CELL_ERROR = 1e-3, 0.05
-
-
-@wp.kernel
-def sums_of_parts(
-    values: wp.array[wp.float64],
-    # Data out:
-    sums: wp.array[wp.float64],
-):
-    """Sum a number per part over the parts of every triangle, shape [N]."""
-    c = wp.tid()
-    total = wp.float64(0.0)
-    for k in range(PARTS):
-        total += values[PARTS * c + k]
-    sums[c] = total
-
-
-@wp.kernel
-def on_parts(
-    values: wp.array[wp.float64],
-    # Data out:
-    repeated: wp.array[wp.float64],
-):
-    """Give every part the number of its triangle, shape [4 N]."""
-    f = wp.tid()
-    repeated[f] = values[f // PARTS]
-
-
-@wp.kernel
-def cell_means(
-    values: wp.array[wp.float64],
-    vertices: wp.array2d[wp.int32],
-    shares: wp.array[wp.float64],
-    # Data out:
-    means: wp.array[wp.float64],
-):
-    """Compute the mean over every cell's mass of a number per vertex, shape [N]."""
-    c = wp.tid()
-    total = wp.float64(0.0)
-    for k in range(vertices.shape[1]):
-        total += shares[k] * values[vertices[c, k]]
-    means[c] = total
-
-
-@wp.kernel
-def cell_masses(
-    areas: wp.array[wp.float64],
-    shares: wp.array[wp.float64],
-    offsets: wp.array[wp.int32],
-    places: wp.array[wp.int32],
-    factor: wp.float64,
-    # Data out:
-    masses: wp.array[wp.float64],
-):
-    """Sum the shares of the cells' areas at every vertex, times a factor, shape [V]."""
-    v = wp.tid()
-    total = wp.float64(0.0)
-    width = shares.shape[0]
-    for i in range(offsets[v], offsets[v + 1]):
-        cell = places[i] // width
-        total += shares[places[i] - width * cell] * areas[cell]
-    masses[v] = factor * total
 
 
 @wp.kernel
@@ -114,35 +54,52 @@ def cell_slopes(
             slopes[c, 3 + k, axis] = middle[axis]
 
 
-class Cells(Protocol):
+class Cells:
     """N cells that cover a surface once, or several times.
 
     Arrays of cells, vertices and triangles are float64 on the device of the maps.
+
+    Args:
+        surface: V vertices and F triangles.
+        of_triangles: the cells that every triangle belongs to, shape [F, K].
+        wanted: their areas, shape [N].
+        slope_count: number of derivatives that :meth:`slopes` writes.
+        device: a Warp device.
 
     Attributes:
         wanted: their areas, on the host, shape [N].
         tolerances: root mean square and largest relative error up to which areas count as kept.
         multipliers: N; 0 where areas are measured and not kept.
-        slope_count: number of derivatives that :meth:`slopes` writes.
+        slope_count: see above.
     """
 
-    wanted: Numbers
     tolerances: tuple[float, float]
-    multipliers: int
-    slope_count: int
+
+    def __init__(
+        self, surface: Surface, of_triangles: NDArray[np.int32], wanted: Numbers, slope_count: int, device: wp.Device
+    ):
+        self._surface, self._device, self._mesh = surface, device, surface.on(device)
+        self.wanted, self.multipliers, self.slope_count = wanted, len(wanted), slope_count
+        belongs = rows_of(of_triangles, np.ones(of_triangles.shape[1]), len(wanted))
+        self._around, self._on_triangles = SparseProduct(belongs.T, device), SparseProduct(belongs, device)
 
     def areas(self, triangles: wp.array) -> wp.array:
         """Return the areas of the cells, shape [N], from those of the triangles, shape [F]."""
-
-    def means(self, values: wp.array) -> wp.array:
-        """Return the mean over every cell's mass, shape [N], of a number per vertex, shape [V]."""
-
-    def masses(self, areas: wp.array, factor: float) -> wp.array:
-        """Divide the areas of the cells among the vertices as their masses are, shape [V]; 4π times a factor in all."""
+        return self._around(triangles)
 
     def on_triangles(self, potential: wp.array) -> wp.array:
         """Return the sum of the potentials of the cells that a triangle belongs to, shape [F]."""
+        return self._on_triangles(potential)
 
+    @abstractmethod
+    def means(self, values: wp.array) -> wp.array:
+        """Return the mean over every cell's mass, shape [N], of a number per vertex, shape [V]."""
+
+    @abstractmethod
+    def masses(self, areas: wp.array, factor: float) -> wp.array:
+        """Divide the areas of the cells among the vertices as their masses are, shape [V]; 4π times a factor in all."""
+
+    @abstractmethod
     def slopes(self, of_triangles: wp.array, out: wp.array) -> None:
         """Write the derivatives of the areas as :class:`omtwarp.solvers.cholesky.saddle.SaddleMatrix` has them.
 
@@ -151,11 +108,23 @@ class Cells(Protocol):
             out: shape [slope_count].
         """
 
+    @abstractmethod
     def factor(self, workspace: Workspace | None = None) -> SaddlePointFactor:
         """Return what factorises matrices with a multiplier for every cell."""
 
 
-class RingCells:
+def rows_of(columns: NDArray[np.int32], row: Numbers, count: int) -> sparse.csr_matrix:
+    """Return the matrix of ``count`` columns that has the same numbers in every row, shape [N, count].
+
+    Args:
+        columns: where the numbers of every row are, shape [N, K].
+        row: the numbers, shape [K].
+    """
+    offsets = np.arange(len(columns) + 1) * len(row)
+    return sparse.csr_matrix((np.tile(row, len(columns)), columns.ravel(), offsets), shape=(len(columns), count))
+
+
+class RingCells(Cells):
     """The triangles around every vertex: N = V cells, which cover the surface three times.
 
     Args:
@@ -166,16 +135,7 @@ class RingCells:
     tolerances = (MAX_RING_RMS, MAX_RING_ERROR)
 
     def __init__(self, surface: Surface, device: wp.Device):
-        self._surface, self._device, self._mesh = surface, device, surface.on(device)
-        self.wanted: Numbers = 3.0 * surface.vertex_areas
-        self.multipliers, self.slope_count = surface.vertex_count, 4 * len(surface.edges)
-
-    def areas(self, triangles: wp.array) -> wp.array:
-        """Return the areas around vertices, shape [V]."""
-        sums = empty(self._surface.vertex_count, wp.float64, self._device)
-        inputs = [triangles, *self._mesh.vertex_corners, FIRST_THREAD]
-        launch_parts(areas_around, sums.size, inputs, [sums], self._device)
-        return sums
+        super().__init__(surface, surface.faces, 3.0 * surface.vertex_areas, 4 * len(surface.edges), device)
 
     def means(self, values: wp.array) -> wp.array:
         """Return the numbers of the vertices themselves, shape [V]."""
@@ -184,12 +144,6 @@ class RingCells:
     def masses(self, areas: wp.array, factor: float) -> wp.array:
         """Return a third of the areas around vertices, times a factor, shape [V]."""
         return scaled(areas, factor / 3.0)
-
-    def on_triangles(self, potential: wp.array) -> wp.array:
-        """Return the sum of the potentials of every triangle's corners, shape [F]."""
-        sums = empty(self._surface.face_count, wp.float64, self._device)
-        launch_parts(corner_sums, sums.size, [potential, Each(self._mesh.faces)], each(sums), self._device)
-        return sums
 
     def slopes(self, of_triangles: wp.array, out: wp.array) -> None:
         """Write the derivatives across every edge, both ways."""
@@ -217,7 +171,7 @@ class MeasuredRings(RingCells):
         return coordinate_factor(self._surface, workspace)
 
 
-class TriangleCells:
+class TriangleCells(Cells):
     """The triangles of a mesh, each the sum of four parts in the quartered mesh.
 
     Args:
@@ -231,44 +185,22 @@ class TriangleCells:
     tolerances = (MAX_CELL_RMS, MAX_CELL_ERROR)
 
     def __init__(self, quartered: QuarteredSurface, device: wp.Device):
-        self._surface, self._device = quartered.surface, device
-        parts = quartered.surface.faces.reshape(-1, PARTS, 3)
-        self.vertices: NDArray[np.int32] = np.ascontiguousarray(
-            np.concatenate([parts[:, :3, 0], quartered.middles], axis=1)
-        )
-        self.wanted: Numbers = quartered.sum_of_parts(quartered.surface.face_areas)
-        self.multipliers, self.slope_count = len(self.wanted), 2 * self.vertices.size
-        places = np.argsort(self.vertices.ravel(), kind="stable").astype(np.int32)
-        offsets = np.zeros(self._surface.vertex_count + 1, dtype=np.int32)
-        np.cumsum(np.bincount(self.vertices.ravel(), minlength=len(offsets) - 1), out=offsets[1:])
-        self._shares = wp.array(np.repeat([CORNER_SHARE, MIDDLE_SHARE], 3), dtype=wp.float64, device=device)
-        self._vertices, *self._rows = (
-            wp.array(numbers, dtype=wp.int32, device=device) for numbers in (self.vertices, offsets, places)
-        )
+        surface = quartered.surface
+        corners = surface.faces.reshape(-1, PARTS, 3)[:, :3, 0]
+        self.vertices: NDArray[np.int32] = np.concatenate([corners, quartered.middles], axis=1)
+        wanted = quartered.sum_of_parts(surface.face_areas)
+        super().__init__(surface, quartered.parents[:, None], wanted, 2 * self.vertices.size, device)
+        shares = rows_of(self.vertices, np.repeat([CORNER_SHARE, MIDDLE_SHARE], 3), surface.vertex_count)
+        self._means, self._masses = SparseProduct(shares, device), SparseProduct(shares.T, device)
         self._factor: SaddlePointFactor | None = None
-
-    def _launched(self, kernel: wp.Kernel, count: int, inputs: list[object]) -> wp.array:
-        """Return what a kernel computes, a number for every thread."""
-        out = empty(count, wp.float64, self._device)
-        wp.launch(kernel, dim=count, inputs=inputs, outputs=[out], device=self._device)
-        return out
-
-    def areas(self, triangles: wp.array) -> wp.array:
-        """Return the areas of the mesh's triangles, shape [N]."""
-        return self._launched(sums_of_parts, self.multipliers, [triangles])
 
     def means(self, values: wp.array) -> wp.array:
         """Return the mean over every triangle's mass, shape [N]."""
-        return self._launched(cell_means, self.multipliers, [values, self._vertices, self._shares])
+        return self._means(values)
 
     def masses(self, areas: wp.array, factor: float) -> wp.array:
         """Divide the areas of the triangles among their vertices in the shares of mass, shape [V]."""
-        inputs = [areas, self._shares, *self._rows, wp.float64(factor)]
-        return self._launched(cell_masses, self._surface.vertex_count, inputs)
-
-    def on_triangles(self, potential: wp.array) -> wp.array:
-        """Return every triangle's potential at its parts, shape [4 N]."""
-        return self._launched(on_parts, self._surface.face_count, [potential])
+        return self._masses(areas, factor)
 
     def slopes(self, of_triangles: wp.array, out: wp.array) -> None:
         """Write the derivatives by every triangle's six vertices."""

@@ -71,23 +71,6 @@ def vertex_costs(
 
 
 @wp.kernel
-def areas_around(
-    values: wp.array[wp.float64],
-    offsets: wp.array[wp.int32],
-    corners: wp.array[wp.int32],
-    first: int,
-    # Data out:
-    sums: wp.array[wp.float64],
-):
-    """Sum a number per triangle over the triangles around every vertex, shape [V]."""
-    v = first + wp.tid()
-    total = wp.float64(0.0)
-    for k in range(offsets[v], offsets[v + 1]):
-        total += values[corners[k] // 3]
-    sums[v] = total
-
-
-@wp.kernel
 def transport_gradient(
     start: wp.array[wp.vec3d],
     points: wp.array[wp.vec3d],
@@ -172,18 +155,6 @@ def edge_slopes(
     for axis in range(2):
         of_edges[0, e, axis] = by_second[axis]
         of_edges[1, e, axis] = by_first[axis]
-
-
-@wp.kernel
-def corner_sums(
-    values: wp.array[wp.float64],
-    faces: wp.array[wp.vec3i],
-    # Data out:
-    sums: wp.array[wp.float64],
-):
-    """Sum a number per vertex over the corners of every triangle, shape [F]."""
-    f = wp.tid()
-    sums[f] = values[faces[f][0]] + values[faces[f][1]] + values[faces[f][2]]
 
 
 @wp.kernel

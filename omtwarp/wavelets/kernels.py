@@ -1,8 +1,6 @@
-"""Warp kernels of the lifted wavelet transforms, and between the nodes and points anywhere on the sphere.
+"""Warp kernels of functions on a hierarchy's nodes, and between the nodes and points anywhere on the sphere.
 
-A transform is one predict and one update per level, in place: products with sparse matrices. The values of all levels
-share one array, coarse nodes first.
-A thread adds to its own element alone, spelt out: ``+=`` on an array is an atomic addition in Warp.
+The values of all levels share one array, coarse nodes first.
 """
 
 # mypy: ignore-errors
@@ -14,33 +12,6 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 
 @wp.kernel
-def add_product(
-    offsets: wp.array[wp.int32],
-    columns: wp.array[wp.int32],
-    weights: wp.array[wp.float64],
-    source: wp.array[wp.float64],
-    sign: wp.float64,
-    # Data in and out:
-    target: wp.array[wp.float64],
-):
-    """Add (sign) x (the product of a sparse matrix, row by row, with ``source``)."""
-    i = wp.tid()
-    total = wp.float64(0.0)
-    for n in range(offsets[i], offsets[i + 1]):
-        total += weights[n] * source[columns[n]]
-    target[i] = target[i] + sign * total
-
-
-@wp.kernel
-def clear_from(
-    first: wp.int32,
-    # Data out:
-    values: wp.array[wp.float64],
-):
-    values[first + wp.tid()] = ZERO
-
-
-@wp.kernel
 def scale_values(
     factors: wp.array[wp.float64],
     # Data in and out:
@@ -48,21 +19,6 @@ def scale_values(
 ):
     i = wp.tid()
     values[i] = factors[i] * values[i]
-
-
-@wp.kernel
-def dense_product(
-    matrix: wp.array2d[wp.float64],
-    values: wp.array[wp.float64],
-    # Data out:
-    product: wp.array[wp.float64],
-):
-    """Multiply the first entries of ``values`` by a small dense matrix."""
-    i = wp.tid()
-    total = wp.float64(0.0)
-    for j in range(matrix.shape[1]):
-        total += matrix[i, j] * values[j]
-    product[i] = total
 
 
 @wp.func

@@ -12,12 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
+from omtwarp.device.sums import SparseProduct
 from omtwarp.device.threads import FIRST_THREAD, Each, each, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.sphere_hierarchy import SphereHierarchy
 from omtwarp.mesh.arrays import Floats
 from omtwarp.wavelets import kernels
-from omtwarp.wavelets.transform import SparseProduct, transposed_rows
+from omtwarp.wavelets.transform import transposed_rows
 
 
 class SphereSampler:

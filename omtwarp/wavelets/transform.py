@@ -27,6 +27,7 @@ from scipy import sparse
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
+from omtwarp.device.sums import SparseProduct
 from omtwarp.device.threads import GraphsByArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import cotangent_laplacian
@@ -42,26 +43,6 @@ def transposed_rows(stencil: Ints, count: int) -> tuple[Ints, Ints]:
     offsets = np.zeros(count + 1, dtype=np.int32)
     np.cumsum(np.bincount(flat, minlength=count), out=offsets[1:])
     return offsets, entries
-
-
-class SparseProduct:
-    """A sparse matrix on a device, whose products are added to arrays.
-
-    Args:
-        matrix: shape [M, N].
-        device: a Warp device.
-    """
-
-    def __init__(self, matrix: sparse.spmatrix, device: wp.Device) -> None:
-        rows = sparse.csr_matrix(matrix)
-        kinds = ((rows.indptr, wp.int32), (rows.indices, wp.int32), (rows.data, wp.float64))
-        self._count, self._device = rows.shape[0], device
-        self._rows = [wp.array(numbers, dtype=kind, device=device) for numbers, kind in kinds]
-
-    def add(self, source: wp.array, target: wp.array, sign: float = 1.0) -> None:
-        """Add (sign) x (the product with ``source``, shape [N]) to ``target``, shape [M]."""
-        inputs, outputs = [*self._rows, source, sign], [target]
-        wp.launch(kernels.add_product, dim=self._count, inputs=inputs, outputs=outputs, device=self._device)
 
 
 @dataclass(frozen=True)
@@ -180,8 +161,7 @@ class SphericalWavelets:
         """
         first = self.hierarchy.node_counts[min(max(int(resolution) + 1, 0), self.hierarchy.level)]
         if first < self.hierarchy.node_count:
-            count = self.hierarchy.node_count - first
-            wp.launch(kernels.clear_from, dim=count, inputs=[first, coefficients], device=self.device)
+            coefficients[first:].zero_()
 
     def _on_copy(self, values: ArrayLike, transform: Callable[[wp.array], None]) -> Floats:
         array = np.array(values, dtype=np.float64)
@@ -326,8 +306,7 @@ class WaveletPreconditioner:
         coarse = cotangent_laplacian(hierarchy.vertices[:solid], hierarchy.level_faces[0]).toarray()
         self._factors = wp.array(factors, device=self.device)
         # Rank, relative, of eigenvalues that are zero but for rounding: that of the constants, of the solid's few nodes
-        self._coarse_inverse = wp.array(np.linalg.pinv(coarse, rcond=1e-10, hermitian=True), device=self.device)
-        self._coarse = wp.empty(solid, dtype=wp.float64, device=self.device)
+        self._coarse_inverse = SparseProduct(np.linalg.pinv(coarse, rcond=1e-10, hermitian=True), self.device)
 
     def apply(self, right_hand_side: wp.array, out: wp.array | None = None) -> wp.array:
         """Apply the approximate inverse to a right-hand side (weak form), shape [N] -> [N], NumPy or Warp as given.
@@ -343,11 +322,8 @@ class WaveletPreconditioner:
             values = wp.empty_like(right_hand_side) if out is None else out
             wp.copy(values, right_hand_side)
         self.wavelets.synthesise_adjoint(values)
-        inputs = [self._coarse_inverse, values]
-        wp.launch(
-            kernels.dense_product, dim=len(self._coarse), inputs=inputs, outputs=[self._coarse], device=self.device
-        )
+        coarse = self._coarse_inverse(values)
         wp.launch(kernels.scale_values, dim=len(values), inputs=[self._factors, values], device=self.device)
-        wp.copy(values, self._coarse, count=len(self._coarse))
+        wp.copy(values, coarse, count=len(coarse))
         self.wavelets.synthesise(values)
         return np.asarray(values.numpy()) if from_numpy else values

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from omtwarp.conformal import conformal_map
+from omtwarp.device.arrays import vectors
 from omtwarp.device.start import wp
 from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mesh.shapes import blob
@@ -43,7 +44,7 @@ def test_energy_gradient_and_hessian_agree(device, surface, on_cpu):
     values = []
     for where in ("cpu", device):
         energy = DistortionEnergy(surface, wp.get_device(where))
-        points = energy.upload(on_cpu.conformal)
+        points = vectors(on_cpu.conformal, energy.device)
         terms = energy.terms(points)
         # A copy: on the CPU it is a view of a workspace that the gradient takes next.
         hessian = energy.hessian(points, terms, 100.0).numpy().copy()
