@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import os
 import re
@@ -15,6 +16,7 @@ os.environ.setdefault("WARP_CACHE_PATH", str(ROOT / ".warp"))
 os.environ.setdefault("MPLBACKEND", "Agg")
 # The processes that run notebook pages use this checkout, too.
 os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+gc.set_threshold(200_000)  # Sphinx makes millions of objects that stay: to look for garbage took a third of the time
 logging.getLogger("omtwarp.render").setLevel(logging.ERROR)  # which program drew a picture is no part of an example
 
 from sphinx.util.nodes import make_refnode  # noqa: E402

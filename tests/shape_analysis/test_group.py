@@ -191,7 +191,7 @@ def read_elsewhere(folder):
     np.testing.assert_allclose(data.darrays[2].data, wanted["group_p"], rtol=1e-6)
 
 
-def test_commands_write_what_they_say(tmp_path, monkeypatch, capsys, pair):
+def test_commands_write_what_they_say(tmp_path, monkeypatch, capsys, pair, small_pictures):
     monkeypatch.chdir(tmp_path)
     rows = ["path,group"]
     for k in range(6):
@@ -227,7 +227,7 @@ def test_commands_write_what_they_say(tmp_path, monkeypatch, capsys, pair):
 
 
 @pytest.mark.parametrize("parquet", [True, False], ids=["parquet", "csv"])
-def test_group_reads_what_a_cohort_wrote(tmp_path, monkeypatch, capsys, pair, parquet):
+def test_group_reads_what_a_cohort_wrote(tmp_path, monkeypatch, capsys, pair, small_pictures, parquet):
     monkeypatch.chdir(tmp_path)
     if parquet:
         pytest.importorskip("pyarrow.parquet")

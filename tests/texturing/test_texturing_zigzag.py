@@ -5,6 +5,7 @@ in which the edge is as wide as high, so that an ellipse is left as it is. Curve
 measure itself adds. ``OMTWARP_ALL_VIEWS=1`` looks at every mesh from all sides.
 """
 
+import functools
 import os
 
 import numpy as np
@@ -17,9 +18,9 @@ from omtwarp.render.camera import SIX_VIEWS
 from omtwarp.render.scene import SurfaceView
 from omtwarp.texturing.patterns.circles import Circles
 
-SIZE = 2048
+SIZE = 2048 if os.environ.get("OMTWARP_ALL_VIEWS") else 1024
+SHORTEST = 150.0 * SIZE / 2048  # pixels around a circle; the raster shows in smaller ones
 SMOOTHING = 1.0 / 30.0  # of an edge's length: standard deviation of the Gaussian
-SHORTEST = 150.0  # pixels around a circle; the raster shows in smaller ones
 JUMP = 5  # of 255 levels from one pixel to the next: an outline, behind which lies another part of the surface
 
 
@@ -47,7 +48,7 @@ def smooth_length(points, deviation=SMOOTHING):
     return length(low(1.0 / along[-1])), length(low(deviation))  # without the raster's steps of a pixel
 
 
-def edges_in(grey, hidden, shortest=SHORTEST):
+def edges_in(grey, hidden, shortest):
     """Closed edges of dark regions, clear of what is hidden: points in pixels, shape [N, 2] each."""
     wide = binary_dilation(hidden, iterations=4)
     for line in contour_generator(z=grey, name="serial").lines(0.5):
@@ -56,7 +57,7 @@ def edges_in(grey, hidden, shortest=SHORTEST):
                 yield line[:-1]
 
 
-def zigzag(grey, hidden, shortest=SHORTEST):
+def zigzag(grey, hidden, shortest=150.0):
     """Length of all edges over that of the smooth curves through them, and how many there are."""
     pairs = np.array([smooth_length(line) for line in edges_in(grey, hidden, shortest)])
     return pairs[:, 0].sum() / pairs[:, 1].sum(), len(pairs)
@@ -93,33 +94,46 @@ def test_the_measure_sees_a_zigzag():
     assert ratio > 1.02
 
 
-def seen(textured, view, size=SIZE):
-    """The zigzag of circles on the creature from one side, in a square picture."""
-    pose = {"size": (size, size), "views": view, "up": "z", "front": "-y", "light": "flat", "backend": "warp"}
-    grey = np.asarray(preview(textured, background="white", **pose).convert("L")) / 255.0
-    low = textured.vertices.min(axis=0)
-    places = (255.0 * (textured.vertices - low) / np.ptp(textured.vertices, axis=0).max()).astype(np.uint8)
-    colours = SurfaceView(textured.vertices, textured.faces, colors=places)
-    levels = np.asarray(preview(colours, transparent=True, **pose)).astype(np.int16)
+@functools.cache
+def creature(faces):
+    return map_to_sphere(shapes.demo_shape(faces), device="cpu")
+
+
+@functools.cache
+def pose(view):
+    return {"size": (SIZE, SIZE), "views": view, "up": "z", "front": "-y", "light": "flat", "backend": "warp"}
+
+
+@functools.cache
+def outlines(faces, view):
+    """Pixels at the outlines of the creature from one side, and beside it."""
+    mesh = creature(faces)
+    low = mesh.vertices.min(axis=0)
+    places = (255.0 * (mesh.vertices - low) / np.ptp(mesh.vertices, axis=0).max()).astype(np.uint8)
+    colours = SurfaceView(mesh.vertices, mesh.faces, colors=places)
+    levels = np.asarray(preview(colours, transparent=True, **pose(view))).astype(np.int16)
     hidden = levels[..., 3] < 255
     for axis in (0, 1):
         jump = np.abs(np.diff(levels[..., :3], axis=axis)).max(axis=2) > JUMP
         hidden |= np.pad(jump, [(int(axis == 0), 0), (int(axis == 1), 0)])
-    return zigzag(grey, hidden, SHORTEST * size / SIZE)
+    return hidden
+
+
+def seen(faces, size, view):
+    """The zigzag of circles on the creature from one side, in a square picture, with a texture of some size."""
+    black = Circles()
+    black.palette, black.background = np.zeros_like(black.palette), np.ones(3)
+    textured = texture(creature(faces), pattern=black, size=size, device="cpu")
+    grey = np.asarray(preview(textured, background="white", **pose(view)).convert("L")) / 255.0
+    return zigzag(grey, outlines(faces, view), SHORTEST)
 
 
 def test_texels_do_not_show_as_saw_teeth():
-    """At 1024 x 1024 with the size that is chosen: no more zigzag than with four times as many texels.
+    """With the size that is chosen: no more zigzag than with four times as many texels.
 
     Textures of few texels show that the measure sees their teeth.
     """
-    result = map_to_sphere(shapes.demo_shape(4000), device="cpu")
-    black = Circles()
-    black.palette, black.background = np.zeros_like(black.palette), np.ones(3)
-    found = {
-        size: seen(texture(result, pattern=black, size=size, device="cpu"), "left", 1024)[0]
-        for size in (None, "auto", 512, 256)
-    }
+    found = {size: seen(4000, size, "left")[0] for size in (None, "auto", 512, 256)}
     print(found)
     assert found[None] < 1.02 and found[None] < found["auto"] + 0.001
     assert 1.02 < found[512] < found[256]
@@ -128,11 +142,7 @@ def test_texels_do_not_show_as_saw_teeth():
 @pytest.mark.parametrize("faces", [4000, pytest.param(20000, marks=pytest.mark.skipif(
     not os.environ.get("OMTWARP_ALL_VIEWS"), reason="OMTWARP_ALL_VIEWS is not set"))])  # fmt: skip
 def test_edges_of_circles_are_smooth_curves(faces):
-    result = map_to_sphere(shapes.demo_shape(faces), device="cpu")
-    black = Circles()
-    black.palette, black.background = np.zeros_like(black.palette), np.ones(3)
-    textured = texture(result, pattern=black, size=2520, device="cpu")
     for view in SIX_VIEWS if os.environ.get("OMTWARP_ALL_VIEWS") else ("right",):
-        ratio, count = seen(textured, view)
+        ratio, count = seen(faces, 2520, view)
         print(f"{faces} faces, {view}: {ratio:.4f} over {count} edges")
         assert count > 3 and ratio < 1.02
