@@ -170,7 +170,7 @@ Facts: TypeAlias = dict
 Of a stage ``name``, ``seconds``, ``cpu_seconds``, ``iterations``, ``flips``, ``area`` and ``ratio`` to the reference;
 of a map, or the medians of several, ``seconds``, ``cpu_seconds``, both ratios, ``peak_bytes`` above what the process
 held before, ``device_bytes`` (None where an earlier map needed as much), ``flips``, ``bijective`` and ``stages``; of a
-mesh ``family``, ``name``, ``vertices``, ``faces``, ``splu``, ``factor_bytes`` and ``runs``, one on each device.
+mesh ``family``, ``name``, ``vertices``, ``faces``, ``splu`` and ``runs``, one on each device.
 """
 
 MAPS = (
@@ -183,8 +183,6 @@ STAGES = ("conformal", "moser", "omt", "refine", "optimality", "other")
 def markdown(result: Facts) -> str:
     """Return the tables of a result of :func:`omtwarp.benchmark.run` as Markdown."""
     parts = [_machine(result["machine"], result["settings"]), MAPS, maps_table(result)]
-    if result.get("growth"):
-        parts.append(_growth(result["growth"]))
     parts += [_kernels(table) for table in result.get("kernels", [])]
     if "first_use" in result:
         parts.append(_first_use(result["first_use"]))
@@ -234,15 +232,6 @@ def maps_table(result: Facts) -> str:
             rows.append([mesh["name"], f"{mesh['faces']}", run["device"], *figures, str(run["flips"])])
     heads = ["mesh", "faces", "device", *names, "whole map", "CPU", "map / splu", "CPU / splu", "MiB", "device MiB"]
     return table([*heads, "flips"], rows)
-
-
-def _growth(growth: dict[str, dict[str, dict[str, float]]]) -> str:
-    rows = []
-    for family, devices in growth.items():
-        for device, stages in devices.items():
-            cells = [_number(stages.get(name)) for name in (*STAGES, "total", "splu")]
-            rows.append([family, device, *cells])
-    return "Exponent p of time ~ faces^p:\n\n" + table(["family", "device", *STAGES, "whole map", "splu"], rows)
 
 
 def _kernels(kernels: Facts) -> str:

@@ -23,8 +23,6 @@ from omtwarp.mesh.quarter import quarter
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.surface import MeshLike, Surface, as_surface
 from omtwarp.options import Record
-from omtwarp.solvers.cholesky import MultifrontalCholesky, surface_dissection
-from omtwarp.solvers.cholesky.saddle import expand
 
 SHAPES = ("blob", "creature", "sphere")
 
@@ -124,7 +122,7 @@ def run(
 
     Returns:
         Everything as plain numbers: ``machine``, ``settings``, ``meshes`` (each with its reference and its ``runs``),
-        ``growth`` (exponents by family, device and stage), ``kernels`` and ``first_use`` where asked for.
+        ``kernels`` and ``first_use`` where asked for.
 
     Raises:
         OmtwarpError: an unknown shape or device, a mesh that cannot be read or mapped, or nothing to measure.
@@ -151,7 +149,6 @@ def run(
         result["meshes"].append(measure_mesh(family, label, surface, names, repeats, refine, largest_reference, notify))
         if kernels and (largest is None or surface.face_count > largest.face_count):
             largest = surface
-    result["growth"] = growth_exponents(result["meshes"])
     if kernels and largest is not None:
         notify("timing kernels one by one")
         result["kernels"] = [kernel_table(largest, name, refine) for name in names]
@@ -202,7 +199,6 @@ def measure_mesh(
         "vertices": surface.vertex_count,
         "faces": surface.face_count,
         "splu": reference,
-        "factor_bytes": factor_bytes(surface),
         "runs": runs,
     }
 
@@ -275,11 +271,6 @@ def reference_system(surface: Surface) -> tuple[sparse.csc_matrix, Floats]:
     return matrix, np.random.default_rng(0).normal(size=matrix.shape[0])
 
 
-def factor_bytes(surface: Surface) -> int:
-    """Return the bytes of a map's largest sparse factor, that of the saddle-point matrices of the optimal map."""
-    return MultifrontalCholesky(expand(surface_dissection(surface))[0]).storage
-
-
 def median_of(runs: list[Facts]) -> Facts:
     """Return the median over repeated maps of one mesh of every number, stage by stage."""
     stages = [_median([run["stages"][k] for run in runs]) for k in range(len(runs[0]["stages"]))]
@@ -299,42 +290,3 @@ def _median(records: Sequence[Mapping[str, object]]) -> dict[str, object]:
         else:
             out[key] = first
     return out
-
-
-def growth_exponents(meshes: list[Facts]) -> dict[str, dict[str, dict[str, float]]]:
-    """Fit exponents p of time ~ faces^p to logarithms by least squares, by family, device and stage (and ``total``).
-
-    From :data:`ASYMPTOTIC` faces on where at least two meshes of the family are that large.
-    """
-    # Growth is measured from here on, where there are two sizes: below, fixed costs flatten it.
-    asymptotic = 20_000
-    out: dict[str, dict[str, dict[str, float]]] = {}
-    for family in dict.fromkeys(mesh["family"] for mesh in meshes):
-        members = [mesh for mesh in meshes if mesh["family"] == family]
-        large = [mesh for mesh in members if mesh["faces"] >= asymptotic]
-        members = large if len(large) > 1 else members
-        if len(members) < 2:
-            continue
-        curves: dict[tuple[str, str], list[tuple[int, float]]] = {}
-        for mesh in members:
-            for one in mesh["runs"]:
-                device = one["device"]
-                curves.setdefault((device, "total"), []).append((mesh["faces"], one["seconds"]))
-                for stage in one["stages"]:
-                    curves.setdefault((device, stage["name"]), []).append((mesh["faces"], stage["seconds"]))
-            if mesh["splu"] is not None:
-                curves.setdefault(("cpu", "splu"), []).append((mesh["faces"], mesh["splu"]["seconds"]))
-        for (device, name), curve in curves.items():
-            exponent = fitted_exponent(curve)
-            if exponent is not None:
-                out.setdefault(family, {}).setdefault(device, {})[name] = exponent
-    return out
-
-
-def fitted_exponent(curve: list[tuple[int, float]]) -> float | None:
-    """Return the slope of log(time) over log(size), or None for fewer than two sizes."""
-    sizes, times = np.array(curve, dtype=float).T
-    kept = times > 0.0
-    if len(np.unique(sizes[kept])) < 2:
-        return None
-    return float(np.polyfit(np.log(sizes[kept]), np.log(times[kept]), 1)[0])

@@ -201,32 +201,20 @@ def _supervise(job: Job) -> dict[str, int | bool]:
     with contextlib.suppress(OSError):  # whichever of the two comes first: the group is there before it may be ended
         os.setpgid(child, child)
     deadline = time.monotonic() + job.time_limit
-    pidfd = None
-    if hasattr(os, "pidfd_open"):
-        with contextlib.suppress(OSError):
-            pidfd = os.pidfd_open(child)
-    late = False
-    try:
-        while True:
-            left = deadline - time.monotonic()
-            watched = [0] if pidfd is None else [0, pidfd]
-            # Poll: seconds between polls of an item, where the system cannot wait for it
-            ready, _, _ = select.select(watched, [], [], max(0.0, left if pidfd is not None else min(left, 0.02)))
-            done, status = os.waitpid(child, os.WNOHANG)
-            if done:
-                return {"exit": os.waitstatus_to_exitcode(status), "timeout": late}
-            gone = 0 in ready  # jobs come one by one: input during a job is the end of the stream
-            if gone or time.monotonic() >= deadline:
-                late = not gone
-                with contextlib.suppress(ProcessLookupError):
-                    os.killpg(child, signal.SIGKILL)
-                os.waitpid(child, 0)
-                if gone:
-                    os._exit(1)
-                return {"exit": -signal.SIGKILL, "timeout": True}
-    finally:
-        if pidfd is not None:
-            os.close(pidfd)
+    while True:
+        # Seconds between looks at an item
+        ready, _, _ = select.select([0], [], [], max(0.0, min(deadline - time.monotonic(), 0.02)))
+        done, status = os.waitpid(child, os.WNOHANG)
+        if done:
+            return {"exit": os.waitstatus_to_exitcode(status), "timeout": False}
+        gone = bool(ready)  # jobs come one by one: input during a job is the end of the stream
+        if gone or time.monotonic() >= deadline:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+            if gone:
+                os._exit(1)
+            return {"exit": -signal.SIGKILL, "timeout": True}
 
 
 def _work(job: Job, host: int) -> None:

@@ -554,7 +554,9 @@ def _thin_out(points: Floats, count: int) -> NDArray[np.intp]:
 
 
 def _solid_arrows(feet: Floats, way: Floats, normal: Floats, size: Floats, longest: float, color: Floats) -> Part:
-    """Return a round shaft and a cone for every arrow, by broadcasting one template."""
+    """Return a round shaft and a cone for every arrow."""
+    from trimesh import creation
+
     sides = 8  # of an arrow's shaft and head: at the size of an arrow, corners are invisible
     across = 1e-6  # sine: an arrow that stands on the surface at right angles to within this takes another side
     side = np.cross(normal, way)
@@ -565,34 +567,19 @@ def _solid_arrows(feet: Floats, way: Floats, normal: Floats, size: Floats, longe
     # Thickness grows with the square root of the length: short arrows stay visible, long ones slim.
     thick = 0.045 * longest * np.sqrt(size / longest)
     head = np.minimum(0.45 * size, 5.5 * thick)
-    angle = 2.0 * np.pi * np.arange(sides) / sides
-    ring = np.cos(angle)[None, :, None] * side[:, None] + np.sin(angle)[None, :, None] * over[:, None]  # [N, S, 3]
-    base, neck, tip = feet, feet + (size - head)[:, None] * way, feet + size[:, None] * way
-    slim, broad = thick[:, None, None] * ring, 2.4 * thick[:, None, None] * ring
-    slope = (2.4 * thick / head)[:, None, None]
-    cone_normal = (ring + slope * way[:, None]) / np.sqrt(1.0 + slope**2)
-    back = np.broadcast_to(-way[:, None], ring.shape)
-    rows = [
-        (base[:, None] + slim, ring),  # shaft
-        (neck[:, None] + slim, ring),
-        (neck[:, None] + broad, cone_normal),  # cone
-        (np.broadcast_to(tip[:, None], ring.shape), cone_normal),
-        (neck[:, None] + broad, back),  # the cone's underside
-        (np.broadcast_to(neck[:, None], ring.shape), back),
-        (base[:, None] + slim, back),  # the shaft's end
-        (np.broadcast_to(base[:, None], ring.shape), back),
-    ]
-    positions = np.stack([place for place, _ in rows], axis=1).reshape(-1, 3)
-    normals = np.stack([facing for _, facing in rows], axis=1).reshape(-1, 3)
-    k = np.arange(sides)
-    after = (k + 1) % sides
-    template = []
-    for lower, upper in ((0, 1), (2, 3), (5, 4), (7, 6)):
-        low, high = lower * sides, upper * sides
-        template.append(np.column_stack([low + k, low + after, high + after]))
-        template.append(np.column_stack([low + k, high + after, high + k]))
-    stencil = np.concatenate(template)
-    faces = (stencil[None] + (len(rows) * sides) * np.arange(len(feet))[:, None, None]).reshape(-1, 3)
+    frames = np.stack([side, over, way], axis=1)
+    shaft, cone = creation.cylinder(1.0, 1.0, sections=sides), creation.cone(1.0, 1.0, sections=sides)
+    shaft.apply_translation([0.0, 0.0, 0.5])
+    places, facings = [], []
+    for solid, radius, start, height in (
+        (shaft, thick, 0.0 * size, size - head),
+        (cone, 2.4 * thick, size - head, head),
+    ):
+        stretch, shift = np.stack([radius, radius, height], axis=1)[:, None], start[:, None, None] * way[:, None]
+        places.append(feet[:, None] + shift + (solid.triangles.reshape(-1, 3) * stretch) @ frames)
+        facings.append(normalised(np.repeat(solid.face_normals, 3, axis=0) / stretch) @ frames)
+    positions, normals = (np.concatenate(parts, axis=1).reshape(-1, 3) for parts in (places, facings))
+    faces = np.arange(len(positions)).reshape(-1, 3)
     return Part(
         positions=positions.astype(np.float32),
         normals=normals.astype(np.float32),

@@ -19,7 +19,7 @@ from omtwarp.benchmark.measure import (
     splu_reference,
     table,
 )
-from omtwarp.benchmark.runner import fitted_exponent, growth_exponents, label, made, reference_system
+from omtwarp.benchmark.runner import label, made, reference_system
 from omtwarp.commands.benchmark import parse_sizes
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
@@ -50,7 +50,6 @@ def test_every_stage_of_every_mesh_is_measured(result):
         assert one["device"] == "cpu" and one["flips"] == 0 and one["bijective"]
         assert mesh["splu"]["seconds"] > 0 and one["ratio"] > 0
         assert 3 * mesh["vertices"] == 1.5 * mesh["faces"] + 6
-        assert mesh["factor_bytes"] > 8 * 4 * mesh["vertices"]
         # Medians of parts need not add up to the median of the whole, but no part is longer than all maps together.
         assert all(stage["seconds"] < 2 * 2 * one["seconds"] for stage in one["stages"])
 
@@ -58,7 +57,7 @@ def test_every_stage_of_every_mesh_is_measured(result):
 def test_a_result_is_json_and_markdown(result):
     assert json.loads(json.dumps(result)) == result
     text = markdown(result)
-    for heading in ("Seconds on the wall", "one SciPy `splu`", "| CPU / splu |", "Exponent p", "a plain copy moves"):
+    for heading in ("Seconds on the wall", "one SciPy `splu`", "| CPU / splu |", "a plain copy moves"):
         assert heading in text
     for line in text.splitlines():
         if line.startswith("|"):
@@ -78,23 +77,6 @@ def test_kernels_of_all_stages_are_recorded(result):
         assert row["launches"] > 0
         assert (row["bytes"] > 0) == (f"omtwarp.{row['name']}" not in LISTED)
         assert row["part_of_copy"] == pytest.approx(row["bytes"] / row["seconds"] / kernels["bandwidth"])
-
-
-def test_growth_of_known_curves():
-    assert fitted_exponent([(1000, 2.0), (2000, 4.0), (8000, 16.0)]) == pytest.approx(1.0)
-    assert fitted_exponent([(1000, 1.0), (4000, 8.0)]) == pytest.approx(1.5)
-    assert fitted_exponent([(1000, 1.0)]) is None
-    meshes = [
-        {
-            "family": "blob",
-            "faces": faces,
-            "splu": {"seconds": faces**1.5},
-            "runs": [{"device": "cpu", "seconds": 3.0 * faces, "stages": [{"name": "moser", "seconds": faces**1.2}]}],
-        }
-        for faces in (5_000, 20_000, 80_000)
-    ]
-    meshes[0]["runs"][0]["seconds"] = 1e9  # below the sizes that count
-    assert growth_exponents(meshes)["blob"]["cpu"] == pytest.approx({"total": 1.0, "moser": 1.2, "splu": 1.5})
 
 
 def test_the_reference_is_a_factorisation_of_the_same_laplacian():

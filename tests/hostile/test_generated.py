@@ -49,7 +49,7 @@ def quick(monkeypatch):
     """Replace slow functions that are not tested here: measurement, the demo's map, drawing with OpenGL."""
     monkeypatch.setattr("omtwarp.benchmark.run", lambda **options: {})
     monkeypatch.setattr("omtwarp.benchmark.markdown", lambda result: "measured\n")
-    monkeypatch.setattr("omtwarp.reporting.page._stills", lambda *a: lambda: dict.fromkeys(_keys(a[1]), "data:,"))
+    monkeypatch.setattr("omtwarp.reporting.page._stills", lambda *a: dict.fromkeys(_keys(a[1]), "data:,"))
 
     def drawn(job, *args):
         return [np.zeros((job.height, job.width, 4), np.uint8) for _ in job.shots], "nothing"

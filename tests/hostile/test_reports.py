@@ -41,7 +41,7 @@ def words_only(monkeypatch):
         return scene.Scene(json.dumps({"stages": labels}), "", len(result.faces))
 
     monkeypatch.setattr("omtwarp.reporting.page.make_scene", described)
-    monkeypatch.setattr("omtwarp.reporting.page._stills", lambda *a: lambda: defaultdict(lambda: "data:,"))
+    monkeypatch.setattr("omtwarp.reporting.page._stills", lambda *a: defaultdict(lambda: "data:,"))
 
 
 class Elements(HTMLParser):

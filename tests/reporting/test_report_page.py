@@ -39,7 +39,7 @@ def page(result):
 def text_only(monkeypatch):
     """No view and no pictures: for tests of the words."""
     monkeypatch.setattr("omtwarp.reporting.page.make_scene", lambda *a, **k: scene.Scene("{}", "", 1))
-    monkeypatch.setattr("omtwarp.reporting.page._stills", lambda *a: lambda: defaultdict(lambda: "data:,"))
+    monkeypatch.setattr("omtwarp.reporting.page._stills", lambda *a: defaultdict(lambda: "data:,"))
 
 
 class Reader(HTMLParser):
