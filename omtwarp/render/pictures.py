@@ -402,14 +402,6 @@ def _captions(given: bool | Sequence[str], cameras: list[Camera]) -> list[str]:
 
 def _draw(subject: Subject, options: PreviewOptions, cameras: list[Camera], clear: bool) -> list[Image.Image]:
     """Draw a subject once per camera; ``clear`` leaves the background out, for pictures that go into a sheet."""
-    job, compose = _prepared(subject, options, cameras, clear)
-    return compose(*render(job, options["backend"], options["device"]))
-
-
-def _prepared(
-    subject: Subject, options: PreviewOptions, cameras: list[Camera], clear: bool
-) -> tuple[RenderJob, Callable[[list[Bytes], str], list[Image.Image]]]:
-    """Return what a renderer needs, and the function that makes pictures of what it has drawn and of its name."""
     view, wireframe, background = view_of(subject, options), options["wireframe"], options["background"]
     width, height = options["size"]
     bar = view.scalar if options["color_bar"] else None
@@ -430,18 +422,16 @@ def _prepared(
         wireframe=wireframe if isinstance(wireframe, Wireframe) else Wireframe(),
     )
 
-    def compose(pictures: list[Bytes], renderer: str) -> list[Image.Image]:
-        color = annotate.ink(background, options["transparent"])
-        images = []
-        for picture in pictures:
-            image = annotate.compose(picture, options["size"], background, clear, color)
-            if bar is not None:
-                annotate.draw_color_bar(image, bar, color)
-            image.info["backend"] = renderer
-            images.append(image)
-        return images
-
-    return job, compose
+    pictures, renderer = render(job, options["backend"], options["device"])
+    color = annotate.ink(background, options["transparent"])
+    images = []
+    for picture in pictures:
+        image = annotate.compose(picture, options["size"], background, clear, color)
+        if bar is not None:
+            annotate.draw_color_bar(image, bar, color)
+        image.info["backend"] = renderer
+        images.append(image)
+    return images
 
 
 def _finished(

@@ -334,7 +334,7 @@ def _torus_page(
         ),
         sections.distributions(stages),
         sections.stage_table(stages, report),
-        sections.section("Certificate", _certified(result), _torus(result)),
+        _certificate(result),
     ]
     view = viewer_section(
         stages,
@@ -347,17 +347,14 @@ def _torus_page(
     return _page(scene, title or "Map to a torus", report, lead, result.certificate, view, content)
 
 
-def _certified(result: TorusMap) -> Markup:
-    certificate = result.certificate
-    words = "The map is one to one" if certificate.bijective else "The map is not one to one"
-    return html("{}: {}, decided exactly in the universal cover.", words, certificate)
-
-
-def _torus(result: TorusMap) -> Markup:
+def _certificate(result: TorusMap) -> Markup:
+    """Return the certificate of a map to a torus, and the torus."""
+    words = "The map is one to one" if result.certificate.bijective else "The map is not one to one"
     along = np.linalg.norm(result.lattice, axis=1)
     angle = np.degrees(np.arccos(np.clip(result.lattice[0] @ result.lattice[1] / along.prod(), -1.0, 1.0)))
-    return element(
-        "p",
+    torus = (
         f"The torus repeats along vectors of length {along[0]:.6g} and {along[1]:.6g} at {angle:.2f} degrees; it has "
-        "the surface's area.",
+        "the surface's area."
     )
+    said = html("{}: {}, decided exactly in the universal cover.", words, result.certificate)
+    return sections.section("Certificate", said, element("p", torus))
