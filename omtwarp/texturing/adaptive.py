@@ -13,7 +13,7 @@ import numpy as np
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.device.threads import Each, each, launch_parts
+from omtwarp.device.threads import Each, launch_parts
 from omtwarp.mesh.arrays import Bytes, Floats, Ints
 from omtwarp.mesh.surface import face_neighbours
 from omtwarp.texturing import kernels
@@ -25,6 +25,7 @@ from omtwarp.texturing.baking import (
     Look,
     Source,
     ValueSource,
+    changing,
     claimed,
     fill,
     in_texels,
@@ -59,7 +60,9 @@ def bake_bytes(source: Source, look: Look, *, projection: str = "equirectangular
         busy = atlas.texels
     baking.fill(busy, 1)
     if supersample > 1:
-        baking.fill(baking.changing(busy), int(supersample))
+        # Levels: neighbouring texels that differ by more are worth more samples; a soft gradient is not
+        flags = changing(baking.picture.numpy().reshape(atlas.height, atlas.width, -1), 5)
+        baking.fill(busy[flags.ravel()[busy]], int(supersample))
     baked = baking.picture.numpy().reshape(atlas.height, atlas.width, given.channels)
     atlas.fill_empty(baked)
     return baked
@@ -125,15 +128,6 @@ class _Baking:
     def fill(self, texels: Ints, samples: int) -> None:
         """Write texels as the mean of their samples."""
         fill(texels, samples, self._given.channels, self.evaluate, self.picture)
-
-    def changing(self, texels: Ints) -> Ints:
-        """Return the texels, among some, that differ from a neighbour."""
-        part = wp.array(texels, dtype=wp.int32, device=self._where)
-        flags = wp.empty(len(texels), dtype=wp.uint8, device=self._where)
-        # Change, levels: neighbouring texels that differ by more are worth more samples; a soft gradient is not
-        inputs = [self.picture, Each(part), self._width, self._height, 5]
-        launch_parts(kernels.flag_edges, len(texels), inputs, each(flags), self._where)
-        return texels[flags.numpy() != 0]
 
 
 def rasterize(

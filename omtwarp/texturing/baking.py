@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from functools import reduce
 from typing import TypeAlias, cast
 
 import numpy as np
@@ -209,24 +210,27 @@ def _supersampled(
     picture = wp.zeros((width * height, channels), dtype=wp.float32, device=where)
     fill(texels, 1, channels, evaluate, picture)
     if samples > 1:
-        known = np.zeros(width * height, dtype=bool)
-        known[texels] = True
-        changing = _changing(picture, width, height)
-        fill(changing[known[changing]], samples, channels, evaluate, picture)
+        # Neighbours that differ by more are worth more samples; a soft gradient is not.
+        flags = changing(picture.numpy().reshape(height, width, -1), np.float32(6.0 / 255.0))
+        fill(texels[flags.ravel()[texels]], samples, channels, evaluate, picture)
     return picture
 
 
-def _changing(picture: wp.array, width: int, height: int) -> Ints:
-    """Return the texels that differ from one of their four neighbours; the first and the last column are neighbours."""
-    # Neighbours that differ by more are worth more samples; a soft gradient is not.
-    most = np.float32(6.0 / 255.0)
-    texels = picture.numpy().reshape(height, width, -1)
-    beside = (np.abs(np.roll(texels, -1, axis=1) - texels) > most).any(axis=2)
-    below = (np.abs(texels[1:] - texels[:-1]) > most).any(axis=2)
-    changing = beside | np.roll(beside, 1, axis=1)
-    changing[:-1] |= below
-    changing[1:] |= below
-    return np.flatnonzero(changing).astype(np.int32)
+def changing(texels: NDArray[np.generic], most: float | np.generic) -> NDArray[np.bool_]:
+    """Return a mask of the texels [H, W, C] that differ by more than ``most`` from one of their four neighbours.
+
+    The first and the last column are neighbours.
+    """
+
+    def differ(one: NDArray, other: NDArray) -> NDArray[np.bool_]:
+        apart = np.maximum(one, other) - np.minimum(one, other) > most
+        return reduce(np.logical_or, np.moveaxis(apart, 2, 0))  # twice as fast as np.any for few channels
+
+    beside, below = differ(np.roll(texels, -1, axis=1), texels), differ(texels[1:], texels[:-1])
+    found = beside | np.roll(beside, 1, axis=1)
+    found[:-1] |= below
+    found[1:] |= below
+    return found
 
 
 def sample(
@@ -334,28 +338,17 @@ class Layout:
         self._picture = [atlas.kind, wp.float64(offset), wp.float64(gutter)]
         self._points = wp.array(np.ascontiguousarray(chords), dtype=wp.vec3d, device=self.where)
 
-    def dilate(self, picture: wp.array, rings: int) -> wp.array:
-        """Fill texels around the owned ones, one ring after another; -1 fills all, those far away with the mean."""
-        # Of a picture's longer side: rings of texels by which charts are continued where the whole picture is to be
-        # filled, more than any atlas's gutter. What is left gets one colour.
-        most = rings if rings >= 0 else int(np.ceil((1.0 / 48.0) * max(self.width, self.height)))
-        known = wp.array(self.known.astype(np.uint8), dtype=wp.uint8, device=self.where)
-        other, other_known = wp.empty_like(picture), wp.empty_like(known)
-        ring = 0
-        while ring != most and not (rings < 0 and known.numpy().all()):
-            wp.launch(
-                kernels.dilate_texels,
-                dim=self.width * self.height,
-                inputs=[picture, known, self.width, self.height, other, other_known],
-                device=self.where,
-            )
-            picture, other, known, other_known = other, picture, other_known, known
-            ring += 1
-        if rings < 0 and self.known.any():
-            texels, missing = picture.numpy(), known.numpy() == 0
-            texels[missing] = texels[self.known].mean(axis=0, dtype=np.float64)
-            picture = wp.array(texels, dtype=wp.float32, device=self.where)
-        return picture
+    def dilate(self, picture: wp.array, rings: int) -> Picture:
+        """Fill the texels up to some rings around the owned ones with the nearest of these, all of them with -1."""
+        from scipy.ndimage import distance_transform_cdt
+
+        texels: Picture = picture.numpy()
+        if rings and self.known.any():
+            empty = ~self.known.reshape(self.height, self.width)
+            away, (row, column) = distance_transform_cdt(empty, "chessboard", return_indices=True)
+            filled = np.flatnonzero(empty & (away <= rings if rings > 0 else True))
+            texels[filled] = texels[(row * self.width + column).ravel()[filled]]
+        return texels
 
 
 def _own_uv(uv: ArrayLike, faces: NDArray) -> Floats:
@@ -422,7 +415,7 @@ def bake_to_uv(
         given.launch(directions, values)
 
     picture = _supersampled(layout.owned(), int(supersample), evaluate, (width, height), given.channels, where)
-    return layout.dilate(picture, padding).numpy().reshape(height, width, given.channels)
+    return layout.dilate(picture, padding).reshape(height, width, given.channels)
 
 
 class VertexValues:
@@ -455,7 +448,7 @@ def _bake_linear(layout: Layout, corner_values: Floats, supersample: int, paddin
         layout.interpolate(values, texels, samples, out)
 
     fill(layout.owned(), max(int(supersample), 1), channels, evaluate, picture)
-    return layout.dilate(picture, padding).numpy().reshape(layout.height, layout.width, channels)
+    return layout.dilate(picture, padding).reshape(layout.height, layout.width, channels)
 
 
 def bake_vertex_values(
@@ -638,7 +631,7 @@ def bake_materials(
             wp.launch(kernels.sample_repeated, dim=len(sampled), inputs=[source, points, sampled], device=where)
 
         fill(mine, 2, 4, evaluate, out)
-    sampled = layout.dilate(out, rings).numpy()
+    sampled = layout.dilate(out, rings)
     # Texels outside of all triangles make no material transparent.
     sampled[~layout.known & (sampled[:, 3] == 0), 3] = 1.0
     return sampled.reshape(layout.height, layout.width, 4)

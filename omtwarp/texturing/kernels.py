@@ -418,40 +418,6 @@ def unit_vectors(
     out[i] = wp.normalize(wp.vec3d(values[i, 0], values[i, 1], values[i, 2]))
 
 
-@wp.kernel
-def dilate_texels(
-    picture: wp.array2d[wp.float32],
-    known: wp.array[wp.uint8],
-    width: int,
-    height: int,
-    # Data out:
-    out: wp.array2d[wp.float32],
-    out_known: wp.array[wp.uint8],
-):
-    """Grow by one ring: a texel without a value takes the mean of its known neighbours."""
-    i = wp.tid()
-    channels = picture.shape[1]
-    out_known[i] = known[i]
-    for c in range(channels):
-        out[i, c] = picture[i, c]
-    if known[i] == wp.uint8(0):
-        row = i // width
-        column = i % width
-        count = int(0)
-        for r in range(wp.max(row - 1, 0), wp.min(row + 2, height)):
-            for q in range(wp.max(column - 1, 0), wp.min(column + 2, width)):
-                count = count + int(known[r * width + q])
-        if count > 0:
-            out_known[i] = wp.uint8(1)
-            for c in range(channels):
-                total = wp.float32(0.0)
-                for r in range(wp.max(row - 1, 0), wp.min(row + 2, height)):
-                    for q in range(wp.max(column - 1, 0), wp.min(column + 2, width)):
-                        if known[r * width + q] == wp.uint8(1):
-                            total = total + picture[r * width + q, c]
-                out[i, c] = total / wp.float32(count)
-
-
 # Points of a block's lattice along a side, one more than parts of the block.
 LATTICE = wp.constant(5)
 
@@ -533,36 +499,6 @@ def average_to_bytes(
     per_texel = samples * samples
     for c in range(values.shape[1]):
         picture[texels[i], c] = as_byte(mean_sample(values, i * per_texel, per_texel, c))
-
-
-@wp.kernel
-def flag_edges(
-    picture: wp.array2d[wp.uint8],
-    texels: wp.array[wp.int32],
-    width: int,
-    height: int,
-    threshold: int,
-    # Data out:
-    flags: wp.array[wp.uint8],
-):
-    """Mark with 1 where a texel differs from one of its four neighbours by more than a threshold in some channel."""
-    i, _compiled_once = wp.tid()
-    number = texels[i]
-    row = number // width
-    column = number % width
-    flag = wp.uint8(0)
-    for way in range(4):
-        step = 2 * (way % 2) - 1
-        r = row
-        q = column
-        if way < 2:
-            q = (column + width + step) % width
-        else:
-            r = wp.clamp(row + step, 0, height - 1)
-        for c in range(picture.shape[1]):
-            if wp.abs(int(picture[r * width + q, c]) - int(picture[number, c])) > threshold:
-                flag = wp.uint8(1)
-    flags[i] = flag
 
 
 @wp.func
