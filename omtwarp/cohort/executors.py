@@ -10,14 +10,12 @@ import subprocess
 import threading
 from collections.abc import Generator, Sequence
 from pathlib import Path
-from typing import Protocol, TypeAlias
+from typing import Protocol
 
 from omtwarp.cohort.item import CRASHED, MEMORY, TIMEOUT, Job, Row, read_record, settle
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.interruptions import interpreter, safe_paths
 from omtwarp.files.output import make_folder
-
-Record: TypeAlias = Row
 
 ATTEMPTS = 2  # an item whose process was killed from outside is tried once more
 
@@ -25,7 +23,7 @@ ATTEMPTS = 2  # an item whose process was killed from outside is tried once more
 class Executor(Protocol):
     """The interface of executors, which compute the items of a cohort."""
 
-    def records(self, jobs: Sequence[Job]) -> Generator[Record, None, None]:
+    def records(self, jobs: Sequence[Job]) -> Generator[Row, None, None]:
         """Yield the records of all jobs, in the order in which these finish; closing it ends what is at work."""
         ...
 
@@ -41,7 +39,7 @@ class Host:
         self._process: subprocess.Popen[str] | None = None
         self._stopped = threading.Event()
 
-    def run(self, job: Job) -> Record:
+    def run(self, job: Job) -> Row:
         """Compute an item in a process of its own, and return its record, also of a failure.
 
         Raises:
@@ -148,9 +146,9 @@ class LocalPool:
     def __init__(self, workers: int):
         self._workers = workers
 
-    def records(self, jobs: Sequence[Job]) -> Generator[Record, None, None]:
+    def records(self, jobs: Sequence[Job]) -> Generator[Row, None, None]:
         waiting: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
-        done: queue.SimpleQueue[Record | BaseException] = queue.SimpleQueue()
+        done: queue.SimpleQueue[Row | BaseException] = queue.SimpleQueue()
         for job in jobs:
             waiting.put(job)
         hosts = [Host() for _ in range(min(self._workers, len(jobs)))]
@@ -190,17 +188,17 @@ class LocalPool:
 _own = threading.local()
 
 
-def run_job(line: str) -> Record:
+def run_job(line: str) -> Row:
     """Compute one job on a machine of a cluster, in a process of its own; the thread keeps its host for the next."""
     if not hasattr(_own, "host"):
         _own.host = Host()
     job = Job.from_json(line)
     make_folders(Path(job.folder))
-    record: Record = _own.host.run(job)
+    record: Row = _own.host.run(job)
     return record
 
 
-def run_jobs(lines: list[str]) -> list[Record]:
+def run_jobs(lines: list[str]) -> list[Row]:
     """Compute several jobs one after the other, and end all processes."""
     try:
         return [run_job(line) for line in lines]
@@ -246,7 +244,7 @@ class DaskCluster:
             self._safe.close()
             raise OmtwarpError(f"no Dask scheduler answers at '{address}': {str(error).splitlines()[0]}") from None
 
-    def records(self, jobs: Sequence[Job]) -> Generator[Record, None, None]:
+    def records(self, jobs: Sequence[Job]) -> Generator[Row, None, None]:
         from distributed import as_completed
 
         futures = self._client.map(run_job, [job.to_json() for job in jobs], pure=False, retries=ATTEMPTS)
@@ -287,7 +285,7 @@ class SubmititArray:
             raise OmtwarpError(f"submitit cannot use '{cluster}': {error}") from None
         self._workers = workers
 
-    def records(self, jobs: Sequence[Job]) -> Generator[Record, None, None]:
+    def records(self, jobs: Sequence[Job]) -> Generator[Row, None, None]:
         import submitit
 
         shares = [share for k in range(self._workers) if (share := list(jobs[k :: self._workers]))]

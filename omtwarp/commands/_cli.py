@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import atexit
+import contextlib
 import gc
 import os
 import re
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -128,18 +129,12 @@ class Command(typer.core.TyperCommand):
                     formatter.write(f"{'':{formatter.current_indent}}{line}\n")
 
 
-def _named_files(value: object) -> list[Path]:
-    """Return the files that an option or argument names."""
-    values = value if isinstance(value, list | tuple) else [value]
-    paths = [Path(one) for one in values if isinstance(one, str | Path) and "\0" not in str(one)]
-    return [path for path in paths if _is_file(path)]
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except OSError:  # a text that is too long for a name
-        return False
+def _named_files(value: object) -> Iterator[Path]:
+    """Yield the files that an option or argument names."""
+    for one in value if isinstance(value, list | tuple) else [value]:
+        with contextlib.suppress(OSError, ValueError):  # a text that is too long for a name, or with a null character
+            if isinstance(one, str | Path) and Path(one).is_file():
+                yield Path(one)
 
 
 def heading_of(command: str, option: str) -> str:

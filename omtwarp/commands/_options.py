@@ -153,10 +153,6 @@ def picture_size(text: str | None) -> str | None:
     return text
 
 
-def size_text(size: tuple[int, int]) -> str:
-    return "x".join(str(length) for length in size)
-
-
 def as_size(text: str) -> tuple[int, int]:
     width, _, height = text.lower().partition("x")
     return int(width), int(height or width)

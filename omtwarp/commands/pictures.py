@@ -20,14 +20,13 @@ from omtwarp.commands._options import (
     as_size,
     output_option,
     picture_size,
-    size_text,
 )
 from omtwarp.commands._streams import input_file, progress_bar, step_times
 from omtwarp.commands._work import map_from, show_each, start_device, targets_of
 from omtwarp.errors import OmtwarpError
 from omtwarp.options import BACKGROUND, FILM_RATE, PICTURE_SIZE, Backend, Device, MapOptions
 
-DEFAULT_SIZE = size_text(PICTURE_SIZE)
+DEFAULT_SIZE = "x".join(map(str, PICTURE_SIZE))
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".gif", ".mp4")
 
 

@@ -191,16 +191,12 @@ def folder_of_results(folder: Path, *names: str) -> Iterator[None]:
     """
     place = Path(os.path.realpath(folder))
     for name in names:
-        _require_own(folder / name, place / name)
+        require_own(folder / name, _may_replace(place / name))
     _results.append(place)
     try:
         yield
     finally:
         _results.remove(place)
-
-
-def _require_own(given: Path, target: Path) -> None:
-    require_own(given, _may_replace(target))
 
 
 def require_own(given: Path, own: bool) -> None:
@@ -360,7 +356,7 @@ def staged(path: str | os.PathLike[str], *, keep: Iterable[Path | None] = ()) ->
         target = _destination(given)
         _require_no_input(given, target)
         if target.parent in _results:
-            _require_own(given, target)
+            require_own(given, _may_replace(target))
         _sweep(target.parent)
         with _new_folder(target.parent) as folder:
             _places[folder] = target

@@ -90,7 +90,9 @@ def as_surface_view(subject: Subject, image: Picture | None = None) -> SurfaceVi
 
             found = read_map(path)
             return torus_view(found, image) if is_torus_map(found) else map_view(cast(FinishedMap, found), image)
-        view = _file_view(path)
+        from omtwarp.texturing.read import read_painted_mesh
+
+        view = painted_view(read_painted_mesh(path))
     elif is_torus_map(subject):
         return torus_view(subject, image)
     elif isinstance(subject, FinishedMap):
@@ -185,13 +187,6 @@ def checker_image() -> Bytes:
     light = np.array([0.96, 0.94, 0.90])
     chosen = ((row[:, None] + column[None, :]) % 2)[..., None]
     return np.rint(255.0 * np.where(chosen == 1, light, dark[None])).astype(np.uint8)
-
-
-def _file_view(path: Path) -> SurfaceView:
-    """Return a view of a mesh file; of one with several materials, every triangle in its own."""
-    from omtwarp.texturing.read import read_painted_mesh
-
-    return painted_view(read_painted_mesh(path))
 
 
 def painted_view(mesh: PaintedMesh) -> SurfaceView:

@@ -324,7 +324,10 @@ def _from_ply(data: bytes, file: Path) -> PaintedMesh:
     face = np.repeat(np.arange(len(sizes)), sizes)[rows[:, 0]]
     faces = corners_of(corners[rows], len(points))
     vertex, sides = columns["vertex"], columns.get("face", {})
-    pictures, named, missing = _ply_pictures(data, file)
+    named: list[Path] = []
+    header = data[: data.find(b"end_header")].decode("utf-8", "replace")
+    names = re.findall(r"^[ \t]*comment[ \t]+TextureFile[ \t]+(\S.*?)\s*$", header, re.MULTILINE)
+    pictures = list(map(_pictures_beside(file, named, notes), names))  # None for those that are missing
     uv, doubled = _ply_coordinates(vertex, sides, sizes, rows, faces)
     number = np.zeros(len(faces), dtype=np.int32)
     if len(pictures) > 1 and "texnumber" in sides:
@@ -338,19 +341,10 @@ def _from_ply(data: bytes, file: Path) -> PaintedMesh:
         materials,
         number,
         _ply_colors(vertex),
-        (*decided, *notes, *missing),
+        (*decided, *notes),
         source_files=tuple(named),
     )
     return joined_seams(mesh) if doubled else mesh
-
-
-def _ply_pictures(data: bytes, file: Path) -> tuple[list[Bytes | None], list[Path], list[str]]:
-    """Return the pictures that a PLY file's header names, None for missing ones, their files, and notes."""
-    named: list[Path] = []
-    notes: list[str] = []
-    header = data[: data.find(b"end_header")].decode("utf-8", "replace")
-    names = re.findall(r"^[ \t]*comment[ \t]+TextureFile[ \t]+(\S.*?)\s*$", header, re.MULTILINE)
-    return list(map(_pictures_beside(file, named, notes), names)), named, notes
 
 
 def _ply_coordinates(

@@ -218,8 +218,6 @@ def pack_rows(sizes: Floats, width: float, margin: float, least: Floats | float 
        two-dimensional packing algorithms", SIAM J. Comput. 9 (1980).
     """
     halvings = 40  # of the interval of scales, which is then known to rounding
-    if _rows(np.maximum(0.0 * sizes, least), width, margin) is None:
-        raise OmtwarpError(f"a margin of {margin} leaves no room for {len(sizes)} charts")
     low, high = 0.0, float((np.array([width, 1.0]) / np.maximum(sizes.max(axis=0), TINY)).min())
     fitted = _rows(np.maximum(high * sizes, least), width, margin)
     low = high if fitted is not None else low
