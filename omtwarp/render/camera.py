@@ -209,23 +209,18 @@ def frame(
         axes = camera_axes(camera, up or "y", front)
         seen = points @ axes
         x, y, z = seen.T
-        scale = 1.0 / (1.0 - 2.0 * camera.margin)
-        if camera.projection == "perspective":
-            tall = np.tan(np.radians(camera.field_of_view) / 2.0) / scale
-            wide = tall * aspect
-            if centred:
-                shift, distance = np.zeros(2), float(np.max(z + np.maximum(np.abs(x) / wide, np.abs(y) / tall)))
-            else:
-                right, left = np.max(z + x / wide), np.max(z - x / wide)
-                top, bottom = np.max(z + y / tall), np.max(z - y / tall)
-                distance = float(max(right + left, top + bottom) / 2.0)
-                shift = np.array([(right - left) / 2.0 * wide, (top - bottom) / 2.0 * tall])
+        perspective = camera.projection == "perspective"
+        depth = z if perspective else np.zeros_like(z)
+        opening = np.tan(np.radians(camera.field_of_view) / 2.0) if perspective else 1.0
+        tall = opening * (1.0 - 2.0 * camera.margin)
+        wide = tall * aspect
+        if centred:
+            shift, distance = np.zeros(2), float(np.max(depth + np.maximum(np.abs(x) / wide, np.abs(y) / tall)))
         else:
-            if centred:
-                shift, distance = np.zeros(2), float(scale * max(np.max(np.abs(x)) / aspect, np.max(np.abs(y))))
-            else:
-                shift = np.array([x.max() + x.min(), y.max() + y.min()]) / 2.0
-                distance = float(scale * max(np.ptp(x) / aspect, np.ptp(y)) / 2.0)
+            right, left = np.max(depth + x / wide), np.max(depth - x / wide)
+            top, bottom = np.max(depth + y / tall), np.max(depth - y / tall)
+            distance = float(max(right + left, top + bottom) / 2.0)
+            shift = np.array([(right - left) / 2.0 * wide, (top - bottom) / 2.0 * tall])
         placed.append((camera, axes, shift, distance))
     shared = max(distance for *_, distance in placed)
     for camera, axes, shift, _ in placed:
