@@ -347,11 +347,6 @@ class MultifrontalCholesky:
         self._factor[target : target + own * size] = workspace[begin : begin + own * size]
         return -1
 
-    @property
-    def storage(self) -> int:
-        """Bytes of the factor and of the workspace of its fronts."""
-        return 8 * (len(self._factor) + self._length)
-
     def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
         """Solve for right-hand sides, shape [V, 2] or [V, 2, K]; [V] or [V, K] for one unknown per vertex."""
         d, block = self.dissection, self.block
