@@ -36,7 +36,7 @@ def measured_coarsely(monkeypatch):
 @pytest.fixture(scope="module")
 def creature() -> MapResult:
     """A body with limbs on a sphere, and a map that moves its points by up to a third of a turn."""
-    surface = shapes.limbs(length=0.8, sharpness=4.0, sphere=1280)
+    surface = shapes.limbs(length=0.8, sharpness=4.0, sphere=720)
     last = surface.vertices / np.linalg.norm(surface.vertices, axis=1)[:, None]
     first = last * (1.0, 1.0, 1.6) + (0.0, 0.0, 0.5)
     first /= np.linalg.norm(first, axis=1)[:, None]

@@ -242,7 +242,7 @@ def test_group_reads_what_a_cohort_wrote(tmp_path, monkeypatch, capsys, pair, sm
     failed = {"id": "s4", "path": "elsewhere/s4.ply", "status": "error", "group": "a"}
     table = write_table([*rows, failed], tmp_path / "done")
     assert table.suffix == (".parquet" if parquet else ".csv")
-    options = ["--grid", "ico2", "--degree", "6", "--components", "1", "--permutations", "20", "--json"]
+    options = ["--grid", "ico2", "--degree", "3", "--components", "1", "--permutations", "20", "--json"]
     for source in ("done", str(table.relative_to(tmp_path))):
         assert run("group", source, "-o", "study", *options) == 0
         assert json.loads(capsys.readouterr().out)["shapes"] == 6
