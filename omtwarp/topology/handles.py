@@ -18,6 +18,7 @@ and the shortest one through a vertex follows two shortest paths from it and one
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,19 +96,15 @@ def slit_open(vertices: Floats, faces: NDArray, share: float = 1.0) -> CutSurfac
     """
     triangles, count = np.asarray(faces, dtype=np.int64), len(vertices)
     tail, head = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
-    one_way = tail < head
-    lengths = np.linalg.norm(vertices[tail[one_way]] - vertices[head[one_way]], axis=1)
-    lengths = np.maximum(lengths, np.finfo(float).eps * lengths.max())
-    graph = sparse.csr_array((lengths, (tail[one_way], head[one_way])), shape=(count, count))
+    ends = np.stack([tail, head], axis=1)[tail < head]
+    graph = sparse.csr_array((_edge_lengths(vertices, ends), ends.T), shape=(count, count))
     root = int(tail[0])
     # Far sweeps, from the farthest vertex to the one farthest from it
     for _ in range(3):
         steps, before = csgraph.dijkstra(graph, directed=False, indices=root, return_predecessors=True)
         far, last = int(np.argmax(np.where(np.isfinite(steps), steps, -1.0))), root
         root = far
-    path = [far]
-    while path[-1] != last:
-        path.append(int(before[path[-1]]))
+    path = _path_to(far, before)
     if len(path) < 3:  # a path of one edge opens nothing: go on to any neighbour of its end that is not its beginning
         beside = np.unique(np.concatenate([head[tail == last], tail[head == last]]))
         path.append(int(beside[~np.isin(beside, path)][0]))
@@ -138,6 +135,20 @@ def shortest_handle_loop(vertices: Floats, faces: NDArray, *, thorough: bool = T
     return graph.loop
 
 
+def _edge_lengths(vertices: Floats, ends: NDArray) -> Floats:
+    """Return the lengths of edges, none of them 0, for graphs."""
+    lengths = np.linalg.norm(vertices[ends[:, 0]] - vertices[ends[:, 1]], axis=1)
+    return np.maximum(lengths, np.finfo(float).eps * lengths.max())
+
+
+def _path_to(end: int, before: NDArray) -> list[int]:
+    """Return the vertices of the shortest path to one, from there back to the root, which has none before it."""
+    path = [end]
+    while before[path[-1]] >= 0:
+        path.append(int(before[path[-1]]))
+    return path
+
+
 class _LoopGraph:
     """The edges of a surface and of its dual, in which the hole in each boundary loop is a face.
 
@@ -153,8 +164,7 @@ class _LoopGraph:
         tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
         self._keys, edge = np.unique(self._key(tail, head), return_inverse=True)
         self.edges = np.stack([self._keys // self.count, self._keys % self.count], axis=1)
-        lengths = np.linalg.norm(vertices[self.edges[:, 0]] - vertices[self.edges[:, 1]], axis=1)
-        self.lengths = np.maximum(lengths, np.finfo(float).eps * lengths.max())
+        self.lengths = _edge_lengths(vertices, self.edges)
         self.forbidden = np.zeros(self.count, dtype=bool)
         loops = boundary_loops(faces, self.count)
         order = np.argsort(edge, kind="stable")
@@ -277,12 +287,7 @@ class _LoopGraph:
 
     def _take(self, edge: int, before: NDArray) -> None:
         """Keep the loop of an edge and the paths to its ends, from where these part."""
-        paths: list[list[int]] = []
-        for end in self.edges[edge].tolist():
-            path = [end]
-            while before[path[-1]] >= 0:
-                path.append(int(before[path[-1]]))
-            paths.append(path)
+        paths = [_path_to(end, before) for end in self.edges[edge].tolist()]
         while len(paths[0]) > 1 and len(paths[1]) > 1 and paths[0][-2] == paths[1][-2]:
             for path in paths:
                 path.pop()
@@ -379,38 +384,44 @@ def loops_through_holes(cut: CutSurface) -> list[NDArray[np.int64] | None]:
         The given vertices of the loops, in order, which touch neither each other, nor other cuts, nor the boundary;
         None for a cut that none such crosses.
     """
-    faces, origin = cut.faces.astype(np.int64), cut.vertex_origin
-    count = len(cut.vertices)
-    ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    ends = np.unique(np.sort(ends, axis=1), axis=0)
-    lengths = np.linalg.norm(cut.vertices[ends[:, 0]] - cut.vertices[ends[:, 1]], axis=1)
-    lengths = np.maximum(lengths, np.finfo(float).eps * lengths.max())
-    rims = boundary_loops(faces, count)
-    closed = np.zeros(count, dtype=bool)  # vertices that no loop may pass
-    for rim in rims:
-        closed[rim] = True
+    closed = np.isin(np.arange(len(cut.vertices)), np.concatenate(boundary_loops(cut.faces, len(cut.vertices))))
     loops: list[NDArray[np.int64] | None] = []
-    for one, other in cut.sides:
-        partner = dict(zip(origin[other].tolist(), other.tolist(), strict=True))
-        shortest, path = np.inf, None
-        for start in one.tolist():
-            end = partner[int(origin[start])]
-            free = ~closed
-            free[[start, end]] = True
-            kept = free[ends].all(axis=1)
-            graph = sparse.csr_array((lengths[kept], ends[kept].T), shape=(count, count))
-            steps, before = csgraph.dijkstra(
-                graph, directed=False, indices=start, return_predecessors=True, limit=shortest
-            )
-            if steps[end] < shortest:
-                shortest, path = float(steps[end]), [end]
-                while path[-1] != start:
-                    path.append(int(before[path[-1]]))
-        loop = None if path is None else origin[np.array(path[:-1])]
-        if loop is not None:
-            closed |= np.isin(origin, loop)
-        loops.append(loop)
+    for sides in cut.sides:
+        found = list(loops_across(cut, sides, closed))
+        if found:
+            closed |= np.isin(cut.vertex_origin, found[-1])
+        loops.append(found[-1] if found else None)
     return loops
+
+
+def loops_across(
+    cut: CutSurface, sides: tuple[NDArray[np.int64], NDArray[np.int64]], closed: NDArray[np.bool_]
+) -> Iterator[NDArray[np.int64]]:
+    """Find loops of edges that cross a cut once, each shorter than the one before.
+
+    Args:
+        cut: a surface cut along loops around its handles.
+        sides: of the cut to be crossed.
+        closed: vertices that no loop may pass but where it crosses, shape [V + K].
+
+    Yields:
+        The given vertices of a loop, in order.
+    """
+    count, origin = len(cut.vertices), cut.vertex_origin
+    ends = Surface(cut.vertices, cut.faces).edges
+    lengths = _edge_lengths(cut.vertices, ends)
+    partner = dict(zip(origin[sides[1]].tolist(), sides[1].tolist(), strict=True))
+    shortest = np.inf
+    for start in sides[0].tolist():
+        end = partner[int(origin[start])]
+        free = ~closed
+        free[[start, end]] = True
+        kept = free[ends].all(axis=1)
+        graph = sparse.csr_array((lengths[kept], ends[kept].T), shape=(count, count))
+        steps, before = csgraph.dijkstra(graph, directed=False, indices=start, return_predecessors=True, limit=shortest)
+        if steps[end] < shortest:
+            shortest = float(steps[end])
+            yield origin[np.array(_path_to(end, before)[:-1])]
 
 
 def _thickness(cut: CutSurface) -> float:

@@ -17,8 +17,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse import csgraph
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.intrinsic import WeightedEdges, delaunay_edges
@@ -27,7 +25,7 @@ from omtwarp.mesh.arrays import ROUND_OFF, TINY, Floats, edge_keys
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, plane_areas
 from omtwarp.solvers.cholesky import NotPositiveDefinite, dissect
 from omtwarp.solvers.mesh_factor import MeshFactor, mesh_factor, surface_factor
-from omtwarp.topology.handles import cut_handles
+from omtwarp.topology.handles import cut_handles, loops_across
 
 # Coordinates are whole multiples of 2^-40, so that adding whole numbers to them is exact.
 QUANTUM = 2.0**-40
@@ -204,29 +202,12 @@ def quantised(values: Floats) -> Floats:
 def _two_loops(points: Floats, faces: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the integers at corners, shape [F, 3] each, that jump by one across two loops that cross once."""
     cut = cut_handles(points, faces, 1, thorough=False)  # any two loops will do
-    one, other = cut.sides[0]
-    count = len(cut.vertices)
-    edges = Surface(cut.vertices, cut.faces).edges
-    rim = np.zeros(count, dtype=bool)
-    rim[one] = rim[other] = True
-    twin = dict(zip(cut.vertex_origin[other].tolist(), other.tolist(), strict=True))
-    lengths = np.linalg.norm(cut.vertices[edges[:, 0]] - cut.vertices[edges[:, 1]], axis=1)
-    for start in one.tolist():
-        end = twin[int(cut.vertex_origin[start])]
-        free = ~rim
-        free[[start, end]] = True
-        usable = free[edges].all(axis=1)
-        graph = sparse.csr_array((lengths[usable], edges[usable].T), shape=(count, count))
-        _, before = csgraph.dijkstra(graph, directed=False, indices=start, return_predecessors=True)
-        if before[end] < 0:
-            continue
-        path = [end]
-        while path[-1] != start:
-            path.append(int(before[path[-1]]))
-        crossing = cut.vertex_origin[np.array(path[1:])]
-        again = cut_handles(points, faces, 1, loops=[crossing])
-        return _jumps(cut.faces, other), _jumps(again.faces, again.sides[0][1])
-    raise OmtwarpError("the mesh is too coarse for two loops that cross once: use a finer one")
+    rims = np.isin(np.arange(len(cut.vertices)), cut.sides[0])
+    crossing = next(loops_across(cut, cut.sides[0], rims), None)
+    if crossing is None:
+        raise OmtwarpError("the mesh is too coarse for two loops that cross once: use a finer one")
+    again = cut_handles(points, faces, 1, loops=[crossing])
+    return _jumps(cut.faces, cut.sides[0][1]), _jumps(again.faces, again.sides[0][1])
 
 
 def _jumps(faces: NDArray, side: NDArray[np.int64]) -> NDArray[np.int64]:
