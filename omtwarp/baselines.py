@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from omtwarp.conformal.centring import centre_points
-from omtwarp.conformal.maps import most_regular_face
+from omtwarp.conformal.maps import dipole, most_regular_face, plane_to_sphere
 from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import TINY, Floats
@@ -224,29 +224,13 @@ def _planar_start(surface: Surface, springs: _Springs, weights: str) -> tuple[Fl
     triangle the shape that suits the weights instead of an arbitrary one.
     """
     points = surface.scaled_vertices
-    a, b, c = surface.faces[most_regular_face(points, surface.faces)]
-    if weights == "tutte":
-        length, foot, height = 1.0, 0.5, np.sqrt(3.0) / 2.0
-    else:
-        ab = points[b] - points[a]
-        length = float(np.linalg.norm(ab))
-        foot = float(ab @ (points[c] - points[a])) / length
-        height = float(np.linalg.norm(points[c] - points[a] - foot / length * ab))
-    right = np.zeros((springs.count, 2))
-    theta = foot / length
-    right[[a, b, c], 0] = [-1.0 / length, 1.0 / length, 0.0]
-    right[[a, b, c], 1] = [-(1.0 - theta) / height, -theta / height, 1.0 / height]
+    face = surface.faces[most_regular_face(points, surface.faces)]
+    equilateral = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.5, np.sqrt(0.75), 0.0]])
+    right = dipole(springs.count, face, equilateral if weights == "tutte" else points[face])
     laplacian = sparse.diags(springs.degree) - springs.matrix
-    plane = LaplacianSolver(laplacian, pinned=int(a)).solve(right)
-    plane = plane - np.median(plane, axis=0)
-    plane /= np.median(np.linalg.norm(plane, axis=1))
-    squares = (plane**2).sum(axis=1)
-    sphere = np.column_stack([2.0 * plane, squares - 1.0]) / (1.0 + squares)[:, None]
-    p0, p1, p2 = (sphere[surface.faces[:, k]] for k in range(3))
-    if np.median(np.einsum("ij,ij->i", p0, np.cross(p1, p2))) < 0:
-        sphere[:, 2] *= -1.0
+    plane = LaplacianSolver(laplacian, pinned=int(face[0])).solve(right)
     masses = surface.vertex_areas if weights == "mean-value" else np.ones(springs.count)
-    sphere = centre_points(sphere, masses)[0]
+    sphere = centre_points(plane_to_sphere(plane, masses), masses)[0]
     shares = surface.sum_to_vertices(triangle_areas(sphere, surface.faces))
     shares /= shares.sum()
     return centre_points(sphere, shares)[0], shares

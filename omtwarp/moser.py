@@ -17,7 +17,7 @@ from omtwarp.measures import TargetDensity
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, as_sphere, as_surface, triangle_areas
 from omtwarp.options import Progress, Record, tell
-from omtwarp.solvers.poisson import PoissonSolver, cotangent_solver
+from omtwarp.solvers.poisson import EdgeLaplacianSolver, cotangent_solver
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -182,7 +182,7 @@ def moser_map(
     sphere: ArrayLike | wp.array,
     *,
     target: TargetDensity | None = None,
-    solver: PoissonSolver | None = None,
+    solver: EdgeLaplacianSolver | None = None,
     device: str | None = "auto",
     progress: Progress | None = None,
 ) -> MoserMap:

@@ -27,9 +27,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from omtwarp.conformal.centring import centre_points, project_to_sphere
+from omtwarp.conformal.centring import centre_points
 from omtwarp.device.policy import resolve_device
-from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.axes import OBLIQUE, principal_axes
@@ -37,7 +36,7 @@ from omtwarp.geometry.intrinsic import intrinsic_edges
 from omtwarp.mesh.arrays import Floats, Ints, normalised
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_sphere, as_surface, triangle_areas
 from omtwarp.options import Progress, Record, tell
-from omtwarp.solvers.poisson import EdgeLaplacianSolver, PoissonSolver, cotangent_solver, edge_laplacian, solve_arrays
+from omtwarp.solvers.poisson import EdgeLaplacianSolver, cotangent_solver, edge_laplacian
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,7 @@ class ConformalMap:
     sphere: Floats
     removed_face: int
     centring_steps: int
-    solver: PoissonSolver
+    solver: EdgeLaplacianSolver
     history: tuple[Record, ...] = ()
     converged: bool = True
 
@@ -98,21 +97,19 @@ def conformal_map(
     """
     surface = as_surface(surface)
     tell(progress, "conformal", 0, 4, {})
+    resolve_device(device)  # an unknown one is an error here as elsewhere
     points = surface.scaled_vertices
     face = most_regular_face(points @ principal_axes(surface).frame.T, surface.faces)
     pinned = int(surface.faces[face, 0])
-    solver: PoissonSolver
     if intrinsic:
         solver = intrinsic_solver(surface, pinned)
     else:
         solver = cotangent_solver(surface, points, pinned)
     tell(progress, "conformal", 2, 4, {})
-    where = resolve_device(device)
-    dipole = _dipole(points, surface.faces[face])
-    rights = [wp.array(np.ascontiguousarray(part), dtype=wp.float64, device=where) for part in dipole.T]
-    plane = solve_arrays(solver, rights)
+    corners = surface.faces[face]
+    plane = solver.solve(dipole(surface.vertex_count, corners, points[corners]))
     tell(progress, "conformal", 3, 4, {})
-    sphere, steps = centre_points(_to_sphere(plane, surface.vertex_areas), surface.vertex_areas, device=device)
+    sphere, steps = centre_points(plane_to_sphere(plane, surface.vertex_areas), surface.vertex_areas)
     tell(progress, "conformal", 4, 4, {})
     return ConformalMap(sphere, face, steps, solver)
 
@@ -154,14 +151,20 @@ def intrinsic_solver(surface: Surface, pinned: int = 0) -> EdgeLaplacianSolver:
     return EdgeLaplacianSolver(surface, weights, pinned, edges=edges)
 
 
-def _dipole(points: Floats, face: Ints) -> Floats:
-    """Return the right-hand sides a and b of section 4.1, whose solutions are x and y, as columns, shape [V, 2]."""
-    a, b, c = (points[k] for k in face)
+def dipole(count: int, face: Ints, corners: Floats) -> Floats:
+    """Return the right-hand sides a and b of section 4.1, whose solutions are x and y, as columns, shape [V, 2].
+
+    Args:
+        count: number of vertices.
+        face: the three of a triangle.
+        corners: where they are, shape [3, 3].
+    """
+    a, b, c = corners
     ab = b - a
     length = float(np.linalg.norm(ab))
     theta = ab @ (c - a) / length**2
     height = float(np.linalg.norm(c - (a + theta * ab)))
-    right = np.zeros((len(points), 2))
+    right = np.zeros((count, 2))
     right[face, 0] = [-1.0 / length, 1.0 / length, 0.0]
     # The paper prints both entries of b at A and B with the sign of C's; they have to sum to zero with it (Haker et al.
     # 2000, equation 10), so A and B carry the opposite sign.
@@ -169,37 +172,31 @@ def _dipole(points: Floats, face: Ints) -> Floats:
     return right
 
 
-def _to_sphere(plane: list[wp.array], masses: Floats) -> wp.array:
+def plane_to_sphere(plane: Floats, masses: Floats) -> Floats:
     """Shift and scale the plane so that half of the area falls in the unit disc, and project it to the sphere.
 
     Args:
-        plane: both coordinates, float64, shape [V] each.
+        plane: coordinates, shape [V, 2].
         masses: the areas, shape [V].
 
     Returns:
-        Unit vectors, vec3d, shape [V], where the coordinates are.
+        Unit vectors, shape [V, 3].
 
     Raises:
         OmtwarpError: the plane is not finite.
     """
-    coordinates = [part.numpy() for part in plane]
-    if not all(np.isfinite(part).all() for part in coordinates):
+    if not np.isfinite(plane).all():
         raise OmtwarpError("the conformal map is not finite: the surface has triangles too thin for it; remesh them")
-    half = masses.sum() / 2
-    shift = np.array([_median(part, masses, half) for part in coordinates])
-    radius = np.hypot(*(part - middle for part, middle in zip(coordinates, shift, strict=True)))
-    median = _median(radius, masses, half)
-    where = plane[0].device
-    sphere = wp.empty(len(masses), dtype=wp.vec3d, device=where)
-    inputs = [*plane, wp.vec2d(*shift), wp.float64(1.0 / median)]
-    wp.launch(project_to_sphere, dim=len(masses), inputs=inputs, outputs=[sphere], device=where)
-    return sphere
+    plane = plane - [_median(coordinates, masses) for coordinates in plane.T]
+    plane /= _median(np.hypot(*plane.T), masses)
+    share = 2.0 / (1.0 + (plane**2).sum(axis=1, keepdims=True))
+    return np.hstack([share * plane, 1.0 - share])
 
 
-def _median(values: Floats, masses: Floats, half: float) -> float:
+def _median(values: Floats, masses: Floats) -> float:
     """Return the weighted median: the value below which half of the mass lies."""
     order = np.argsort(values)
-    return float(values[order[np.searchsorted(np.cumsum(masses[order]), half)]])
+    return float(values[order[np.searchsorted(np.cumsum(masses[order]), masses.sum() / 2)]])
 
 
 STEPS = 60  # most steps
@@ -254,7 +251,7 @@ def harmonic_points(
         given, solver = as_sphere(start, surface), intrinsic_solver(surface)
     masses = surface.vertex_areas
     energy = _DirichletEnergy(surface, solver)
-    sphere, _ = centre_points(given, masses, device=device)
+    sphere, _ = centre_points(given, masses)
     value = energy.value(sphere)
     history: list[Record] = [{"iteration": 0, "energy": value, "length": 0.0}]
     before: tuple[Floats, Floats, float] | None = None  # direction, slope and gain of the step before
@@ -277,7 +274,7 @@ def harmonic_points(
         length = -float((direction * slope).sum()) / curvature if curvature > 0.0 else 1.0
         shortest, moved = 2.0**-10 * length, None  # below this share of a step none lowers the energy
         while length >= shortest:
-            moved = _centred(normalised(sphere + length * direction), masses, device)
+            moved = _centred(normalised(sphere + length * direction), masses)
             if moved is not None and (lower := energy.value(moved)) < value:
                 break
             moved, length = None, 0.5 * length
@@ -298,7 +295,7 @@ class _DirichletEnergy:
         solver: of the Laplacian of its intrinsic Delaunay triangulation.
     """
 
-    def __init__(self, surface: Surface, solver: PoissonSolver):
+    def __init__(self, surface: Surface, solver: EdgeLaplacianSolver):
         self._ends, self._weights = intrinsic_edges(surface)
         self._masses, self._solver = surface.vertex_areas, solver
         self._laplacian = edge_laplacian(self._ends, self._weights, surface.vertex_count)
@@ -335,9 +332,9 @@ def _tangent(sphere: Floats, vectors: Floats) -> Floats:
     return vectors - (sphere * vectors).sum(axis=1)[:, None] * sphere
 
 
-def _centred(sphere: Floats, masses: Floats, device: str | None) -> Floats | None:
+def _centred(sphere: Floats, masses: Floats) -> Floats | None:
     """Return points moved by the Möbius transformation that centres them; None where there is none."""
     try:
-        return centre_points(sphere, masses, device=device)[0]
+        return centre_points(sphere, masses)[0]
     except OmtwarpError:
         return None

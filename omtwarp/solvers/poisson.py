@@ -5,9 +5,6 @@ Matrices on the edges of a surface are factorised as :mod:`omtwarp.solvers.mesh_
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Protocol
-
 import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
@@ -18,13 +15,6 @@ from omtwarp.geometry.operators import cotangent_edge_weights
 from omtwarp.mesh.surface import Surface
 from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.solvers.mesh_factor import surface_factor
-
-
-class PoissonSolver(Protocol):
-    """A solver of L u = b for a Laplacian L; b is projected onto sum zero, and u has mean zero."""
-
-    def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Solve for one right-hand side, shape [V], or several, shape [V, K]."""
 
 
 class Factorization:
@@ -110,16 +100,6 @@ def cotangent_solver(surface: Surface, points: NDArray[np.float64] | wp.array, p
     """
     on_host = points.numpy() if isinstance(points, wp.array) else points
     return EdgeLaplacianSolver(surface, cotangent_edge_weights(surface, on_host), pinned)
-
-
-def solve_arrays(solver: PoissonSolver, rights: Sequence[wp.array]) -> list[wp.array]:
-    """Solve for right-hand sides that are Warp arrays, float64, shape [V]; solutions are on their device."""
-    if len(rights) == 1:
-        solutions = [solver.solve(rights[0].numpy())]
-    else:
-        solutions = list(solver.solve(np.stack([right.numpy() for right in rights], axis=1)).T)
-    # On the CPU these are the solver's own arrays, without a copy.
-    return [wp.array(values, dtype=wp.float64, device=rights[0].device, copy=False) for values in solutions]
 
 
 class EdgeLaplacianSolver:

@@ -60,7 +60,7 @@ def test_second_order_on_a_sphere_under_a_mobius_transformation():
         factor = 0.75 / (1.25 + z) ** 2  # of areas, under a boost along z with cosh 1.25 and sinh 1
         masses = factor[ball.faces].mean(axis=1) * ball.face_areas
         surface = ball.with_areas(masses)
-        truth, _ = centre_points(ball.vertices, surface.vertex_areas, device="cpu")
+        truth, _ = centre_points(ball.vertices, surface.vertex_areas)
         found = omtwarp.harmonic_points(surface, device="cpu")
         errors.append(rms(apart(found.sphere, truth)))
     assert errors[1] < 0.3 * errors[0]
