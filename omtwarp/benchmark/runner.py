@@ -182,7 +182,8 @@ def measure_mesh(
                 references.append(before)
             one = measure_map(surface, device, refine)
             one["ratio"] = one["seconds"] / before[0] if before else None
-            one["cpu_ratio"] = one["cpu_seconds"] / before[1] if before else None
+            # Of a small system the processor's clock may have counted nothing.
+            one["cpu_ratio"] = one["cpu_seconds"] / before[1] if before and before[1] else None
             for stage in one["stages"]:
                 stage["ratio"] = stage["seconds"] / before[0] if before else None
             measured.append(one)

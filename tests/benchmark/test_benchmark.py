@@ -88,6 +88,13 @@ def test_the_reference_is_a_factorisation_of_the_same_laplacian():
     assert wall > 0.0 and cpu >= 0.0 and math.isfinite(wall + cpu)
 
 
+def test_a_clock_that_counted_nothing_gives_no_ratio(monkeypatch):
+    monkeypatch.setattr(runner, "splu_reference", lambda *_: (1e-3, 0.0))
+    ball = icosphere(2)
+    (mesh,) = run(sizes=(), meshes=[(ball.vertices, ball.faces)], repeats=1)["meshes"]
+    assert mesh["runs"][0]["cpu_ratio"] is None and mesh["runs"][0]["ratio"] > 0.0
+
+
 def test_moved_bytes_by_hand():
     size = 5000
     factors = wp.zeros(size, dtype=wp.float64, device="cpu")
