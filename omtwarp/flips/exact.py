@@ -230,7 +230,9 @@ class Examined:
     """Orientations and turns that decide whether a map is one to one.
 
     Attributes:
-        sphere, faces, device: as given to :func:`examine`.
+        sphere: as given to :func:`examine`.
+        faces: likewise.
+        device: likewise.
         signs: of the triangles, as of :func:`omtwarp.flips.exact.orientation_signs`, int8, shape [F].
         turns: of the rings around vertices, as of :func:`ring_turns`, int32, shape [V]; computed when first read.
     """
