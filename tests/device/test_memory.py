@@ -10,12 +10,15 @@ from omtwarp.device.arrays import Workspace, give_back
 
 # In a process of its own: what other tests have freed, and what they keep, is no part of a map.
 MEASURE = """
-from omtwarp.benchmark.runner import made
-from omtwarp.benchmark.runner import factor_bytes, measure_map
+from omtwarp.benchmark.runner import made, measure_map
+from omtwarp.solvers.cholesky.dissection import surface_dissection
+from omtwarp.solvers.cholesky.multifrontal import MultifrontalCholesky
+from omtwarp.solvers.cholesky.saddle import expand
 measure_map(made("blob", 2000), "cpu", "none")
 surface = made("blob", 20_000)
-rest = measure_map(surface, "cpu", "none")["peak_bytes"] - factor_bytes(surface)
-print(rest / surface.vertex_count)
+peak = measure_map(surface, "cpu", "none")["peak_bytes"]
+factor = MultifrontalCholesky(expand(surface_dissection(surface))[0])  # the largest
+print((peak - 8 * (len(factor._factor) + factor._length)) / surface.vertex_count)
 """
 
 
