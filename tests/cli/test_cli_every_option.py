@@ -225,7 +225,7 @@ def ring_of(rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
 def inputs(tmp_path_factory):
     """A folder with everything that the command lines name."""
     folder = tmp_path_factory.mktemp("inputs")
-    ball = shapes.blob(seed=2, amplitude=0.2, sphere=320)
+    ball = shapes.blob(seed=2, amplitude=0.2, sphere=shapes.icosphere(3))
     write_mesh(folder / "ball.ply", ball.vertices, ball.faces)
     again = ball.vertices + 3.0
     write_mesh(
@@ -237,7 +237,7 @@ def inputs(tmp_path_factory):
     write_mesh(folder / "cup.ply", ball.vertices[used], lower.reshape(-1, 3))
     ring = ring_of(16, 8)
     write_mesh(folder / "ring.ply", *ring)
-    write_mesh(folder / "sphere.ply", shapes.icosphere(4).vertices, ball.faces)
+    write_mesh(folder / "sphere.ply", shapes.icosphere(3).vertices, ball.faces)
     (folder / "places.csv").write_text("label,side,vertex\na,moving,1\na,target,1\n")
     np.save(folder / "numbers.npy", ball.vertices[:, 0] - ball.vertices[:, 0].min() + 1.0)
     np.save(folder / "labels.npy", (ball.vertices[:, 0] > 0).astype(np.int64))
