@@ -92,7 +92,7 @@ def test_register_has_the_defaults_of_the_function():
         assert here[name].default == there[name].default
 
 
-def test_register_writes_strain_and_weights_features(desk, capsys):
+def test_register_writes_strain_and_weights_features(desk, short_warps, capsys):
     words = ["register", "lh.npz", "--to", "template.npz", "-o", "out.npz", "-q"]
     assert run(*words, "--strain", "lh.strain.csv", "--feature-weight", "1", "--feature-weight", "0") == 0
     strain = read_data(Path("lh.strain.csv"))
@@ -105,7 +105,7 @@ def test_register_writes_strain_and_weights_features(desk, capsys):
     assert "1 times --feature-weight for 2 features" in capsys.readouterr().err
 
 
-def test_register_writes_what_workbench_takes(desk):
+def test_register_writes_what_workbench_takes(desk, short_warps):
     """The sphere before and after on one mesh, strain at its vertices, each with the part of the brain."""
     pytest.importorskip("nibabel")
     result = replace(a_map(random_rotation(1)), report={"structure": "CortexLeft"})
@@ -124,7 +124,7 @@ def test_register_writes_what_workbench_takes(desk):
     assert read_data(Path("strain.shape.gii")).names == ("area_log2", "stretch_log2")
 
 
-def test_register_writes_a_page_and_a_film(desk, capsys, monkeypatch):
+def test_register_writes_a_page_and_a_film(desk, short_warps, capsys, monkeypatch):
     """The page has features of the target, before and after, and both strains; the film goes to the registered map."""
     monkeypatch.setattr(films, "PROBE_WIDTH", 16)  # motion is measured on few pixels, and few are drawn
     monkeypatch.setattr(reports, "film", partial(films.film, size=(64, 36), seconds=3.0, fps=5))
@@ -276,7 +276,7 @@ def test_fsaverage_sphere_in_the_fields_formats(desk, capsys):
     assert nibabel.freesurfer.read_geometry("lh.sphere")[0].shape == (642, 3)
 
 
-def test_structure_of_the_brain_survives_every_command(desk):
+def test_structure_of_the_brain_survives_every_command(desk, short_warps):
     """What a GIFTI file says of its surface goes with its map, and into every GIFTI file that is made of this."""
     nibabel = pytest.importorskip("nibabel")
     write_mesh("in.surf.gii", BLOB.vertices, BLOB.faces)
