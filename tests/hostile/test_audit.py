@@ -62,13 +62,14 @@ def hook(event, words):
 
 sys.addaudithook(hook)
 """
-# Runs the lines of a file, a list of folders and words each, on few pixels, and says how each ended.
+# Runs the lines of a file, a list of folders and words each, on few pixels and in few steps; says how each ended.
 DRIVER = """
 import json, os, sys
 import sitecustomize
 from omtwarp.commands._cli import main
-from small_pictures import shrink
+from small_pictures import shorten, shrink
 shrink()
+shorten()
 for folders, words in json.loads(open(sys.argv[1]).read()):
     sitecustomize.allowed[:] = map(os.path.realpath, folders)
     os.environ["AUDIT_ALLOWED"] = json.dumps(sitecustomize.allowed)
