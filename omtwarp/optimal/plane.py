@@ -334,7 +334,7 @@ def plane_cost_metric(
 ):
     """Compute the derivative of the inverse map y -> x at every vertex, fitted to its neighbours, scaled, shape [V, 4].
 
-    It is made symmetric and its eigenvalues raised to ``least``: see :func:`omtwarp.optimal.cost_metric`.
+    It is made symmetric and its eigenvalues raised to ``least``: see :func:`omtwarp.optimal.kernels.cost_metric`.
     """
     v = wp.tid()
     fit = Fit()
