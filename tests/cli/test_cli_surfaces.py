@@ -205,7 +205,7 @@ KINDS = {
     "cap": ("open", "--cap"),
     "natural": ("open", "--fill-area", "natural"),
     "small": ("open", "--fill-area", "small"),
-    "exact": ("open", "--fill-area", "small", "--exact"),
+    "exact": ("open", "--fill-area", "natural", "--exact"),
     "parts": ("two", "--components"),
     "together": ("two", "--together"),
     "exact disk": ("open", "--disk", "--exact"),

@@ -182,7 +182,7 @@ def test_pictures_are_opened_in_one_place():
     calls = [
         file.name for file in package.rglob("*.py") if re.search(r"\b(Image|pil)\.open\(", file.read_text("utf-8"))
     ]
-    assert calls == ["pictures.py"]
+    assert calls == ["inputs.py"]
     assert len(FORMATS) == 6
 
 
