@@ -113,7 +113,8 @@ def read_bytes(path: str | os.PathLike[str], most: int, kind: str = "file") -> b
     """
     with open_input(path, most, kind) as stream:
         try:
-            return stream.read(os.fstat(stream.fileno()).st_size)  # room is made for as much as is asked for
+            # Room is made for as much as is asked for; a file may have grown since it was opened.
+            return stream.read(min(os.fstat(stream.fileno()).st_size, most))
         except OSError as error:
             raise OmtwarpError(f"{path}: cannot be read: {error.strerror or error}") from None
 

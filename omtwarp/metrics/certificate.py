@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.arrays import triangles, vectors
 from omtwarp.device.policy import resolve_device
@@ -24,6 +24,7 @@ RAYS = 32  # all have to count the same degree; without flips one would suffice
 def count_crossings(
     sphere: wp.array[wp.vec3d],
     faces: wp.array[wp.vec3i],
+    signs: wp.array[wp.int8],
     rays: wp.array[wp.vec3d],
     clearance: wp.float64,
     # Data out:
@@ -33,15 +34,15 @@ def count_crossings(
     """Compute the signed number of spherical triangles over every ray from the centre.
 
     Rays too near an edge are marked. A ray is inside a triangle where its three triple products have the sign of the
-    triangle's own; with the opposite sign all three, its antipode is. The counts are integers, so the order of the
-    additions does not matter.
+    triangle's own, which was decided exactly; with the opposite sign all three, its antipode is. The counts are
+    integers, so the order of the additions does not matter.
     """
     f, r = wp.tid()
     face = faces[f]
     a, b, c = sphere[face[0]], sphere[face[1]], sphere[face[2]]
     ray = rays[r]
     w0, w1, w2 = triple_product(ray, b, c), triple_product(ray, c, a), triple_product(ray, a, b)
-    upright = triple_product(a, b, c) > wp.float64(0.0)
+    upright = signs[f] > wp.int8(0)
     positive = upright and w0 > -clearance and w1 > -clearance and w2 > -clearance
     negative = not upright and w0 < clearance and w1 < clearance and w2 < clearance
     if positive or negative:
@@ -165,17 +166,18 @@ def certify_triangles(
         wound=len(wound),
         first_wound=int(wound[0]) if len(wound) else -1,
         degree=round(degree) if np.isfinite(degree) else 0,
-        ray_degree=_ray_degree(faces, sphere, device),
+        ray_degree=_ray_degree(faces, sphere, signs, device),
         rays=RAYS,
         smallest_area=float(f"{least:.12g}"),  # further digits depend on the order of faces and corners
         smallest_face=smallest,
     )
 
 
-def _ray_degree(faces: Ints, sphere: Floats, device: str | None) -> int | None:
+def _ray_degree(faces: Ints, sphere: Floats, signs: NDArray[np.int8], device: str | None) -> int | None:
     seed = 20_240_229  # fixed, so that results are the same bits; any other gives the same degree
     where = resolve_device(device)
     points, corners = vectors(sphere, where), triangles(faces, where)
+    upright: wp.array = wp.array(signs, dtype=wp.int8, device=where)
     rng = np.random.default_rng(seed)
     wanted, counted = RAYS, []
     for _ in range(8):
@@ -188,7 +190,7 @@ def _ray_degree(faces: Ints, sphere: Floats, device: str | None) -> int | None:
         wp.launch(
             count_crossings,
             dim=(len(faces), wanted),
-            inputs=[points, corners, directions, wp.float64(1e-13)],
+            inputs=[points, corners, upright, directions, wp.float64(1e-13)],
             outputs=[crossings, doubtful],
             device=where,
         )

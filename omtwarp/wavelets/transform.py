@@ -307,6 +307,7 @@ class WaveletPreconditioner:
         self._factors = wp.array(factors, device=self.device)
         # Rank, relative, of eigenvalues that are zero but for rounding: that of the constants, of the solid's few nodes
         self._coarse_inverse = SparseProduct(np.linalg.pinv(coarse, rcond=1e-10, hermitian=True), self.device)
+        self._coarse: wp.array = wp.empty(solid, dtype=wp.float64, device=self.device)  # so that no step allocates
 
     def apply(self, right_hand_side: wp.array, out: wp.array | None = None) -> wp.array:
         """Apply the approximate inverse to a right-hand side (weak form), shape [N] -> [N], NumPy or Warp as given.
@@ -322,8 +323,9 @@ class WaveletPreconditioner:
             values = wp.empty_like(right_hand_side) if out is None else out
             wp.copy(values, right_hand_side)
         self.wavelets.synthesise_adjoint(values)
-        coarse = self._coarse_inverse(values)
+        self._coarse.zero_()
+        self._coarse_inverse.add(values, self._coarse)
         wp.launch(kernels.scale_values, dim=len(values), inputs=[self._factors, values], device=self.device)
-        wp.copy(values, coarse, count=len(coarse))
+        wp.copy(values, self._coarse, count=len(self._coarse))
         self.wavelets.synthesise(values)
         return np.asarray(values.numpy()) if from_numpy else values
