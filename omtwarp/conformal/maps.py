@@ -76,7 +76,7 @@ def conformal_map(
         intrinsic: assemble D from the triangles of the intrinsic Delaunay triangulation (Bobenko and Springborn 2007),
             whose weights are never negative: on meshes of long triangles far fewer are flipped, and vertices lie nearer
             to where the conformal map of the surface takes them.
-        device: where the per-vertex kernels run.
+        device: a device; the map is made on the host.
         progress: called as ``progress("conformal", done, 4, details)`` before, with the matrix factorised, with both
             systems solved, and after.
 
@@ -227,7 +227,7 @@ def harmonic_points(
     Args:
         surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes, V vertices.
         start: points near the map, unit vectors, shape [V, 3]; section 4.1's map with the same weights if left out.
-        device: where the per-vertex kernels run; the linear systems are solved on the host.
+        device: a device; the points are found on the host.
         progress: called as ``progress("conformal", step, most, record)``, the last time with the most.
 
     Returns:

@@ -20,6 +20,7 @@ the mass of x_j less that of the images whose minimum is at x_j (Kitagawa, Méri
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -242,7 +243,7 @@ class SharedSources:
         return everywhere, triangle, share
 
 
-class MapDual:
+class MapDual(ABC):
     """The dual problem of a map x_i -> y_i with masses m_i, on a sphere or a torus.
 
     Attributes:
@@ -257,9 +258,9 @@ class MapDual:
     cost: Floats
     _solver: EdgeLaplacianSolver | None = None
 
+    @abstractmethod
     def admissible_differences(self) -> tuple[Floats, Floats]:
         """Return the least and the largest difference of ψ along every edge with which its ends swap no partners."""
-        raise NotImplementedError
 
     @property
     def tolerance(self) -> float:
