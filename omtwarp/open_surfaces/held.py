@@ -13,7 +13,7 @@ it fails, distortion is minimised with a penalty on the errors first.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +43,7 @@ from omtwarp.solvers.mesh_factor import SaddlePointFactor
 from omtwarp.spheres import triangle_solid_angles
 from omtwarp.topology.kind import boundary_loops
 from omtwarp.untangling.steps import FlipFreeSteps
-from omtwarp.untangling.untangle import SCHEDULES, RepairBudget, untangle_patches
+from omtwarp.untangling.untangle import ATTEMPTS, RepairBudget, untangle_patches
 
 NO_CELLS = np.empty((0, 1), dtype=np.int32)
 SETTLED = 1e-9  # largest relative error at which areas are right; corrections converge quadratically
@@ -136,7 +136,6 @@ Floats = NDArray[np.float64]
 # Weight of area against angle distortion where a map to the disk is minimised, since the disk is to keep areas, and the
 # largest number of steps. With 10 half of a caudate nucleus has area distortion 2.10, with this 2.005.
 AREA_WEIGHT, STEPS = 100.0, 150
-PATCHES = tuple(replace(schedule, weight=AREA_WEIGHT) for schedule in SCHEDULES)
 GAIN = 1e-4  # of the distortion: a step that is expected to gain less ends the minimisation
 LIFT = 0.25  # radius of the disk in the plane that touches the sphere where patches are untangled
 # Refinement until an area distortion is matched: how near, and how many weights are tried.
@@ -304,11 +303,13 @@ def _untangled(
     closed = Surface(vertices, np.concatenate([faces, fan]), np.concatenate([areas, rest]))
     sphere = np.concatenate([points, [[0.0, 0.0, -1.0]]])
     fixed, budget = np.concatenate([held, [True]]), RepairBudget(closed)
-    for schedule in PATCHES:
+    for attempt in ATTEMPTS:
         wrong = flipped(sphere, closed.faces)
         if not wrong[: len(faces)].any():
             break
-        sphere, _ = untangle_patches(closed, sphere, wrong, schedule, resolve_device("cpu"), budget, fixed)
+        sphere, _ = untangle_patches(
+            closed, sphere, wrong, attempt, resolve_device("cpu"), budget, fixed, weight=AREA_WEIGHT
+        )
     return sphere[:apex]
 
 

@@ -189,7 +189,7 @@ SPHERE_AREA = wp.constant(wp.float64(surface.SPHERE_AREA))
 
 @wp.struct
 class Untangling:
-    """Parameters of an attempt, as :class:`omtwarp.untangling.untangle.Schedule` has them, and of its steps."""
+    """Parameters of an attempt and of its steps: the numbers of :mod:`omtwarp.untangling.untangle`."""
 
     factor: wp.float64
     largest: wp.float64

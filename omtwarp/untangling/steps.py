@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,13 +12,12 @@ from omtwarp.flips.exact import flipped_faces
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import Surface
 from omtwarp.solvers.motion_kernels import LEAST_SHARE, hold_back, retract_to_sphere, triangle_trouble
-from omtwarp.untangling.untangle import STEP_WORK, RepairBudget, Schedule, untangle_patches
+from omtwarp.untangling.untangle import STEP_WORK, Attempt, RepairBudget, untangle_patches
 
-# With 0.02 and 0.1 the map of a creature of 2,000 vertices has the same bits.
-REPAIRS = (
-    Schedule(rings=2, factor=0.3, steps=2, thinnest=0.0, largest=0.1),
-    Schedule(rings=3, factor=0.4, steps=2, thinnest=0.02, largest=0.5),
-)  # how the few triangles that a step flips are untangled, before the step is shortened
+# Of the few triangles that a step flips, before the step is shortened: these move vertices less far from where the step
+# took them. With the first two attempts of a whole repair in their place four of five hemispheres with long limbs take
+# all 53 steps without an end, with these all five end after 18 to 28.
+REPAIRS = (Attempt(2, largest=0.1, lowered=0.3, steps=2), Attempt(3, largest=0.5, lowered=0.4, steps=2))
 
 # Where untangling after steps fails, later ones mostly fail too, at as much work: after so much without a success, in
 # vertices times Newton steps per vertex, and twice as much once a few succeeded, steps only hold vertices back. On
@@ -35,7 +32,7 @@ class FlipFreeSteps:
     Args:
         surface: the surface, V vertices and F faces.
         device: a Warp device.
-        partial: as of :class:`omtwarp.untangling.untangle.Schedule`.
+        partial: as of :func:`omtwarp.untangling.untangle.untangle_patches`.
     """
 
     _independent = True  # whether every vertex moves by its own share alone
@@ -86,7 +83,7 @@ class FlipFreeSteps:
         """
         seeds = marks.numpy() > 0
         count, taken = 0, 0
-        for schedule in REPAIRS:
+        for attempt in REPAIRS:
             if not seeds.any():
                 break
             if self.hopeless:
@@ -95,11 +92,19 @@ class FlipFreeSteps:
             # Most trouble, of the triangles: with more than that the step itself is too long
             if seeds.mean() > 0.05:
                 return None
-            schedule = replace(schedule, weight=weight, partial=self._partial)
             # Of scans and made shapes none that succeeds takes more.
             budget = RepairBudget(self._surface)
             budget.granted = min(self._chance - taken, self.budget.granted - self.budget.spent)
-            sphere, patch = untangle_patches(self._surface, moved.numpy(), seeds, schedule, self._device, budget)
+            sphere, patch = untangle_patches(
+                self._surface,
+                moved.numpy(),
+                seeds,
+                attempt,
+                self._device,
+                budget,
+                weight=weight,
+                partial=self._partial,
+            )
             self.budget.spent += budget.spent
             taken += budget.spent
             count += patch

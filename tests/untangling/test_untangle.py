@@ -16,7 +16,7 @@ from omtwarp.mesh.surface import Surface
 from omtwarp.metrics.certificate import certify_triangles
 from omtwarp.solvers.triangle import triangle_frames
 from omtwarp.untangling.kernels import untangle_newton, untangle_value
-from omtwarp.untangling.untangle import SCHEDULES, RepairBudget, untangle
+from omtwarp.untangling.untangle import ATTEMPTS, RepairBudget, untangle
 
 
 def unit(points):
@@ -126,9 +126,9 @@ def test_failure_is_told():
     """With no attempts allowed, the flips left are counted."""
     surface = icosphere(4)
     _, start, _ = scrambled(surface, 3, 0.6, 0)
-    result = untangle(surface, start, device="cpu", schedules=())
+    result = untangle(surface, start, device="cpu", attempts=())
     assert result.flips_after == result.flips_before > 0
-    assert SCHEDULES[-1].rings > surface.vertex_count
+    assert ATTEMPTS[-1].rings > surface.vertex_count
 
 
 @pytest.mark.parametrize("epsilon", [1.0, 0.1, 0.003])
