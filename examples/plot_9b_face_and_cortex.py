@@ -49,10 +49,10 @@ print(cortex)
 # %%
 # The wall is drawn in grey on its patch of the sphere: texels that lie in one of the filling's triangles.
 
-globe = rasterize("globe", 2048)
+globe = rasterize("globe", 1024)
 wall = cortex.filled_sphere[cortex.filled_faces[cortex.filled_loop >= 0]]  # corners of triangles, [K, 3, 3]
 east, up = np.meshgrid(
-    (np.arange(2048) + 0.5) / 2048 * 2.0 * np.pi - np.pi, np.pi / 2.0 - (np.arange(1024) + 0.5) / 1024 * np.pi
+    (np.arange(1024) + 0.5) / 1024 * 2.0 * np.pi - np.pi, np.pi / 2.0 - (np.arange(512) + 0.5) / 512 * np.pi
 )
 texels = np.stack([np.cos(up) * np.cos(east), np.cos(up) * np.sin(east), np.sin(up)], axis=-1)
 near = texels @ wall.mean(axis=(0, 1)) > 0.95

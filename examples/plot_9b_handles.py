@@ -49,15 +49,15 @@ print(cut, f"{len(cut.loop_pairs)} cuts of {len(cut.loops) // len(cut.loop_pairs
 # Texels in what closes the cuts get no data from the surface. The cuts are arcs between the images of their vertices,
 # painted 0.035 radians wide.
 
-texels = omtwarp.resample(cut, "equiangular:1024x2048", method="nearest")
+texels = omtwarp.resample(cut, "equiangular:512x1024", method="nearest")
 after = np.concatenate([np.roll(loop, -1) for loop in np.split(cut.loops, cut.loop_ends[:-1])])
 begin, end = cut.sphere[cut.loops], cut.sphere[after]
 arcs = begin[:, None] + np.linspace(0.0, 1.0, 9)[:, None] * (end - begin)[:, None]
 apart, _ = cKDTree(arcs.reshape(-1, 3)).query(texels.target.grid.points, distance_upper_bound=0.035)
 
-puzzle = rasterize("puzzle", 2048)
-puzzle[np.isfinite(apart).reshape(1024, 2048)] = 200, 20, 30
-puzzle[texels.empty.reshape(1024, 2048)] = 165
+puzzle = rasterize("puzzle", 1024)
+puzzle[np.isfinite(apart).reshape(512, 1024)] = 200, 20, 30
+puzzle[texels.empty.reshape(512, 1024)] = 165
 
 mug_view = torus_view(result)
 mug_view.up = "z"

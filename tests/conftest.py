@@ -77,6 +77,14 @@ def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
+def smallest_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make pictures of few pixels whatever size is asked for, where a test is about what runs."""
+    from small_pictures import shrink_all
+
+    shrink_all(monkeypatch.setattr)
+
+
+@pytest.fixture
 def short_warps(monkeypatch: pytest.MonkeyPatch) -> None:
     """Take few steps in registrations, where a test is not about how well these do."""
     from small_pictures import shorten

@@ -1,4 +1,4 @@
-"""Pictures of few pixels where a command chooses their size: on pages, of the demo, and films of registrations.
+"""Pictures of few pixels, where a command chooses their size or everywhere, and warps of few steps.
 
 For tests of what commands take and write, here and in processes of their own; how pictures look and how well features
 meet have tests of their own.
@@ -23,22 +23,39 @@ def shrink(put: Put = setattr) -> None:
     from omtwarp.render import films, pictures
     from omtwarp.reporting import page
     from omtwarp.shape_analysis import reports
-    from omtwarp.texturing import textured
+    from omtwarp.texturing import atlas, textured
 
     def sized(module: object, name: str, size: tuple[int, int], **fixed: object) -> None:
         made = getattr(module, name)
         put(module, name, lambda *given, **options: made(*given, **options | {"size": size} | fixed))
 
-    rasterize, texture = page.rasterize, textured.texture
+    def least(*given: object) -> tuple[int, float]:
+        return 64, sharp_size(*given)[1]
+
+    rasterize, texture, sharp_size = page.rasterize, textured.texture, atlas.sharp_size
     put(films, "PROBE_WIDTH", 16)  # of pictures on which motion is measured
     put(page, "make_scene", partial(page.make_scene, texels=32))
     put(page, "rasterize", lambda pattern, width, **options: rasterize(pattern, min(width, 64), **options))
+    put(atlas, "sharp_size", least)
     put(textured, "texture", lambda *given, size=None, **options: texture(*given, size=size or 64, **options))
     for module in (page, cohort_page, reports):
         sized(module, "preview", (48, 36))
     sized(reports, "film", (16, 16), seconds=0.2, fps=2, backend="warp")
     for name in ("preview", "comparison"):
         put(pictures, name, partial(getattr(pictures, name), size=(48, 36)))
+
+
+def shrink_all(put: Put = setattr) -> None:
+    """Draw pictures and films of few pixels whatever size is asked for."""
+    from omtwarp.render import films, pictures
+
+    def sized(draws: Callable, size: tuple[int, int]) -> Callable:
+        return lambda *given, **options: draws(*given, **options | {"size": size})
+
+    shrink(put)
+    for name in ("sheet", "preview"):
+        put(pictures, name, sized(getattr(pictures, name), (48, 36)))
+    put(films, "film", sized(films.film, (48, 48)))
 
 
 def shorten(put: Put = setattr) -> None:

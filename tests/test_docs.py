@@ -30,6 +30,17 @@ COMMANDS, CODE = ("console", "bash", "sh", "shell"), ("python", "py")
 # What sets a machine up, or runs all of this from outside; run.py has tests of its own.
 SET_UP = ("apt", "apt-get", "sudo", "git", "pip", "cd", "uv", "source", "export", ".venv/bin/pip")
 SET_UP_BY_PYTHON = ("run.py", "-m venv", "-m pip", "-m sphinx", "docs/versions.py")
+# An extension of Sphinx that leaves the list of all pages at the side to the first page: to make it anew for each of two
+# hundred takes a third of the time of a build, and its links are those of the tables of contents.
+ONE_LIST_OF_PAGES = """
+def drop(app, page, template, context, tree):
+    if page != "index":
+        context.pop("toctree", None)
+
+def setup(app):
+    app.connect("html-page-context", drop, 1)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
+"""
 
 
 @dataclass(frozen=True)
@@ -135,8 +146,8 @@ def run_command(words: list[str]) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_commands_of_page_run(page, desk, small_pictures, short_warps, items_here):
-    """As they are, but warps take few steps on a coarse grid, and pictures without a size are small."""
+def test_commands_of_page_run(page, desk, smallest_pictures, short_warps, items_here):
+    """As they are, but warps take few steps on a coarse grid, and pictures are small."""
     commands = [
         c for block in blocks_of(page.read_text("utf-8")) if block.language in COMMANDS for c in commands_of(block)
     ]
@@ -146,7 +157,7 @@ def test_commands_of_page_run(page, desk, small_pictures, short_warps, items_her
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_python_of_page_runs(page, desk):
+def test_python_of_page_runs(page, desk, smallest_pictures):
     code = [block for block in blocks_of(page.read_text("utf-8")) if block.language in CODE]
     if not code:
         return
@@ -237,6 +248,9 @@ def test_site_builds_without_a_warning(tmp_path):
     shutil.copytree(ROOT / "docs", source, ignore=ignored)
     for name in ("examples", "omtwarp", "pyproject.toml"):
         (tmp_path / name).symlink_to(ROOT / name)
+    (source / "_ext" / "one_list_of_pages.py").write_text(ONE_LIST_OF_PAGES, "utf-8")
+    with (source / "conf.py").open("a", encoding="utf-8") as settings:
+        settings.write('\nextensions.append("one_list_of_pages")\n')
     command = [sys.executable, "-m", "sphinx", "-W", "-q", "-b", "html", "-D", "plot_gallery=0"]
     done = quietly([*command, str(source), str(tmp_path / "html")])
     assert done.returncode == 0, done.stderr[-4000:]

@@ -14,8 +14,6 @@ from pathlib import Path
 import pytest
 
 import omtwarp
-from omtwarp.render import films, pictures
-
 ROOT = Path(__file__).parent.parent
 SCRIPTS = sorted((ROOT / "examples").glob("*.py"))
 # Those with arguments, so that they take seconds; without any they do the same on more.
@@ -38,11 +36,6 @@ NOT_DRAWN = {
 SLOW = ("compare_peers.py", "paper_figures.py", "paper_tables.py")
 
 
-def sized(draws, size):
-    """A function that draws, at a size of its own."""
-    return lambda *given, **options: draws(*given, **options | {"size": size})
-
-
 def test_an_example_runs_by_itself(tmp_path):
     environment = {**os.environ, "MPLBACKEND": "Agg", "PYTHONPATH": str(ROOT)}
     command = [sys.executable, str(ROOT / "examples" / "plot_1_quickstart.py")]
@@ -56,11 +49,8 @@ def test_an_example_runs_by_itself(tmp_path):
     [pytest.param(s, marks=pytest.mark.slow if s.name in SLOW else ()) for s in SCRIPTS],
     ids=lambda script: script.stem,
 )
-def test_example_runs(script, tmp_path, monkeypatch, small_pictures):
+def test_example_runs(script, tmp_path, monkeypatch, smallest_pictures):
     """In this process, as a new one takes seconds to begin, with pictures of few pixels."""
-    for name in ("sheet", "preview"):
-        monkeypatch.setattr(pictures, name, sized(getattr(pictures, name), (48, 36)))
-    monkeypatch.setattr(films, "film", sized(films.film, (48, 48)))
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(script.parent)
     monkeypatch.setattr(sys, "argv", [str(script), *ARGUMENTS.get(script.name, [])])
