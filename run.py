@@ -73,7 +73,7 @@ def main(arguments: list[str]) -> int:
     # Compiled kernels stay in the checkout: nothing is shared with other versions, and nothing is compiled twice.
     environment.setdefault("WARP_CACHE_PATH", str(ROOT / ".warp"))
     if command == "gpu":
-        return run(["-m", "omtwarp.benchmark.gpu", "--tests", str(ROOT / "tests"), *options], environment)
+        return run([str(ROOT / ".ci" / "gpu.py"), "--tests", str(ROOT / "tests"), *options], environment)
     return run(["-m", "omtwarp", command, *options], environment)
 
 

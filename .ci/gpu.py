@@ -1,7 +1,7 @@
-"""One pass over a GPU: tests, agreement with the CPU, and times: ``python -m omtwarp.benchmark.gpu [OPTIONS]``.
+"""One pass over a GPU: tests, agreement with the CPU, and times: ``python3 run.py gpu [OPTIONS]``.
 
-Each part runs in a process of its own, ``python -m omtwarp.benchmark.gpu PART DEVICE [FACES]``, and has a limit, so
-that none can take the others with it. A part prints what it has found so far as a line of JSON, again whenever it has
+Each part runs in a process of its own, ``python .ci/gpu.py PART DEVICE [FACES]``, and has a limit, so that none can
+take the others with it. A part prints what it has found so far as a line of JSON, again whenever it has
 found more: what was printed last counts when it is ended. What is known is written after every part, as ``gpu.json``
 and as a page ``gpu.html``. The parts that tell most come first.
 """
@@ -259,7 +259,7 @@ def plan(device: str, sizes: Sequence[int], tests: Path | None) -> list[Planned]
     def part(name: str, faces: int | None = None) -> Planned:
         words = [name, device] if faces is None else [name, device, str(faces)]
         heading = name if faces is None else f"{name}, {faces} faces"
-        command = [sys.executable, "-P", "-m", "omtwarp.benchmark.gpu", *words]
+        command = [sys.executable, "-P", __file__, *words]
         return Planned(heading, command, LIMITS.get(name, SECONDS))
 
     parts = [part("device"), part("kernels compiled"), part("agreement", small)]
