@@ -8,6 +8,7 @@ random takes an explicit seed.
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import product
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -347,18 +348,7 @@ def implicit_surface(value: Callable[[Floats], Floats], low: ArrayLike, high: Ar
     # A node on the surface would make triangles of no area: one that is nearer than this is moved inside.
     values = np.where(np.abs(values) < 1e-6 * cell, -1e-6 * cell, values)
 
-    stride = np.array([shape[1] * shape[2], shape[2], 1])
-    cubes = np.arange(len(grid))[(grid < shape - 1).all(axis=1)]
-    # Kuhn's six tetrahedra: a path from corner 000 to 111 for every order of the axes; equal in neighbouring cubes.
-    orders = np.array([[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [2, 1, 0], [1, 0, 2]])  # even ones first
-    steps = np.concatenate([np.zeros((6, 1), dtype=np.int64), np.cumsum(stride[orders], axis=1)], axis=1)
-    steps[3:] = steps[3:, [0, 2, 1, 3]]  # odd orders give the mirrored tetrahedron
-    tetrahedra = (cubes[:, None, None] + steps[None]).reshape(-1, 4)
-    inside = values[tetrahedra] < 0
-    crossed = inside.any(axis=1) & ~inside.all(axis=1)
-    tetrahedra, inside = tetrahedra[crossed], inside[crossed]
-
-    corners = _march(tetrahedra, inside)  # [F, 3, 2]: the edge of the grid that every corner of every face lies on
+    corners = crossed_edges((values < 0).reshape(shape))
     ends = np.sort(corners, axis=2).reshape(-1, 2)
     keys, index = np.unique(ends[:, 0] * len(nodes) + ends[:, 1], return_inverse=True)
     a, b = keys // len(nodes), keys % len(nodes)
@@ -391,6 +381,27 @@ def rings(count: int = 1, tube: float = 0.35, cell: float = 0.15) -> Surface:
     reach = 1.0 + tube + 2.0 * cell
     low, high = [-reach, -reach, -tube - 2.0 * cell], [centres[-1] + reach, reach, tube + 2.0 * cell]
     return implicit_surface(value, low, high, cell)
+
+
+def crossed_edges(inside: NDArray[np.bool_]) -> NDArray:
+    """Triangulate the surface between grid points inside and outside; the edge of the grid that every corner lies on.
+
+    Args:
+        inside: which points are, shape [X, Y, Z].
+
+    Returns:
+        The two points at the ends of the edge of every corner of every triangle, shape [F, 3, 2]; seen from outside.
+    """
+    flat, stride = inside.ravel(), np.array([inside.shape[1] * inside.shape[2], inside.shape[2], 1])
+    halves = slice(0, -1), slice(1, None)
+    count = sum(inside[part].astype(np.int8) for part in product(halves, repeat=3))
+    cubes = np.argwhere((count > 0) & (count < 8)) @ stride
+    # Kuhn's six tetrahedra: a path from corner 000 to 111 for every order of the axes; equal in neighbouring cubes.
+    orders = np.array([[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [2, 1, 0], [1, 0, 2]])  # even ones first
+    steps = np.concatenate([np.zeros((6, 1), dtype=np.int64), np.cumsum(stride[orders], axis=1)], axis=1)
+    steps[3:] = steps[3:, [0, 2, 1, 3]]  # odd orders give the mirrored tetrahedron
+    tetrahedra = (cubes[:, None, None] + steps[None]).reshape(-1, 4)
+    return _march(tetrahedra, flat[tetrahedra])
 
 
 def _march(tetrahedra: NDArray, inside: NDArray) -> NDArray:

@@ -11,7 +11,6 @@ neighbouring cells meet in the same triangles, so that every surface is closed a
 from __future__ import annotations
 
 import io
-from itertools import permutations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +20,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import read_stack
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.neuro import nibabel_module
+from omtwarp.mesh.shapes import crossed_edges
 
 Ints = NDArray[np.int64]
 
@@ -104,44 +104,10 @@ def surface_of(inside: NDArray[np.bool_]) -> tuple[Floats, Ints]:
     used = [np.flatnonzero(inside.any(axis=tuple({0, 1, 2} - {axis}))) for axis in range(3)]
     first = np.array([own[0] for own in used])
     box = np.pad(inside[tuple(slice(own[0], own[-1] + 1) for own in used)], 1)
-    steps = np.array([box.shape[1] * box.shape[2], box.shape[2], 1])
-    flat = box.ravel()
-    corners = [(slice(0, -1), slice(1, None))[k] for k in (0, 1)]
-    count = sum(box[corners[x], corners[y], corners[z]].astype(np.int8) for x in (0, 1) for y in (0, 1) for z in (0, 1))
-    cells = np.argwhere((count > 0) & (count < 8)) @ steps
-    edges = []
-    for order in permutations(range(3)):
-        # A tetrahedron of every cell: from its first corner to its last one along the axes in this order.
-        tetrahedra = cells[:, None] + np.concatenate([[0], np.cumsum(steps[list(order)])])
-        edges += _cut(tetrahedra, flat[tetrahedra])
-    pairs = np.concatenate(edges)  # the grid points on either side of every corner, shape [F, 3, 2]
-    numbered = pairs[..., 0] * len(flat) + pairs[..., 1]
-    keys, faces = np.unique(numbered, return_inverse=True)
-    ends = np.stack([np.stack(np.unravel_index(k, box.shape), axis=1) for k in (keys // len(flat), keys % len(flat))])
-    faces = faces.reshape(-1, 3)
-    vertices = ends.mean(axis=0)
-    within = ends[np.where(flat[keys // len(flat)], 0, 1), np.arange(len(keys))]
-    outward = (vertices - within)[faces].sum(axis=1)
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    inward = (np.cross(b - a, c - a) * outward).sum(axis=1) < 0.0
-    faces[inward] = faces[inward][:, ::-1]
-    return vertices + (first - 1.0), faces
-
-
-def _cut(tetrahedra: Ints, inside: NDArray[np.bool_]) -> list[Ints]:
-    """Cut tetrahedra [T, 4] between corners inside and outside; return triangles of edges, each [F, 3, 2]."""
-    count = inside.sum(axis=1)
-    sorted_in = np.argsort(~inside, axis=1, kind="stable")  # corners inside first
-    ordered = np.take_along_axis(tetrahedra, sorted_in, axis=1)
-    found = []
-    for alone, others in (((0,), (1, 2, 3)), ((3,), (0, 1, 2))):
-        chosen = ordered[count == (1 if alone == (0,) else 3)]
-        pairs = [np.sort(chosen[:, [alone[0], other]], axis=1) for other in others]
-        found.append(np.stack(pairs, axis=1))
-    chosen = ordered[count == 2]
-    around = [np.sort(chosen[:, list(pair)], axis=1) for pair in ((0, 2), (0, 3), (1, 3), (1, 2))]
-    found += [np.stack([around[k] for k in triangle], axis=1) for triangle in ((0, 1, 2), (0, 2, 3))]
-    return found
+    pairs = np.sort(crossed_edges(box), axis=2)  # the grid points on either side of every corner, shape [F, 3, 2]
+    keys, faces = np.unique(pairs[..., 0] * box.size + pairs[..., 1], return_inverse=True)
+    ends = [np.stack(np.unravel_index(k, box.shape), axis=1) for k in (keys // box.size, keys % box.size)]
+    return np.mean(ends, axis=0) + (first - 1.0), faces.reshape(-1, 3)
 
 
 def smoothed(vertices: Floats, faces: Ints, rounds: int) -> Floats:

@@ -48,14 +48,9 @@ def test_no_edge_within_the_reach(name):
         assert np.all(step <= 1e-9 + steepest * angle[:, 0])
 
 
-def test_large_pictures_are_the_same_in_strips():
-    """Large PNGs written in strips decode to the same picture, also where strips do not divide the height."""
-    rng = np.random.default_rng(1)
-    for channels in (3, 4):
-        picture = np.repeat(rng.integers(0, 256, (301, 90, channels), dtype=np.uint8), 60, axis=1)
-        assert picture.size > 4_000_000  # so that it is compressed on all cores
-        with Image.open(io.BytesIO(png_bytes(picture))) as opened:
-            opened.verify()
-        with Image.open(io.BytesIO(png_bytes(picture))) as opened:
-            assert "omtwarp" in opened.text["Software"].lower()
-            np.testing.assert_array_equal(np.asarray(opened), picture)
+@pytest.mark.parametrize("channels", [3, 4])
+def test_pictures_are_the_same_as_png(channels):
+    picture = np.random.default_rng(1).integers(0, 256, (31, 90, channels), dtype=np.uint8)
+    with Image.open(io.BytesIO(png_bytes(picture))) as opened:
+        assert "omtwarp" in opened.text["Software"].lower()
+        np.testing.assert_array_equal(np.asarray(opened), picture)

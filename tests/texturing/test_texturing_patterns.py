@@ -14,7 +14,7 @@ from omtwarp.texturing import pattern, patterns, rasterize
 from omtwarp.texturing.image import direction_from_angles
 from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.patterns.checker import Checker
-from omtwarp.texturing.patterns.circles import STORED, Circles, stored_circles
+from omtwarp.texturing.patterns.circles import Circles
 from omtwarp.texturing.patterns.globe import Globe, coastline_segments
 from omtwarp.texturing.patterns.puzzle import Puzzle
 
@@ -221,12 +221,6 @@ def test_rotating_directions_moves_the_pattern_and_nothing_else():
     turn, d = rotation(3), directions(50_000, seed=2)
     a, b = pattern("circles")(d), pattern("circles")(d @ turn)
     assert abs(np.mean(a, axis=0) - np.mean(b, axis=0)).max() < 0.01
-
-
-def test_stored_circles_are_those_that_are_computed():
-    centres, groups = Circles(STORED).spread(STORED)
-    np.testing.assert_allclose(stored_circles()[0], centres, atol=1e-9)
-    np.testing.assert_array_equal(stored_circles()[1], groups)
 
 
 def test_a_pattern_is_a_file_and_a_name():

@@ -1,8 +1,6 @@
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator, misc"
 """Circles of one size, spread evenly over the sphere."""
 
-from importlib.resources import files
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,8 +14,6 @@ from omtwarp.texturing.kernels import cube_face
 from omtwarp.texturing.patterns import Pattern, colour_groups, srgb_colours
 
 wp.set_module_options(KERNEL_OPTIONS)
-
-STORED = 162  # circles, the default, whose places are in a file: computing them takes 0.05 s
 
 
 @wp.kernel
@@ -84,14 +80,14 @@ class Circles(Pattern):
     title = "Circles of equal size"
     _kernel = circle_colours
 
-    def __init__(self, count: int = STORED, coverage: float = 0.56):
+    def __init__(self, count: int = 162, coverage: float = 0.56):
         # Most circles: whose repulsion takes 6.5 s
         if not 4 <= count <= 20_000 or not 0 < coverage < 1:
             raise OmtwarpError(f"circles: count {count}, coverage {coverage}: give 4 to 20000 circles, a share below 1")
         self.count = int(count)
         self.palette = srgb_colours("#1f6f78", "#e2725b", "#f0b95b", "#5b8e7d", "#35507a", "#b5838d")
         self.background = srgb_colours("#f6f1e7")[0]
-        self.centres, self.groups = stored_circles() if self.count == STORED else self.spread(self.count)
+        self.centres, self.groups = self.spread(self.count)
         self.radius = float(np.arccos(1.0 - 2.0 * coverage / self.count))
         _, gap = _neighbours(self.centres, 1)
         if 2.0 * self.radius >= gap.min():
@@ -144,13 +140,6 @@ class Circles(Pattern):
         ]
 
 
-def stored_circles() -> tuple[Floats, Ints]:
-    """Read the centres and groups of the default number of circles, as :meth:`Circles.spread` computes them."""
-    with (files("omtwarp.texturing") / "assets" / "circles.npy").open("rb") as stream:
-        table = np.load(stream)
-    return np.ascontiguousarray(table[:, :3]), table[:, 3].astype(np.int32)
-
-
 def _even_points(count: int) -> Floats:
     """Spread points evenly over the sphere, shape [count, 3]; they are the same every time."""
     frequency = round(((count - 2) / 10.0) ** 0.5)
@@ -180,4 +169,4 @@ def _neighbours(points: Floats, count: int) -> tuple[NDArray, Floats]:
     return index[:, 1:], 2.0 * np.arcsin(np.minimum(distance[:, 1] / 2.0, 1.0))
 
 
-__all__ = ["Circles", "stored_circles"]
+__all__ = ["Circles"]
