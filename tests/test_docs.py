@@ -30,8 +30,8 @@ COMMANDS, CODE = ("console", "bash", "sh", "shell"), ("python", "py")
 # What sets a machine up, or runs all of this from outside; run.py has tests of its own.
 SET_UP = ("apt", "apt-get", "sudo", "git", "pip", "cd", "uv", "source", "export", ".venv/bin/pip")
 SET_UP_BY_PYTHON = ("run.py", "-m venv", "-m pip", "-m sphinx", "docs/versions.py")
-# An extension of Sphinx that leaves the list of all pages at the side to the first page: to make it anew for each of two
-# hundred takes a third of the time of a build, and its links are those of the tables of contents.
+# An extension of Sphinx that leaves the list of all pages at the side to the first page: to make it anew for each of
+# two hundred takes a third of the time of a build, and its links are those of the tables of contents.
 ONE_LIST_OF_PAGES = """
 def drop(app, page, template, context, tree):
     if page != "index":

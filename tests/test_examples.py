@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 import omtwarp
+
 ROOT = Path(__file__).parent.parent
 SCRIPTS = sorted((ROOT / "examples").glob("*.py"))
 # Those with arguments, so that they take seconds; without any they do the same on more.
