@@ -80,9 +80,7 @@ def test_every_interpreter_is_started_in_one_place():
         for file in package.rglob("*.py")
         if re.search(r"sys\.executable", file.read_text("utf-8"))
     }
-    # The pass over a graphics card starts modules and pytest, with the same option.
     assert named == {
         str(Path("files") / "interruptions.py"),
         str(Path("render") / "gl_client.py"),
-        str(Path("benchmark") / "gpu.py"),
     }
