@@ -288,18 +288,6 @@ def scaled_areas(areas: ArrayLike, count: int) -> Floats:
     return given * (SPHERE_AREA / math.fsum(given))  # the same in any order of the triangles
 
 
-# Arrays of a surface on a device by their names there: those that they are copies of, and the types of their elements.
-_SENT = {
-    "vertices": ("moderate_vertices", wp.vec3d),
-    "faces": ("faces", wp.vec3i),
-    "face_areas": ("face_areas", wp.float64),
-    "vertex_areas": ("vertex_areas", wp.float64),
-    "face_neighbours": ("face_neighbours", wp.vec3i),
-    "edges": ("edges", wp.vec2i),
-    "edge_corners": ("side_corners", wp.vec2i),
-}
-
-
 class SurfaceArrays:
     """Arrays of a surface on a device; kernels read them. Made by :meth:`omtwarp.mesh.surface.Surface.on`.
 
@@ -310,37 +298,57 @@ class SurfaceArrays:
         surface: the surface, V vertices, F faces and E edges.
         device: a Warp device.
         known: what is there already, by name; more is added.
-
-    Attributes:
-        vertices: positions, vec3d, shape [V], in the units of the input; times a power of two where those are extreme.
-        faces: corners of the triangles, vec3i, shape [F].
-        face_areas: areas of the scaled triangles, float64, shape [F].
-        vertex_areas: a third of the areas around every vertex, float64, shape [V].
-        face_neighbours: the faces across the edges of every face, vec3i, shape [F].
-        edges: every edge once, vec2i, shape [E].
-        edge_corners: the corners opposite to every edge, vec2i, shape [E]; -1 for the second of an edge with one
-            triangle.
     """
 
     def __init__(self, surface: Surface, device: wp.Device, known: dict[str, wp.array]):
-        self._surface, self._device, self._known = surface, device, known
+        self._surface, self._device, self._sent = surface, device, known
 
-    def __getattr__(self, name: str) -> wp.array:
-        if name not in _SENT:
-            raise AttributeError(name)
-        own, dtype = _SENT[name]
-        return self._sent(own, getattr(self._surface, own), dtype)
+    def _array(self, name: str, dtype: type, part: int | None = None) -> wp.array:
+        key = name if part is None else f"{name} {part}"
+        if key not in self._sent:
+            values = getattr(self._surface, name)
+            self._sent[key] = sent(values if part is None else values[part], dtype, self._device)
+        return self._sent[key]
+
+    @property
+    def vertices(self) -> wp.array:
+        """Positions, vec3d, shape [V], in the units of the input; times a power of two where those are extreme."""
+        return self._array("moderate_vertices", wp.vec3d)
+
+    @property
+    def faces(self) -> wp.array:
+        """Corners of the triangles, vec3i, shape [F]."""
+        return self._array("faces", wp.vec3i)
+
+    @property
+    def face_areas(self) -> wp.array:
+        """Areas of the scaled triangles, float64, shape [F]."""
+        return self._array("face_areas", wp.float64)
+
+    @property
+    def vertex_areas(self) -> wp.array:
+        """A third of the areas around every vertex, float64, shape [V]."""
+        return self._array("vertex_areas", wp.float64)
+
+    @property
+    def face_neighbours(self) -> wp.array:
+        """The faces across the edges of every face, vec3i, shape [F]."""
+        return self._array("face_neighbours", wp.vec3i)
 
     @property
     def vertex_corners(self) -> list[wp.array]:
         """Corners around every vertex as compressed rows, int32: offsets, shape [V + 1], and corners, shape [3F]."""
-        parts = zip(("offsets", "corners"), self._surface.vertex_corners, strict=True)
-        return [self._sent(name, part, wp.int32) for name, part in parts]
+        return [self._array("vertex_corners", wp.int32, part) for part in range(2)]
 
-    def _sent(self, name: str, values: NDArray[np.generic], dtype: type) -> wp.array:
-        if name not in self._known:
-            self._known[name] = sent(values, dtype, self._device)
-        return self._known[name]
+    @property
+    def edges(self) -> wp.array:
+        """Every edge once, vec2i, shape [E]."""
+        return self._array("edges", wp.vec2i)
+
+    @property
+    def edge_corners(self) -> wp.array:
+        """The corners opposite to every edge, vec2i, shape [E]; -1 for the second of an edge with one triangle."""
+        return self._array("side_corners", wp.vec2i)
 
 
 def plane_areas(corners: Floats) -> Floats:
