@@ -348,13 +348,11 @@ def implicit_surface(value: Callable[[Floats], Floats], low: ArrayLike, high: Ar
     # A node on the surface would make triangles of no area: one that is nearer than this is moved inside.
     values = np.where(np.abs(values) < 1e-6 * cell, -1e-6 * cell, values)
 
-    corners = crossed_edges((values < 0).reshape(shape))
-    ends = np.sort(corners, axis=2).reshape(-1, 2)
-    keys, index = np.unique(ends[:, 0] * len(nodes) + ends[:, 1], return_inverse=True)
-    a, b = keys // len(nodes), keys % len(nodes)
+    edges, faces = crossed_edges((values < 0).reshape(shape))
+    a, b = edges.T
     share = (values[a] / (values[a] - values[b]))[:, None]
     share = np.clip(share, 0.02, 0.98)  # keeps the first triangles from being slivers; the surface is met again below
-    surface = Surface(nodes[a] + share * (nodes[b] - nodes[a]), index.reshape(-1, 3))
+    surface = Surface(nodes[a] + share * (nodes[b] - nodes[a]), faces)
     points = surface.vertices
     # Rounds in which every vertex moves to the middle of its neighbours and back onto the surface.
     for _ in range(8):
@@ -383,14 +381,14 @@ def rings(count: int = 1, tube: float = 0.35, cell: float = 0.15) -> Surface:
     return implicit_surface(value, low, high, cell)
 
 
-def crossed_edges(inside: NDArray[np.bool_]) -> NDArray:
-    """Triangulate the surface between grid points inside and outside; the edge of the grid that every corner lies on.
+def crossed_edges(inside: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Triangulate the surface between grid points inside and outside, with a vertex on every edge that it crosses.
 
     Args:
         inside: which points are, shape [X, Y, Z].
 
     Returns:
-        The two points at the ends of the edge of every corner of every triangle, shape [F, 3, 2]; seen from outside.
+        The points at both ends of every edge, shape [V, 2], and the triangles, counter-clockwise from outside, [F, 3].
     """
     flat, stride = inside.ravel(), np.array([inside.shape[1] * inside.shape[2], inside.shape[2], 1])
     halves = slice(0, -1), slice(1, None)
@@ -401,7 +399,9 @@ def crossed_edges(inside: NDArray[np.bool_]) -> NDArray:
     steps = np.concatenate([np.zeros((6, 1), dtype=np.int64), np.cumsum(stride[orders], axis=1)], axis=1)
     steps[3:] = steps[3:, [0, 2, 1, 3]]  # odd orders give the mirrored tetrahedron
     tetrahedra = (cubes[:, None, None] + steps[None]).reshape(-1, 4)
-    return _march(tetrahedra, flat[tetrahedra])
+    corners = np.sort(_march(tetrahedra, flat[tetrahedra]), axis=2)
+    keys, faces = np.unique(corners[..., 0] * inside.size + corners[..., 1], return_inverse=True)
+    return np.stack([keys // inside.size, keys % inside.size], axis=1), faces.reshape(-1, 3)
 
 
 def _march(tetrahedra: NDArray, inside: NDArray) -> NDArray:

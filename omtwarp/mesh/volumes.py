@@ -104,10 +104,9 @@ def surface_of(inside: NDArray[np.bool_]) -> tuple[Floats, Ints]:
     used = [np.flatnonzero(inside.any(axis=tuple({0, 1, 2} - {axis}))) for axis in range(3)]
     first = np.array([own[0] for own in used])
     box = np.pad(inside[tuple(slice(own[0], own[-1] + 1) for own in used)], 1)
-    pairs = np.sort(crossed_edges(box), axis=2)  # the grid points on either side of every corner, shape [F, 3, 2]
-    keys, faces = np.unique(pairs[..., 0] * box.size + pairs[..., 1], return_inverse=True)
-    ends = [np.stack(np.unravel_index(k, box.shape), axis=1) for k in (keys // box.size, keys % box.size)]
-    return np.mean(ends, axis=0) + (first - 1.0), faces.reshape(-1, 3)
+    edges, faces = crossed_edges(box)
+    ends = np.stack(np.unravel_index(edges, box.shape), axis=2)  # places of the grid points, shape [V, 2, 3]
+    return ends.mean(axis=1) + (first - 1.0), faces
 
 
 def smoothed(vertices: Floats, faces: Ints, rounds: int) -> Floats:
