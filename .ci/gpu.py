@@ -1,9 +1,9 @@
 """One pass over a GPU: tests, agreement with the CPU, and times: ``python3 run.py gpu [OPTIONS]``.
 
 Each part runs in a process of its own, ``python .ci/gpu.py PART DEVICE [FACES]``, and has a limit, so that none can
-take the others with it. A part prints what it has found so far as a line of JSON, again whenever it has
-found more: what was printed last counts when it is ended. What is known is written after every part, as ``gpu.json``
-and as a page ``gpu.html``. The parts that tell most come first.
+take the others with it. A part prints what it has found so far as a line of JSON, again whenever it has found more:
+what was printed last counts when it is ended. What is known is written after every part, as ``gpu.json`` and as a page
+``gpu.html``. The parts that tell most come first.
 """
 
 from __future__ import annotations

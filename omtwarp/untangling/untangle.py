@@ -307,9 +307,8 @@ class _Untangling:
 
     def _solve_alone(self, small: SmallPatches, budget: RepairBudget) -> int:
         """Solve each patch by a thread of its own, and return the largest number of rounds."""
-        whole = self.whole
+        whole, attempt = self.whole, self.attempt
         given = Untangling()
-        attempt = self.attempt
         given.factor, given.largest, given.smallest = attempt.lowered, attempt.largest, SMALLEST_EPSILON
         given.weight, given.damping, given.settled_gain = self.weight, DAMPING, SETTLED_GAIN
         given.steps, given.halvings = attempt.steps, MAX_HALVINGS
