@@ -68,27 +68,25 @@ if TYPE_CHECKING:
     from omtwarp import benchmark as benchmark
     from omtwarp.alignment import align as align
     from omtwarp.baselines import barycentric_map as barycentric_map
-    from omtwarp.conformal import conformal_map as conformal_map
-    from omtwarp.conformal import harmonic_points as harmonic_points
-    from omtwarp.conformal import mobius_centring as mobius_centring
-    from omtwarp.errors import OmtwarpError as OmtwarpError
-    from omtwarp.errors import OmtwarpWarning as OmtwarpWarning
+    from omtwarp.conformal import (
+        conformal_map as conformal_map,
+        harmonic_points as harmonic_points,
+        mobius_centring as mobius_centring,
+    )
+    from omtwarp.errors import OmtwarpError as OmtwarpError, OmtwarpWarning as OmtwarpWarning
     from omtwarp.mapping.any_surface import map_surface as map_surface
     from omtwarp.mapping.pipeline import map_to_sphere as map_to_sphere
     from omtwarp.maps.result import MapResult as MapResult
     from omtwarp.maps.torus_map import TorusMap as TorusMap
-    from omtwarp.measures import TargetDensity as TargetDensity
-    from omtwarp.measures import weighted_surface as weighted_surface
+    from omtwarp.measures import TargetDensity as TargetDensity, weighted_surface as weighted_surface
     from omtwarp.mesh import shapes as shapes
     from omtwarp.mesh.read import read_mesh as read_mesh
     from omtwarp.mesh.repair import repair as repair
     from omtwarp.mesh.surface import Surface as Surface
-    from omtwarp.mesh.validate import Defect as Defect
-    from omtwarp.mesh.validate import check as check
+    from omtwarp.mesh.validate import Defect as Defect, check as check
     from omtwarp.metrics import distortion as distortion
     from omtwarp.metrics.certificate import certify as certify
-    from omtwarp.metrics.optimality import map_optimality as map_optimality
-    from omtwarp.metrics.optimality import optimality as optimality
+    from omtwarp.metrics.optimality import map_optimality as map_optimality, optimality as optimality
     from omtwarp.moser import moser_map as moser_map
     from omtwarp.optimal import optimal_map as optimal_map
     from omtwarp.optimal.refinement import refine_map as refine_map
@@ -98,12 +96,14 @@ if TYPE_CHECKING:
     from omtwarp.reporting import write_report as write_report
     from omtwarp.resampling import resample as resample
     from omtwarp.start.hierarchical import hierarchical_embedding as hierarchical_embedding
-    from omtwarp.texturing import Material as Material
-    from omtwarp.texturing import PaintedMesh as PaintedMesh
-    from omtwarp.texturing import paint as paint
-    from omtwarp.texturing import read_painted_mesh as read_painted_mesh
-    from omtwarp.texturing import texture as texture
-    from omtwarp.texturing import unwrap_uv as unwrap_uv
+    from omtwarp.texturing import (
+        Material as Material,
+        PaintedMesh as PaintedMesh,
+        paint as paint,
+        read_painted_mesh as read_painted_mesh,
+        texture as texture,
+        unwrap_uv as unwrap_uv,
+    )
     from omtwarp.transfer import transfer_texture as transfer_texture
     from omtwarp.transport.cost import transport_cost as transport_cost
     from omtwarp.transport.flow import optimal_transport as optimal_transport

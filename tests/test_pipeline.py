@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from sphere_truths import SHARED, apart, judge, mean_edge, random_rotation, ring_errors, rms, turned
 
 import omtwarp

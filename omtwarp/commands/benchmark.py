@@ -102,8 +102,7 @@ def run_benchmark(
     wanted = [word.strip() for word in workload.devices.split(",")]
     for name in wanted:
         start_device(name)
-    from omtwarp.benchmark import markdown
-    from omtwarp.benchmark import run as measure
+    from omtwarp.benchmark import markdown, run as measure
     from omtwarp.device.start import wp
 
     if wanted == ["auto"]:

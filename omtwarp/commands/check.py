@@ -98,8 +98,7 @@ def facts_of(mesh: Path, repair: bool, target: Path | None, *, verbose: bool) ->
             "repairs": [],
         }  # fmt: skip
         if repair and defects:
-            from omtwarp.mesh.repair import NOTED_LOSS
-            from omtwarp.mesh.repair import repair as repair_mesh
+            from omtwarp.mesh.repair import NOTED_LOSS, repair as repair_mesh
 
             repaired = repair_mesh(vertices, faces)
             facts["repairs"] = list(repaired.actions)

@@ -68,8 +68,7 @@ def run_spharm(
     import numpy as np
 
     from omtwarp.mesh.surface import Surface
-    from omtwarp.mesh.write import SUFFIXES as MESH_SUFFIXES
-    from omtwarp.mesh.write import write_mesh
+    from omtwarp.mesh.write import SUFFIXES as MESH_SUFFIXES, write_mesh
     from omtwarp.shape_analysis.expansion import expand
     from omtwarp.spheres import mesh_grid
 

@@ -6,18 +6,16 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from omtwarp.render.camera import Camera as Camera
-    from omtwarp.render.camera import Light as Light
+    from omtwarp.render.camera import Camera as Camera, Light as Light
     from omtwarp.render.films import film as film
-    from omtwarp.render.pictures import comparison as comparison
-    from omtwarp.render.pictures import preview as preview
-    from omtwarp.render.pictures import sheet as sheet
-    from omtwarp.render.scene import Arrows as Arrows
-    from omtwarp.render.scene import ScalarField as ScalarField
-    from omtwarp.render.scene import SurfaceView as SurfaceView
-    from omtwarp.render.scene import Wireframe as Wireframe
-    from omtwarp.render.subject import as_surface_view as as_surface_view
-    from omtwarp.render.subject import map_view as map_view
+    from omtwarp.render.pictures import comparison as comparison, preview as preview, sheet as sheet
+    from omtwarp.render.scene import (
+        Arrows as Arrows,
+        ScalarField as ScalarField,
+        SurfaceView as SurfaceView,
+        Wireframe as Wireframe,
+    )
+    from omtwarp.render.subject import as_surface_view as as_surface_view, map_view as map_view
 
 _NAMES = {
     "camera": ["Camera", "Light"],

@@ -9,8 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from omtwarp.reporting.page import report_page as report_page
-    from omtwarp.reporting.page import write_report as write_report
+    from omtwarp.reporting.page import report_page as report_page, write_report as write_report
 
 __all__ = ["report_page", "write_report"]
 

@@ -42,8 +42,7 @@ from omtwarp.reporting.stages import TORUS, Stage, shown_history, shown_report, 
 from omtwarp.texturing import read_image
 from omtwarp.texturing.adaptive import rasterize
 from omtwarp.texturing.image import PictureLike
-from omtwarp.texturing.patterns import Pattern
-from omtwarp.texturing.patterns import pattern as pattern_by_name
+from omtwarp.texturing.patterns import Pattern, pattern as pattern_by_name
 from omtwarp.texturing.textured import texture_torus
 
 if TYPE_CHECKING:

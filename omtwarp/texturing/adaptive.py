@@ -11,31 +11,18 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
+from omtwarp.device.arrays import sent
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.device.threads import Each, launch_parts
+from omtwarp.device.threads import FIRST_THREAD, Each, launch_parts
 from omtwarp.mesh.arrays import Bytes, Floats, Ints
 from omtwarp.mesh.surface import face_neighbours
 from omtwarp.texturing import kernels
 from omtwarp.texturing.atlas import Atlas, Equirectangular, check_size
-from omtwarp.texturing.baking import (
-    GROW,
-    NOBODY,
-    SAMPLES_AT_ONCE,
-    Look,
-    Source,
-    ValueSource,
-    changing,
-    claimed,
-    fill,
-    in_texels,
-    source_of,
-)
+from omtwarp.texturing.baking import GROW, NOBODY, Look, Source, bake_texels, claimed, in_texels, source_of
 from omtwarp.texturing.patterns import Pattern, pattern
 from omtwarp.texturing.seams import Unwrapped
 from omtwarp.texturing.smooth import SmoothCurves
-
-PARTS = kernels.LATTICE - 1  # of a block along a side, one level finer
 
 
 def bake_bytes(source: Source, look: Look, *, projection: str = "equirectangular", supersample: int = 3) -> Bytes:
@@ -53,81 +40,29 @@ def bake_bytes(source: Source, look: Look, *, projection: str = "equirectangular
         OmtwarpError: an unknown projection, or a picture that cannot be read.
     """
     atlas, given = look.atlas, source_of(source, projection, look.where)
-    baking = _Baking(given, look)
-    if isinstance(given, Pattern):
-        busy = baking.calm(given)
-    else:
-        busy = atlas.texels
-    baking.fill(busy, 1)
-    if supersample > 1:
-        # Levels: neighbouring texels that differ by more are worth more samples; a soft gradient is not
-        flags = changing(baking.picture.numpy().reshape(atlas.height, atlas.width, -1), 5)
-        baking.fill(busy[flags.ravel()[busy]], int(supersample))
-    baked = baking.picture.numpy().reshape(atlas.height, atlas.width, given.channels)
-    atlas.fill_empty(baked)
-    return baked
+    picture = wp.zeros((atlas.width * atlas.height, given.channels), dtype=wp.uint8, device=look.where)
+    texels = fill_calm(given, look, picture) if isinstance(given, Pattern) else atlas.texels
+    return bake_texels(texels, given, look, supersample, picture)
 
 
-class _Baking:
-    """A picture being filled."""
-
-    def __init__(self, given: ValueSource | Pattern, look: Look):
-        self._given, self._look, self._where = given, look, look.where
-        self._width, self._height = look.atlas.width, look.atlas.height
-        self._row_lengths = look.atlas.row_lengths
-        self.picture = wp.zeros((self._width * self._height, given.channels), dtype=wp.uint8, device=look.where)
-
-    def calm(self, given: Pattern) -> Ints:
-        """Fill the parts without an edge; return the texels that remain."""
-        steps = (16, 4)  # texels along the side of the blocks that are filled at once, coarse before fine
-        side = steps[0] * PARTS
-        x, y = np.arange(0, self._width, side), np.arange(0, self._height, side)
-        covered = x < self._row_lengths[y][:, None]
-        corners = (y[:, None] * self._width + x[None, :])[covered].astype(np.int32)
-        lattice = np.arange(PARTS + 1)
-        for step in steps:
-            left = []
-            at_once = max(SAMPLES_AT_ONCE // (PARTS + 1) ** 2, 1)
-            for start in range(0, len(corners), at_once):
-                some = corners[start : start + at_once]
-                row, column = np.divmod(some, self._width)
-                columns = np.minimum(column[:, None] + step * lattice, self._width - 1)
-                rows = np.minimum(row[:, None] + step * lattice, self._height - 1)
-                points = (rows[:, :, None] * self._width + columns[:, None, :]).ravel().astype(np.int32)
-                busy = self._fill_calm(given, some, points, step)
-                which, part = np.divmod(np.flatnonzero(busy), PARTS**2)
-                left.append(some[which] + part // PARTS * step * self._width + part % PARTS * step)
-            corners = np.concatenate(left) if left else np.zeros(0, dtype=np.int32)
-        row, column = np.divmod(corners, self._width)
-        offsets = np.arange(steps[-1])
-        rows, columns = row[:, None] + offsets, column[:, None] + offsets
-        texels = rows[:, :, None] * self._width + columns[:, None, :]
-        lengths = np.where(rows < self._height, self._row_lengths[np.minimum(rows, self._height - 1)], 0)
-        inside = columns[:, None, :] < lengths[:, :, None]
-        return texels[inside].astype(np.int32)
-
-    def _fill_calm(self, given: Pattern, corners: Ints, points: Ints, step: int) -> Bytes:
-        """Fill the parts of blocks without an edge from their lattices' texels; return the remaining, [N PARTS²]."""
-        where, lattice = self._where, (PARTS + 1) ** 2
-        directions = self._look.directions(wp.array(points, dtype=wp.int32, device=where), 1)
-        colours = wp.empty((len(points), given.channels), dtype=wp.float64, device=where)
-        reach = given.launch(directions, colours)
-        first = wp.array(corners, dtype=wp.int32, device=where)
-        busy = wp.empty((len(corners), PARTS**2), dtype=wp.uint8, device=where)
-        # Gradient: colours of a block's corners that differ by more are not interpolated
-        numbers = [step, self._width, self._height, wp.float64(4.0 / 255.0)]
-        at_lattice = [Each(array, lattice) for array in (directions, reach, colours)]
-        inputs = [Each(first), *numbers, *at_lattice]
-        launch_parts(kernels.fill_calm, len(corners), inputs, [self.picture, Each(busy)], where)
-        return busy.numpy().ravel()
-
-    def evaluate(self, texels: wp.array, samples: int, values: wp.array) -> None:
-        """Compute the values of the samples of texels."""
-        self._given.launch(self._look.directions(texels, samples), values)
-
-    def fill(self, texels: Ints, samples: int) -> None:
-        """Write texels as the mean of their samples."""
-        fill(texels, samples, self._given.channels, self.evaluate, self.picture)
+def fill_calm(given: Pattern, look: Look, picture: wp.array) -> Ints:
+    """Fill the parts of a picture without an edge of the pattern; return the texels that remain."""
+    step = 4  # texels along the side of the blocks that are filled at once from their corners
+    width, height = look.atlas.width, look.atlas.height
+    across, down = -(-width // step), -(-height // step)
+    columns = np.minimum(step * np.arange(across + 1), width - 1)
+    rows = np.minimum(step * np.arange(down + 1), height - 1)
+    corners = sent((rows[:, None] * width + columns).ravel().astype(np.int32), wp.int32, look.where)
+    directions = look.directions(corners, 1)
+    colours = wp.empty((len(corners), given.channels), dtype=wp.float64, device=look.where)
+    reach = given.launch(directions, colours)
+    busy = wp.empty(across * down, dtype=wp.uint8, device=look.where)
+    # Gradient: colours of a block's corners that differ by more are not interpolated
+    inputs = [FIRST_THREAD, step, width, height, wp.float64(4.0 / 255.0), directions, reach, colours]
+    launch_parts(kernels.fill_calm, across * down, inputs, [picture, Each(busy)], look.where)
+    left = busy.numpy().reshape(down, across).repeat(step, axis=0).repeat(step, axis=1)[:height, :width]
+    texels = look.atlas.texels
+    return texels[left.ravel()[texels] > 0]
 
 
 def rasterize(

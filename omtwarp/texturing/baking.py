@@ -138,17 +138,9 @@ def bake(
     """
     where = resolve_device(device)
     target = _target(atlas, size)
-    given, look = source_of(source, projection, where), Look(target, where)
-
-    def evaluate(texels: wp.array, samples: int, values: wp.array) -> None:
-        given.launch(look.directions(texels, samples), values)
-
-    picture = _supersampled(
-        target.texels, int(supersample), evaluate, (target.width, target.height), given.channels, where
-    )
-    baked = picture.numpy().reshape(target.height, target.width, given.channels)
-    target.fill_empty(baked)
-    return baked
+    given = source_of(source, projection, where)
+    picture = wp.zeros((target.width * target.height, given.channels), dtype=wp.float32, device=where)
+    return bake_texels(target.texels, given, Look(target, where), supersample, picture)
 
 
 class Look:
@@ -175,16 +167,17 @@ class Look:
         return out
 
 
-def fill(
-    texels: Ints, samples: int, channels: int, evaluate: Callable[[wp.array, int, wp.array], None], picture: wp.array
-) -> None:
+Evaluate: TypeAlias = Callable[[wp.array, int, wp.array], None]
+"""Writes the values of the samples of some texels, a square grid in each, to an array, float64 [N samples², C]."""
+
+
+def fill(texels: Ints, samples: int, evaluate: Evaluate, picture: wp.array) -> None:
     """Write texels, some at a time, as the mean of their samples.
 
     Args:
         texels: their numbers, row by row.
         samples: side of the grid of samples in a texel.
-        channels: values of a sample.
-        evaluate: writes the values of the samples of some texels to an array, float64 [N samples², channels].
+        evaluate: writes the values of the samples.
         picture: float32 or uint8, [texels, channels].
     """
     where = picture.device
@@ -192,28 +185,31 @@ def fill(
     count, step = samples**2, max(SAMPLES_AT_ONCE // samples**2, 1)
     for start in range(0, len(texels), step):
         part = wp.array(texels[start : start + step], dtype=wp.int32, device=where)
-        values = wp.empty((len(part) * count, channels), dtype=wp.float64, device=where)
+        values = wp.empty((len(part) * count, picture.shape[1]), dtype=wp.float64, device=where)
         evaluate(part, samples, values)
         launch_parts(average, len(part), [Each(values, count), samples, Each(part)], [picture], where)
 
 
-def _supersampled(
-    texels: Ints,
-    samples: int,
-    evaluate: Callable[[wp.array, int, wp.array], None],
-    size: tuple[int, int],
-    channels: int,
-    where: wp.Device,
-) -> wp.array:
-    """Return a picture, some texels of which are computed, with more samples where they differ from a neighbour."""
-    width, height = size
-    picture = wp.zeros((width * height, channels), dtype=wp.float32, device=where)
-    fill(texels, 1, channels, evaluate, picture)
+def supersampled(texels: Ints, samples: int, evaluate: Evaluate, width: int, picture: wp.array) -> None:
+    """Write texels of a picture of a width, with more samples where they differ from a neighbour."""
+    fill(texels, 1, evaluate, picture)
     if samples > 1:
         # Neighbours that differ by more are worth more samples; a soft gradient is not.
-        flags = changing(picture.numpy().reshape(height, width, -1), np.float32(6.0 / 255.0))
-        fill(texels[flags.ravel()[texels]], samples, channels, evaluate, picture)
-    return picture
+        most = 5 if picture.dtype is wp.uint8 else np.float32(6.0 / 255.0)
+        flags = changing(picture.numpy().reshape(-1, width, picture.shape[1]), most)
+        fill(texels[flags.ravel()[texels]], samples, evaluate, picture)
+
+
+def bake_texels(texels: Ints, given: ValueSource | Pattern, look: Look, samples: int, picture: wp.array) -> NDArray:
+    """Bake texels of an atlas's picture [texels, C]; return the whole of it, shape [H, W, C]."""
+
+    def evaluate(some: wp.array, count: int, values: wp.array) -> None:
+        given.launch(look.directions(some, count), values)
+
+    supersampled(texels, int(samples), evaluate, look.atlas.width, picture)
+    baked: NDArray = picture.numpy().reshape(look.atlas.height, look.atlas.width, -1)
+    look.atlas.fill_empty(baked)
+    return baked
 
 
 def changing(texels: NDArray[np.generic], most: float | np.generic) -> NDArray[np.bool_]:
@@ -262,9 +258,7 @@ def sample(
 
 def picture_source(array: NDArray[np.generic], atlas: str | Atlas, where: wp.Device) -> _PictureSource:
     height, width = array.shape[:2]
-    target = (
-        atlas if isinstance(atlas, Atlas) else make_atlas(atlas, width if atlas == "octahedral" else (width, height))
-    )
+    target = _target(atlas, width if atlas == "octahedral" else (width, height))
     if (target.width, target.height) != (width, height):
         raise OmtwarpError(
             f"a picture of {width}x{height} texels is not a {target.name} atlas of {target.width}x{target.height}"
@@ -414,7 +408,8 @@ def bake_to_uv(
         wp.launch(kernels.unit_vectors, dim=len(values), inputs=[chords, directions], device=where)
         given.launch(directions, values)
 
-    picture = _supersampled(layout.owned(), int(supersample), evaluate, (width, height), given.channels, where)
+    picture = wp.zeros((width * height, given.channels), dtype=wp.float32, device=where)
+    supersampled(layout.owned(), int(supersample), evaluate, width, picture)
     return layout.dilate(picture, padding).reshape(height, width, given.channels)
 
 
@@ -447,7 +442,7 @@ def _bake_linear(layout: Layout, corner_values: Floats, supersample: int, paddin
     def evaluate(texels: wp.array, samples: int, out: wp.array) -> None:
         layout.interpolate(values, texels, samples, out)
 
-    fill(layout.owned(), max(int(supersample), 1), channels, evaluate, picture)
+    fill(layout.owned(), max(int(supersample), 1), evaluate, picture)
     return layout.dilate(picture, padding).reshape(layout.height, layout.width, channels)
 
 
@@ -630,7 +625,7 @@ def bake_materials(
             layout.interpolate(values, some, samples, points)
             wp.launch(kernels.sample_repeated, dim=len(sampled), inputs=[source, points, sampled], device=where)
 
-        fill(mine, 2, 4, evaluate, out)
+        fill(mine, 2, evaluate, out)
     sampled = layout.dilate(out, rings)
     # Texels outside of all triangles make no material transparent.
     sampled[~layout.known & (sampled[:, 3] == 0), 3] = 1.0

@@ -418,10 +418,6 @@ def unit_vectors(
     out[i] = wp.normalize(wp.vec3d(values[i, 0], values[i, 1], values[i, 2]))
 
 
-# Points of a block's lattice along a side, one more than parts of the block.
-LATTICE = wp.constant(5)
-
-
 @wp.func
 def as_byte(value: wp.float64):
     return wp.uint8(int(wp.clamp(value * wp.float64(255.0) + wp.float64(0.5), wp.float64(0.0), wp.float64(255.0))))
@@ -429,7 +425,7 @@ def as_byte(value: wp.float64):
 
 @wp.kernel
 def fill_calm(
-    corners: wp.array[wp.int32],
+    first: int,
     step: int,
     width: int,
     height: int,
@@ -439,51 +435,45 @@ def fill_calm(
     colours: wp.array2d[wp.float64],
     # Data out:
     picture: wp.array2d[wp.uint8],
-    busy: wp.array2d[wp.uint8],
+    busy: wp.array[wp.uint8],
 ):
-    """Fill the parts of blocks that no edge of the pattern touches by interpolation between their corners.
+    """Fill the blocks that no edge of the pattern touches by interpolation between their corners.
 
-    ``corners`` are the numbers of the blocks' first texels. Directions, reach and colours are given at the lattice of
-    middles of texels that are ``step`` apart, all of the first block before those of the second. Parts in which there
-    may be an edge, or colours that differ by more than ``gradient``, are left alone and marked in ``busy`` by a 1.
+    Directions, reach and colours are given at every texel that is ``step`` from the next, and at the last of every row
+    and column. Blocks in which there may be an edge, or colours that differ by more than ``gradient``, are left alone
+    and marked in ``busy`` by a 1. ``first`` is the number of the first block.
     """
     i, _compiled_once = wp.tid()
-    first_x = corners[i] % width
-    first_y = corners[i] // width
-    parts = LATTICE - 1
-    base = i * LATTICE * LATTICE
-    for part in range(parts * parts):
-        column = part % parts
-        row = part // parts
-        x0 = first_x + column * step
-        y0 = first_y + row * step
-        busy[i, part] = wp.uint8(0)
-        if x0 < width and y0 < height:
-            k = base + row * LATTICE + column
-            m = k + LATTICE
-            across = wp.max(wp.length(directions[m + 1] - directions[k]), wp.length(directions[k + 1] - directions[m]))
-            least = wp.min(wp.min(reach[k], reach[k + 1]), wp.min(reach[m], reach[m + 1]))
-            # A point of a part of a block is no farther from one of its corners than half of its diagonal; a fifth more
-            # leaves room for directions that are not quite linear in between.
-            calm = least > wp.float64(0.6) * across
+    across = (width + step - 1) // step
+    row = (first + i) // across
+    column = (first + i) % across
+    x0 = column * step
+    y0 = row * step
+    k = row * (across + 1) + column
+    m = k + across + 1
+    apart = wp.max(wp.length(directions[m + 1] - directions[k]), wp.length(directions[k + 1] - directions[m]))
+    least = wp.min(wp.min(reach[k], reach[k + 1]), wp.min(reach[m], reach[m + 1]))
+    # A point of a block is no farther from one of its corners than half of its diagonal; a fifth more leaves room for
+    # directions that are not quite linear in between.
+    calm = least > wp.float64(0.6) * apart
+    for c in range(3):
+        low = wp.min(wp.min(colours[k, c], colours[k + 1, c]), wp.min(colours[m, c], colours[m + 1, c]))
+        high = wp.max(wp.max(colours[k, c], colours[k + 1, c]), wp.max(colours[m, c], colours[m + 1, c]))
+        if high - low > gradient:
+            calm = False
+    busy[i] = wp.uint8(1)
+    if calm:
+        busy[i] = wp.uint8(0)
+        columns = wp.float64(wp.max(wp.min(x0 + step, width - 1) - x0, 1))
+        rows = wp.float64(wp.max(wp.min(y0 + step, height - 1) - y0, 1))
+        for y in range(y0, wp.min(y0 + step, height)):
+            t = wp.float64(y - y0) / rows
             for c in range(3):
-                low = wp.min(wp.min(colours[k, c], colours[k + 1, c]), wp.min(colours[m, c], colours[m + 1, c]))
-                high = wp.max(wp.max(colours[k, c], colours[k + 1, c]), wp.max(colours[m, c], colours[m + 1, c]))
-                if high - low > gradient:
-                    calm = False
-            if calm:
-                columns = wp.float64(wp.max(wp.min(x0 + step, width - 1) - x0, 1))
-                rows = wp.float64(wp.max(wp.min(y0 + step, height - 1) - y0, 1))
-                for y in range(y0, wp.min(y0 + step, height)):
-                    t = wp.float64(y - y0) / rows
-                    for c in range(3):
-                        left = colours[k, c] + t * (colours[m, c] - colours[k, c])
-                        right = colours[k + 1, c] + t * (colours[m + 1, c] - colours[k + 1, c])
-                        for x in range(x0, wp.min(x0 + step, width)):
-                            value = left + wp.float64(x - x0) / columns * (right - left)
-                            picture[y * width + x, c] = as_byte(value)
-            else:
-                busy[i, part] = wp.uint8(1)
+                left = colours[k, c] + t * (colours[m, c] - colours[k, c])
+                right = colours[k + 1, c] + t * (colours[m + 1, c] - colours[k + 1, c])
+                for x in range(x0, wp.min(x0 + step, width)):
+                    value = left + wp.float64(x - x0) / columns * (right - left)
+                    picture[y * width + x, c] = as_byte(value)
 
 
 @wp.kernel

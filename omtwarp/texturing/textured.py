@@ -43,8 +43,7 @@ from omtwarp.texturing.image import (
     rotation_matrix,
     without_full_opacity,
 )
-from omtwarp.texturing.patterns import Pattern
-from omtwarp.texturing.patterns import pattern as by_name
+from omtwarp.texturing.patterns import Pattern, pattern as by_name
 from omtwarp.texturing.seams import unwrap
 from omtwarp.texturing.smooth import smooth_curves
 

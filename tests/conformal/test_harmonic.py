@@ -4,8 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from sphere_truths import apart, random_rotation, rms, turned
 from test_conformal_map import conformal_latitude
 

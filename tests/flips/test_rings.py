@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from sphere_truths import random_rotation, turned
 
 from omtwarp.flips.exact import count_flips, is_bijective, ring_turns, tangled_faces

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from sphere_truths import random_rotation
 
 from omtwarp.geometry.axes import principal_axes, rotation_onto_axes, towards_coordinates

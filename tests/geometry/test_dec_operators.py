@@ -13,8 +13,7 @@ from dec_matrices import (
     rotate,
     rotation_matrix,
 )
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy import sparse
 from scipy.spatial import ConvexHull
 

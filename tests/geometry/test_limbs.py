@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from omtwarp.geometry.limbs import rings, thinnest_ring, vertices_needed
 from omtwarp.mapping.pipeline import map_to_sphere

@@ -1,8 +1,7 @@
 """Strips that long triangles are cut in tile them."""
 
 import numpy as np
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from omtwarp.mesh import shapes
 from omtwarp.texturing.bakes import MOST_STRIPS, without_slivers

@@ -4,8 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from sphere_truths import pushed_north, random_rotation, turned, twisted
 
 from omtwarp.flips.exact import orientation_signs

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from sphere_truths import judge, pushed_north, random_rotation, turned, twisted
 
 import omtwarp

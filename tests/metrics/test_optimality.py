@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 from exact_plans import exact_transport
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.maps.result import MapResult

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy.integrate import cumulative_trapezoid
 from sphere_truths import height_and_longitude, mean_edge, pushed_north, random_rotation, rms, turned
 

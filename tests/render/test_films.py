@@ -9,8 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from drawn_frames import film_frames
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from PIL import Image
 
 from omtwarp import film

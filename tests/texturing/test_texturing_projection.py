@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from texturing_shapes import texel_directions
 
 from omtwarp.errors import OmtwarpError

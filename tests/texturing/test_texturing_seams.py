@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from texturing_shapes import ellipsoid, rotation, unit
 
 from omtwarp.errors import OmtwarpError

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from texturing_shapes import ellipsoid, rotation, stretch_latitude, unit
 
 from omtwarp.flips.exact import count_flips, flipped_faces

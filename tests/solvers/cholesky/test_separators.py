@@ -5,8 +5,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 import scipy.sparse as sparse
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from scipy.sparse.csgraph import connected_components
 
 from omtwarp.mesh.shapes import blob, limbs
