@@ -42,6 +42,9 @@ COMMANDS = {
     "benchmark": "benchmark bäll.ply --sizes none --repeats 1 --json o.json",
 }
 FAILS = {"demo": "cuda:77"}
+# They take as long as all others together, and have one stream closed only together with the others.
+DEAR = ("report", "benchmark", "group", "register", "film", "distance")
+ONE_CLOSED = ("input closed", "output closed", "errors closed")
 # What closes streams ("-"), leads them to a file, sets their encoding, or sets variables; "" unsets these.
 STREAMS = {
     "input closed": {"stdin": "-"},
@@ -61,7 +64,7 @@ TEMPORARY = {"no temporary folder": {"TMPDIR": "/proc/nothing"}}
 
 # Runs every command of a table in a fork with what an interpreter that starts in that environment has.
 TABLE = """
-import importlib, io, json, os, sys, tempfile
+import gc, importlib, io, json, os, sys, tempfile
 import numpy, scipy.optimize, scipy.sparse.linalg, scipy.spatial, PIL.Image, rich.progress, trimesh, warp
 import omtwarp.commands._cli
 from omtwarp.__main__ import main
@@ -111,7 +114,7 @@ def run(words, setting, said):
     finally:
         os._exit(status)
 
-commands, settings, loaded, tests = json.loads(sys.argv[1])
+commands, settings, loaded, tests, left_out = json.loads(sys.argv[1])
 if loaded:
     # Small pictures and few steps, which otherwise take most of the time.
     sys.path.append(tests)
@@ -124,8 +127,11 @@ if loaded:
             main()
         except SystemExit:
             pass
+gc.freeze()  # a collection in a fork would copy every page of what is loaded
 for words in commands:
     for name, setting in settings.items():
+        if [words[0], name] in left_out:
+            continue
         own = f"{words[0]} {name}"
         os.mkdir(own)
         end = words[-1].removeprefix("o")
@@ -158,7 +164,8 @@ def table(place, settings: dict[str, dict[str, str]], *, loaded: bool) -> dict[t
     """Run all commands in some environments; return their status, what they said, and what they wrote."""
     filled = {name: {key: value.format(place) for key, value in setting.items()} for name, setting in settings.items()}
     lines = [line.split() for line in COMMANDS.values()]
-    words = json.dumps([lines, filled, loaded, str(Path(__file__).parents[1])])
+    left_out = [(command, name) for command in DEAR for name in ONE_CLOSED if name in settings]
+    words = json.dumps([lines, filled, loaded, str(Path(__file__).parents[1]), left_out])
     environment = os.environ | {"PYTHONUTF8": "1"}
     done = subprocess.run(
         [sys.executable, "-c", TABLE, words], cwd=place, env=environment, capture_output=True, text=True, check=False
@@ -166,7 +173,7 @@ def table(place, settings: dict[str, dict[str, str]], *, loaded: bool) -> dict[t
     assert done.returncode == 0, done.stderr
     lines = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("[")]
     found = {(command, name): (status, said, written) for command, name, status, said, written in lines}
-    assert len(found) == len(COMMANDS) * len(settings)
+    assert len(found) == len(COMMANDS) * len(settings) - len(left_out)
     for key, (status, said, _) in found.items():
         assert status in (0, 1) and "Traceback" not in said and "internal error" not in said, (key, status, said)
         errors = [line for line in said.splitlines() if line.startswith("omtwarp: error: ")]
