@@ -481,6 +481,9 @@ def _picture(part: Appearance, where: wp.Device) -> Picture:
         light = decode[levels[-1]]
         for axis in (0, 1):  # the mean over the rows, then the columns, that each new one covers
             size = light.shape[axis]
+            if size % 2 == 0:  # in a tenth of the time that sums of unequal parts take
+                light = (light[::2] + light[1::2] if axis == 0 else light[:, ::2] + light[:, 1::2]) / 2.0
+                continue
             starts = np.arange(max(size // 2, 1)) * size // max(size // 2, 1)
             counts = np.diff(starts, append=size).astype(np.float32)
             light = np.add.reduceat(light, starts, axis) / np.expand_dims(counts, (1 - axis, 2))
