@@ -147,14 +147,14 @@ def test_a_template_is_a_target(files, done, tmp_path, capsys):
 
 def test_memory_does_not_grow_with_the_maps(tmp_path, short_warps):
     ball = shapes.icosphere(4)
-    files, peaks = write_maps(tmp_path, 6, ball), []
+    files, peaks = write_maps(tmp_path, 4, ball), []
     register_group(files[:2], tmp_path / "warm", rounds=1)
-    for count in (2, 6):
+    for count in (2, 4):
         tracemalloc.start()
         register_group(files[:count], tmp_path / f"of{count}", rounds=1)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
-    assert peaks[1] < 1.02 * peaks[0]
+    assert peaks[1] < 1.01 * peaks[0]
 
 
 @pytest.mark.parametrize(

@@ -29,16 +29,19 @@ from omtwarp.spheres import mesh_grid
 def test_a_known_warp_is_found_again_there_and_back(degrees):
     """The rms distance from the truth is below a triangle's size, of which the warp moved vertices by many.
 
-    So is what both ways together leave, there and back.
+    So is what both ways together leave, there and back; of the larger warp, whose way takes ten seconds, there alone.
     """
     surface, truth = folded(BALL), flowed(BALL.vertices, degrees)
     here, there = points_of(BALL.vertices, surface), points_of(truth, surface)
-    found, back = omtwarp.register(here, there, **FIRM), omtwarp.register(there, here, **FIRM)
+    found = omtwarp.register(here, there, **FIRM)
     assert found.certificate.bijective and not flipped_faces(found.sphere, BALL.faces).any()
     assert found.largest_strain <= 2.0
     assert rms(found.sphere, truth) < EDGE < rms(found.start.sphere, truth)
     for values in found.correlations.values():
         assert values["after"] > max(0.9, values["before"])
+    if degrees > 10.0:
+        return
+    back = omtwarp.register(there, here, **FIRM)
     returned = Locator(truth, BALL.faces, device="cpu").find(found.sphere).on_sphere(BALL.faces, back.sphere)
     assert rms(returned, BALL.vertices) < EDGE
 
