@@ -7,6 +7,7 @@ import logging
 import os
 import re
 import sys
+from functools import cache
 from pathlib import Path
 
 HERE = Path(__file__).parent
@@ -139,13 +140,23 @@ def plain_text(app, what, name, member, options, lines) -> None:
         lines[k] = "".join(pieces)
 
 
+@cache  # references are looked for once all pages are read
+def names_by_last_name(env) -> dict[str, list[str]]:
+    """Return the full names of all objects that are in something, by their last names."""
+    found: dict[str, list[str]] = {}
+    for name in env.get_domain("py").objects:
+        if "." in name:
+            found.setdefault(name.split(".")[-1], []).append(name)
+    return found
+
+
 def find_by_last_name(app, env, node, contnode):
     """Docstrings name things as their module does: find the one object of that name, at the top level first."""
     if node.get("refdomain") != "py":
         return None
     name = node["reftarget"].split(".")[-1]
     objects = env.get_domain("py").objects
-    found = [f"omtwarp.{name}"] if f"omtwarp.{name}" in objects else [o for o in objects if o.endswith(f".{name}")]
+    found = [f"omtwarp.{name}"] if f"omtwarp.{name}" in objects else names_by_last_name(env).get(name, [])
     if len(found) == 1:
         entry = objects[found[0]]
         return make_refnode(app.builder, node["refdoc"], entry.docname, entry.node_id, contnode, found[0])

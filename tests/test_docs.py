@@ -31,13 +31,18 @@ COMMANDS, CODE = ("console", "bash", "sh", "shell"), ("python", "py")
 SET_UP = ("apt", "apt-get", "sudo", "git", "pip", "cd", "uv", "source", "export", ".venv/bin/pip")
 SET_UP_BY_PYTHON = ("run.py", "-m venv", "-m pip", "-m sphinx", "docs/versions.py")
 # An extension of Sphinx that leaves the list of all pages at the side to the first page: to make it anew for each of
-# two hundred takes a third of the time of a build, and its links are those of the tables of contents.
+# two hundred takes a third of the time of a build, and its links are those of the tables of contents. It makes no
+# index of words for the search either.
 ONE_LIST_OF_PAGES = """
 def drop(app, page, template, context, tree):
     if page != "index":
         context.pop("toctree", None)
 
+def search_nothing(app):
+    app.builder.search = False
+
 def setup(app):
+    app.connect("builder-inited", search_nothing)
     app.connect("html-page-context", drop, 1)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 """
