@@ -27,7 +27,7 @@ from omtwarp.optimal.refinement import least_distortion
 
 SIDES, HEIGHT = 24, 1.0  # of the prism
 WEIGHTS, STEPS, TOLERANCE = (1e1, 1e2, 1e3, 1e4, 1e5, 1e6), 200, 1e-7  # of area distortion against angle distortion
-VARIANTS = ({}, {"area_weight": 1.0}, {"area_weight": 1000.0}, {"by_distance": True})
+VARIANTS = ({}, {"area_weight": 1.0}, {"area_weight": 1000.0})
 RING_PENALTIES, RING_STEPS = (1.0, 3.0, 10.0), 150  # relative to the weight of area distortion
 
 

@@ -510,7 +510,8 @@ class MapComputation:
         assert self.source is not None
         sphere, road = self.nearby_map()
         solve = partial(self.minimisation(sphere), self.surface, start=self.source, device=self.device)
-        optimal, term = minimised(self.surface, sphere, self.source, solve, self.keep_steps, road, device=self.device)
+        optimal, term = minimised(self.surface, sphere, self.source, solve, device=self.device)
+        self.keep_steps(optimal)
         weight = term.weight
         if self.options.cost is Cost.GEODESIC:
             weight *= DISTANCE_SHAPE

@@ -227,8 +227,6 @@ class SymmetricSteps(FlipFreeSteps):
         device: a Warp device.
     """
 
-    _independent = False  # mirror images move alike
-
     def __init__(self, double: Double, surface: Surface, device: wp.Device):
         super().__init__(surface, device)
         self._double, self._examined = double, surface.face_count // 2

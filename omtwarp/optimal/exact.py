@@ -28,9 +28,7 @@ from omtwarp.mesh.surface import as_unit_vectors
 from omtwarp.optimal.cells import TriangleCells
 from omtwarp.optimal.energy import SHAPE_WEIGHT, MapTerms, TransportEnergy
 from omtwarp.optimal.solver import (
-    GROWING_PENALTIES,
     PENALTY,
-    STEPS_OF_ROUND,
     OptimalMap,
     minimise,
     softness,
@@ -117,6 +115,7 @@ ITERATIONS = 200  # largest number of steps; a map that needs more reports that 
 # Where the root mean square error of the areas is larger to begin with, penalties on them grow: the first steps would
 # ask slivers for several times their area, and those after them are shortened to a sixteenth.
 MAX_START_RMS = 0.06
+GROWING_PENALTIES, STEPS_OF_ROUND = (3.0, PENALTY), 12  # most steps with each before the last
 CELL_GAIN = (
     1e-4  # share of the cost that the last step would gain: the valleys of cost and shape are longer than at rings
 )

@@ -4,7 +4,7 @@ Where the points of the conformal map are apart, the Delaunay triangulation of s
 mesh's masses, is a small surface whose optimal map takes little time. It is carried to the mesh by linear interpolation
 at the points x, and a few steps on the mesh itself end at the optimum; their number does not grow with the mesh. Where
 points coincide, as at the ends of long limbs, there is no such triangulation: the minimisation then begins at a
-coarse-to-fine embedding, with a light penalty on areas first.
+coarse-to-fine embedding.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.moser import moser_map
 from omtwarp.optimal.refinement import least_distortion
-from omtwarp.optimal.solver import GROWING_PENALTIES, PENALTY, STEPS_OF_ROUND, OptimalMap, optimal_map
+from omtwarp.optimal.solver import OptimalMap, optimal_map
 from omtwarp.transport.cost import transport_cost
 from omtwarp.untangling.untangle import untangle
 
@@ -43,7 +43,7 @@ LEAST_COST, LEAST_BEND = 1e-4, 1e-3
 # Vertices of the mesh for one of the coarse triangulation: fewer make the coarse map better and slower.
 VERTICES_PER_COARSE = 8
 LEAST_COARSE, MOST_COARSE = 200, 20_000  # vertices of the coarse triangulation
-STEPS = 40  # most with the usual penalty
+STEPS = 40  # most of a minimisation
 MOSER_PASSES = 2  # from an embedding: a second halves the area error that the first leaves, and takes as long
 # Weight of area against angle, and tolerance and most steps, of smoothing a map with repaired triangles: slivers that
 # repair leaves stop the minimisation; more smoothing costs time and gains nothing.
@@ -222,8 +222,6 @@ def minimised(
     sphere: Numbers,
     start: Numbers,
     solve: Callable[..., OptimalMap],
-    kept: Callable[[OptimalMap], None],
-    road: str,
     *,
     device: str | None = "auto",
 ) -> tuple[OptimalMap, ShapeTerm]:
@@ -234,21 +232,7 @@ def minimised(
         sphere: the map to begin with, without flips, shape [V, 3].
         start: the points x, shape [V, 3].
         solve: :func:`omtwarp.optimal_map` of the surface.
-        kept: called with the map of every round.
-        road: ``embedded``, from where the penalty on areas grows in rounds, or another.
         device: where the kernels run.
     """
-    multipliers: Numbers | None = None
-    for penalty in GROWING_PENALTIES if road == EMBEDDED else GROWING_PENALTIES[-1:]:
-        term = shape_term(surface, sphere, start, device)
-        found = solve(
-            sphere,
-            shape_weight=term.weight,
-            area_weight=term.area,
-            area_penalty=penalty,
-            multipliers=multipliers,
-            iterations=STEPS if penalty == PENALTY else STEPS_OF_ROUND,
-        )
-        sphere, multipliers = found.sphere, found.multipliers
-        kept(found)
-    return found, term
+    term = shape_term(surface, sphere, start, device)
+    return solve(sphere, shape_weight=term.weight, area_weight=term.area, iterations=STEPS), term

@@ -438,8 +438,6 @@ class PlaneSteps(FlipFreeSteps):
         plane: where the maps are.
     """
 
-    _independent = False  # the whole map is looked at again where vertices are held back
-
     def __init__(self, plane: Plane):
         super().__init__(plane.surface, plane.device)
         self._plane = plane

@@ -38,9 +38,6 @@ from omtwarp.solvers.newton import SUFFICIENT_DECREASE
 Numbers = NDArray[np.float64]
 
 PENALTY = 1000.0  # μ: weight of the remaining area errors beside the cost
-# Penalties where a minimisation begins far from the optimum: the first allows longer steps, and more of them take
-# longer for the same maps.
-GROWING_PENALTIES, STEPS_OF_ROUND = (3.0, PENALTY), 12  # most steps with each before the last
 LEAST_PENALTY = 1e-12  # in place of 0, by which saddle-point systems divide
 MIN_COST = 1e-6  # radians²: gains are compared with the cost, or with this where the cost is smaller
 MAX_HALVINGS = 20  # of a step, down to a millionth
@@ -116,7 +113,6 @@ def optimal_map(
     start: ArrayLike,
     shape_weight: float = SHAPE_WEIGHT,
     area_weight: float = AREA_WEIGHT,
-    area_penalty: float = PENALTY,
     multipliers: ArrayLike | None = None,
     iterations: int = 40,
     gain: float = GAIN,
@@ -134,8 +130,6 @@ def optimal_map(
         start: the points x that are transported, unit vectors, shape [V, 3]; triangles may be flipped there.
         shape_weight: β, the weight of angle and area distortion of triangles relative to the mean squared distance.
         area_weight: λ, how much area distortion counts there against angle distortion.
-        area_penalty: μ, the weight of area errors beside the cost during the minimisation. It does not change the
-            result: a smaller one allows longer steps while a map is far from optimal, and corrects areas later.
         multipliers: initial multipliers, shape [V], such as those of a map with another shape weight.
         iterations: largest number of steps.
         gain: end where the expected gain of a step falls below this share of the cost.
@@ -167,7 +161,6 @@ def optimal_map(
     given, x = (as_unit_vectors(points, mesh.vertex_count) for points in (sphere, start))
     weight = real_number(shape_weight, "shape_weight", least=0.0)
     area_weight = real_number(area_weight, "area_weight", least=0.0)
-    area_penalty = real_number(area_penalty, "area_penalty", above=0.0)
     gain = real_number(gain, "gain", least=0.0)
     iterations = whole_number(iterations, "iterations")
     if multipliers is not None:
@@ -175,15 +168,7 @@ def optimal_map(
     soft = softness(mesh.vertex_areas, given, x, cost)
     moved = vectors(x, where)
     energy = energy_on_sphere(mesh, moved, where, weight, domain=domain, area_weight=area_weight, softness=soft)
-    return minimise(
-        energy,
-        given,
-        area_penalty=area_penalty,
-        multipliers=multipliers,
-        gain=gain,
-        iterations=iterations,
-        progress=progress,
-    )
+    return minimise(energy, given, multipliers=multipliers, gain=gain, iterations=iterations, progress=progress)
 
 
 def softness(masses: Numbers, sphere: Numbers, start: Numbers, cost: str) -> float:
@@ -221,7 +206,9 @@ def minimise(
     Args:
         energy: what is minimised.
         points: a map without flips to begin with, shape [V, 3], or [V, 2] in the plane.
-        area_penalty, multipliers, iterations, progress: as of :func:`optimal_map`.
+        area_penalty: μ, the weight of area errors beside the cost during the minimisation. It does not change the
+            result: a smaller one allows longer steps while a map is far from optimal, and corrects areas later.
+        multipliers, iterations, progress: as of :func:`optimal_map`.
         gain: end where a step is expected to gain less than this share of the cost; with a penalty, less than this
             number.
         penalty: μ; μ / 24π Σ (a_v - 3m_v)² / 3m_v is added to the energy in place of the constraints. ``progress`` is

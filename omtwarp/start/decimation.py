@@ -140,15 +140,13 @@ def propose_collapses(
     half_edge_faces: wp.array[wp.int32],
     face_masses: wp.array[wp.float64],
     points: wp.array[wp.vec3d],
-    by_distance: wp.bool,
     # Data out:
     cost: wp.array[wp.float64],
     target: wp.array[wp.int32],
 ):
     """Find the cheapest legal half-edge collapse of every vertex.
 
-    The outputs are its cost, and the half-edge towards the vertex kept. Cost grows with the mass of the star, or with
-    the squared distance to the vertex kept.
+    The outputs are its cost, which grows with the mass of the star, and the half-edge towards the vertex kept.
     """
     i, _compiled_once = wp.tid()
     v = alive[i]
@@ -176,10 +174,7 @@ def propose_collapses(
                     # Valences stay low, so that rings fit the arrays of fixed size and their kernels stay large.
                     # Max free valence: degrees up to which a vertex is not crowded; twelve fit the arrays
                     crowd = wp.float64(wp.max(0, offsets[w + 1] - offsets[w] + valence - 4 - wp.int32(8)))
-                    size = mass
-                    if by_distance:
-                        size = wp.length_sq(points[w] - points[v])
-                    total = size * shape / wp.float64(valence - 2) * (ONE + crowd * crowd)
+                    total = mass * shape / wp.float64(valence - 2) * (ONE + crowd * crowd)
                     if total < best:
                         best = total
                         best_target = row_find(heads, begin, end, w)
@@ -307,15 +302,12 @@ def integers(values: NDArray, device: wp.Device) -> wp.array:
     return wp.array(values, dtype=wp.int32, device=device)
 
 
-def simplify(surface: Surface, device: wp.Device, *, by_distance: bool = False, kinds: Ints | None = None) -> Hierarchy:
+def simplify(surface: Surface, device: wp.Device, *, kinds: Ints | None = None) -> Hierarchy:
     """Remove vertices until four are left, or five where some are on a boundary.
 
     Args:
         surface: Closed, oriented manifold of genus 0.
         device: Where the rounds' kernels run.
-        by_distance: remove the vertices that are nearest to others first, in place of those with the smallest triangles
-            around them. Where triangles differ in area by orders of magnitude, needles beside a large triangle would
-            stay until last.
         kinds: whether each vertex is inside a surface, on its boundary, or the pole of the fan that closes its hole
             (``INSIDE``, ``RIM`` and ``POLE`` of :mod:`omtwarp.start.decimation`), shape [V]; all inside by
             default. The boundary stays a loop without chords, of three vertices in the end, and the pole stays.
@@ -332,10 +324,7 @@ def simplify(surface: Surface, device: wp.Device, *, by_distance: bool = False, 
     points: wp.array = wp.array(surface.scaled_vertices, dtype=wp.vec3d, device=device)
     alive = np.arange(count, dtype=np.int32)
     # Share of a star's mass that is divided evenly over its fan, independent of areas in space.
-    # The same where vertices are removed by distance: large triangles lose it to every small one beside them. Areas of
-    # a drawn box's coarse levels differ by at most 1 % of the whole from the surface's with this, by up to 31 % with
-    # 0.2.
-    even_share = 1e-6 if by_distance else 0.2
+    even_share = 0.2
     device_kinds = integers(np.full(count, Vertex.INSIDE) if kinds is None else kinds, device)
     fewest = 4 if kinds is None else 5
     levels: list[Level] = []
@@ -349,7 +338,7 @@ def simplify(surface: Surface, device: wp.Device, *, by_distance: bool = False, 
         adjacency = [integers(x, device) for x in (offsets, heads, thirds, half_edge_faces)]
         device_masses: wp.array = wp.array(masses, dtype=wp.float64, device=device)
         device_alive = integers(alive, device)
-        cost, target = _propose(device_alive, device_kinds, adjacency, device_masses, points, by_distance, device)
+        cost, target = _propose(device_alive, device_kinds, adjacency, device_masses, points, device)
         chosen = _select(cost, alive, count, len(removals), device_alive, adjacency, device)
         valences = np.diff(offsets)[alive[chosen]]
         rings, fan_masses = _rings(alive[chosen], target[chosen], adjacency, device_masses, points, even_share, device)
@@ -391,7 +380,6 @@ def _propose(
     adjacency: list[wp.array],
     masses: wp.array,
     points: wp.array,
-    by_distance: bool,
     device: wp.Device,
 ) -> tuple[Floats, Ints]:
     cost: wp.array = wp.empty(len(alive), dtype=wp.float64, device=device)
@@ -399,7 +387,7 @@ def _propose(
     wp.launch(
         propose_collapses,
         dim=len(alive),
-        inputs=[alive, kinds, *adjacency, masses, points, by_distance],
+        inputs=[alive, kinds, *adjacency, masses, points],
         outputs=[cost, target],
         device=device,
     )

@@ -11,13 +11,11 @@ from omtwarp.device.sums import Reading
 from omtwarp.flips.exact import flipped_faces
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import Surface
-from omtwarp.solvers.motion_kernels import LEAST_SHARE, hold_back, retract_to_sphere, triangle_trouble
+from omtwarp.solvers.motion_kernels import hold_back, retract_to_sphere, triangle_trouble
 from omtwarp.untangling.untangle import STEP_WORK, Attempt, RepairBudget, untangle_patches
 
-# Of the few triangles that a step flips, before the step is shortened: these move vertices less far from where the step
-# took them. With the first two attempts of a whole repair in their place four of five hemispheres with long limbs take
-# all 53 steps without an end, with these all five end after 18 to 28.
-REPAIRS = (Attempt(2, largest=0.1, lowered=0.3, steps=2), Attempt(3, largest=0.5, lowered=0.4, steps=2))
+# Of the few triangles that a step flips, before the step is shortened.
+REPAIR = Attempt(2)
 
 # Where untangling after steps fails, later ones mostly fail too, at as much work: after so much without a success, in
 # vertices times Newton steps per vertex, and twice as much once a few succeeded, steps only hold vertices back. On
@@ -32,13 +30,10 @@ class FlipFreeSteps:
     Args:
         surface: the surface, V vertices and F faces.
         device: a Warp device.
-        partial: as of :func:`omtwarp.untangling.untangle.untangle_patches`.
     """
 
-    _independent = True  # whether every vertex moves by its own share alone
-
-    def __init__(self, surface: Surface, device: wp.Device, partial: bool = True):
-        self._surface, self._device, self._partial = surface, device, partial
+    def __init__(self, surface: Surface, device: wp.Device):
+        self._surface, self._device = surface, device
         self._reading = Reading(device)
         self._examined = surface.face_count  # the first triangles, which are looked at after a step
         mesh = surface.on(device)
@@ -82,41 +77,25 @@ class FlipFreeSteps:
             The map and how many vertices were untangled; None where that fails.
         """
         seeds = marks.numpy() > 0
-        count, taken = 0, 0
-        for attempt in REPAIRS:
-            if not seeds.any():
-                break
-            if self.hopeless:
-                self._refused = True
-                return None
-            # Most trouble, of the triangles: with more than that the step itself is too long
-            if seeds.mean() > 0.05:
-                return None
-            # Of scans and made shapes none that succeeds takes more.
-            budget = RepairBudget(self._surface)
-            budget.granted = min(self._chance - taken, self.budget.granted - self.budget.spent)
-            sphere, patch = untangle_patches(
-                self._surface,
-                moved.numpy(),
-                seeds,
-                attempt,
-                self._device,
-                budget,
-                weight=weight,
-                partial=self._partial,
-            )
-            self.budget.spent += budget.spent
-            taken += budget.spent
-            count += patch
-            sphere = self._admitted(sphere)
-            moved = vectors(sphere, self._device)
-            seeds = self._counted(flipped_faces(sphere, self._surface.faces))
-        if seeds.any():
+        # Most trouble, of the triangles: with more than that the step itself is too long
+        if seeds.mean() > 0.05:
             return None
-        if count:
-            self._successes += 1
-            self._useful = self.budget.spent
-        return moved, count
+        if self.hopeless:
+            self._refused = True
+            return None
+        # Of scans and made shapes none that succeeds takes more.
+        budget = RepairBudget(self._surface)
+        budget.granted = min(self._chance, self.budget.granted - self.budget.spent)
+        sphere, count = untangle_patches(
+            self._surface, moved.numpy(), seeds, REPAIR, self._device, budget, weight=weight
+        )
+        self.budget.spent += budget.spent
+        sphere = self._admitted(sphere)
+        if self._counted(flipped_faces(sphere, self._surface.faces)).any():
+            return None
+        self._successes += 1
+        self._useful = self.budget.spent
+        return vectors(sphere, self._device), count
 
     @property
     def gave_up(self) -> str:
@@ -148,66 +127,13 @@ class FlipFreeSteps:
         holds = 30  # halvings of the shares of corners of triangles in trouble
         count, device = self._surface.vertex_count, self._device
         share, other = (wp.full(count, 1.0, dtype=wp.float64, device=device) for _ in range(2))
-        for done in range(holds):
+        for _ in range(holds):
             moved = self._moved(points, direction, share, length)
             trouble = self._marked(moved, volume)
             if trouble is None:
                 return moved, share
-            if device.is_cpu and self._independent:
-                return self._held_nearby(points, direction, volume, length, moved, trouble.numpy(), holds - 1 - done)
             wp.launch(hold_back, dim=count, inputs=[*self._rows, trouble, share], outputs=[other], device=device)
             share, other = other, share
-        return None
-
-    def _held_nearby(
-        self,
-        points: wp.array,
-        direction: wp.array,
-        volume: wp.array,
-        length: float,
-        moved: wp.array,
-        trouble: Floats,
-        rounds: int,
-    ) -> tuple[wp.array, wp.array] | None:
-        """Go on holding back on the host, where only the surroundings of triangles in trouble are looked at again.
-
-        The kernels are those of the whole map, so that the bits are the same. On a box with needles, whose steps take
-        27 rounds each, that is a fourth of the work.
-
-        Args:
-            points, direction, volume, length: as of :meth:`held_back`.
-            moved: the map after the whole step; changed in place.
-            trouble: marks of the triangles that it flips or nearly flattens, shape [F].
-            rounds: largest number of further rounds.
-
-        Returns:
-            As :meth:`held_back`.
-        """
-        device, faces = self._device, self._surface.faces
-        offsets, corners = (array.numpy() for array in self._rows)
-        here, step, before, after = (array.numpy() for array in (points, direction, volume, moved))
-        shares = np.ones(len(here))
-        bad = np.flatnonzero(trouble)
-        for _ in range(rounds):
-            held = np.unique(faces[bad])
-            shares[held] *= 0.5
-            shares[held[shares[held] < LEAST_SHARE]] = 0.0
-            there = empty(len(held), wp.vec3d, device)
-            places = [wp.array(values[held], dtype=wp.vec3d, device=device) for values in (here, step)]
-            inputs = [*places, wp.array(shares[held], dtype=wp.float64, device=device), wp.float64(length)]
-            wp.launch(retract_to_sphere, dim=len(held), inputs=inputs, outputs=[there], device=device)
-            after[held] = there.numpy()
-            counts = offsets[held + 1] - offsets[held]
-            first = np.cumsum(counts) - counts
-            around = corners[np.arange(counts.sum()) + np.repeat(offsets[held] - first, counts)] // 3
-            near = np.unique(around)
-            marks = empty(len(near), wp.float64, device)
-            triangles = wp.array(faces[near], dtype=wp.vec3i, device=device)
-            inputs = [moved, triangles, wp.array(before[near], dtype=wp.float64, device=device)]
-            wp.launch(triangle_trouble, dim=len(near), inputs=inputs, outputs=[marks], device=device)
-            bad = near[marks.numpy() > 0]
-            if not len(bad):
-                return moved, wp.array(shares, dtype=wp.float64, device=device)
         return None
 
     def _admitted(self, sphere: Floats) -> Floats:

@@ -208,7 +208,6 @@ def untangle_patches(
     held: NDArray[np.bool_] | None = None,
     *,
     weight: float = AREA_WEIGHT,
-    partial: bool = True,
 ) -> tuple[Floats, int]:
     """Try once to untangle the patches around given triangles.
 
@@ -221,13 +220,11 @@ def untangle_patches(
         budget: the work that it may take; by default that of the surface.
         held: vertices that stay where they are, shape [V]; at least one corner of the triangles to free is not.
         weight: λ, how much area counts against angle.
-        partial: whether patches that end with fewer flips, but some, are left so. They may have taken many steps, each
-            of which makes rounding larger.
 
     Returns:
         The map, shape [V, 3], and the number of vertices freed.
     """
-    untangling = _Untangling(surface, sphere, seeds, attempt, device, held, weight, partial)
+    untangling = _Untangling(surface, sphere, seeds, attempt, device, held, weight)
     points, _ = untangling.solve(RepairBudget(surface) if budget is None else budget)
     return points, untangling.whole.free
 
@@ -244,10 +241,9 @@ class _Untangling:
         device: wp.Device,
         held: NDArray[np.bool_] | None = None,
         weight: float = AREA_WEIGHT,
-        partial: bool = True,
     ):
         self.device = device
-        self.attempt, self.weight, self.partial = attempt, weight, partial
+        self.attempt, self.weight = attempt, weight
         self.surface = surface
         self.sphere = sphere
         self.result = sphere.copy()
@@ -365,7 +361,7 @@ class _Untangling:
         )
         covered = self._covered(vectors(self.result[whole.vertices], self.device), whole)
         twice = np.rint(covered - self.whole_share) != 0
-        unsolved = (after > 0) & ((after >= before) | (not self.partial))
+        unsolved = (after > 0) & (after >= before)
         back = whole.vertices[: whole.free][(unsolved | twice)[whole.vertex_patch]]
         self.result[back] = self.sphere[back]
 

@@ -16,6 +16,7 @@ from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.metrics.optimality import optimality, relative_curl
 from omtwarp.moser import moser_map
 from omtwarp.optimal import optimal_map
+from omtwarp.optimal.solver import minimise
 from omtwarp.optimal.sphere import energy_on_sphere
 
 CPU = resolve_device("cpu")
@@ -192,7 +193,10 @@ def test_one_optimum_from_two_starts():
 def test_the_optimum_does_not_depend_on_the_penalty_of_areas():
     surface = blob(seed=11, amplitude=0.3, degree=5, sphere=1280)
     x = conformal_map(surface, device="cpu").sphere
-    heavy, light = (optimal_map(surface, x, start=x, area_penalty=mu, device="cpu") for mu in (1000.0, 3.0))
+    energy = energy_on_sphere(surface, vectors(x, CPU), CPU, 0.01)
+    heavy, light = (
+        minimise(energy, x, area_penalty=mu, gain=2e-4, iterations=40, progress=None) for mu in (1000.0, 3.0)
+    )
     assert heavy.converged and light.converged
     assert light.history[-1]["ring_rms"] < 2e-4
     weights = surface.vertex_areas / surface.vertex_areas.sum()

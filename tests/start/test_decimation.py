@@ -7,9 +7,8 @@ import trimesh
 from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.shapes import blob, flip_edges, icosphere, limbs, tube, uv_sphere
-from omtwarp.mesh.surface import Surface, as_surface, triangle_areas
+from omtwarp.mesh.surface import Surface
 from omtwarp.start.decimation import simplify
-from tests.hostile.hostile_meshes import boxes_joined
 
 CPU = resolve_device("cpu")
 SHAPES = {
@@ -78,17 +77,6 @@ def test_long_limbs_keep_their_samples():
     along = surface.vertices - surface.vertices.mean(axis=0)
     axis = np.linalg.svd(along, full_matrices=False)[2][0]
     assert 0.4 < (along[level.vertices] @ axis > 0).mean() < 0.6
-
-
-@pytest.mark.parametrize("by_distance", [True, False])
-def test_areas_of_coarse_levels_follow_the_surface_where_vertices_go_by_distance(by_distance):
-    """Half way to the tetrahedron the masses of a drawn part's triangles are their areas in space, else far from it."""
-    surface = as_surface(boxes_joined(200, (0.1, 0.2), 0.05, -0.5))
-    hierarchy = simplify(surface, CPU, by_distance=by_distance)
-    level = next(x for x in hierarchy.levels if len(x.vertices) < 100)
-    areas = triangle_areas(surface.scaled_vertices, level_faces(level).astype(np.int32))
-    differ = np.abs(level.face_masses - areas).sum() / (4 * np.pi)
-    assert differ < 0.02 if by_distance else differ > 0.1
 
 
 def with_first_reversed(faces):
