@@ -93,6 +93,11 @@ INSTEAD = {
     "resample --surface": "resample sphere.ply --to ico1 -o resample.ply --device cpu",
     "group --covariate":
         "group members.csv -o group --grid ico1 --degree 3 --permutations 9 --device cpu --components 1",
+    # By words in another order these are used apart: with them other options have less to do.
+    "cohort --collect": "cohort table.csv --workers 1 -o cohort --device cpu",
+    "cohort --register": "cohort table.csv --workers 1 --device cpu -o cohort",
+    "cohort --until": "cohort table.csv --device cpu --workers 1 -o cohort",
+    "cohort --method": "cohort table.csv --device cpu -o cohort --workers 1",
     "check --output": "check ball.ply --repair",
 }  # fmt: skip
 # Values of options whose help names a kind of value in place of one.
@@ -141,7 +146,7 @@ VALUES = {
 TYPES = ("float", "integer", "text", "path")  # names of kinds of values in a record of help
 # Commands that take seconds: their lines have several options each, but for those that exclude each other.
 PICTURES = ("film", "report")  # from a mesh
-JOINED = (*PICTURES, "register", "distance", "group", "benchmark")
+JOINED = (*PICTURES, "register", "distance", "group", "benchmark", "cohort")
 NOT_WITH = {"--pattern": ("--image",), "--image": ("--pattern",), "--front": ("--up",), "--up": ("--front",)}
 NOT_WITH |= {"--quiet": ("--json",), "--json": ("--quiet",)}
 # Values that ask for minutes or for a machine that may not be there, and have tests of their own.
