@@ -47,75 +47,55 @@ def tell(progress: Progress | None, stage: str, done: int, total: int, details: 
 class Method(StrEnum):
     """How a surface is mapped: the whole pipeline, or a system that the paper compares with."""
 
-    OMT = "omt"
-    HAKER = "haker"
-    MOSER = "moser"
-    TUTTE = "tutte"
-    MEAN_VALUE = "mean-value"
+    OMT, HAKER, MOSER, TUTTE, MEAN_VALUE = "omt", "haker", "moser", "tutte", "mean-value"
 
 
 class Stage(StrEnum):
     """Stages of the pipeline, in their order."""
 
-    CONFORMAL = "conformal"
-    MOSER = "moser"
-    OMT = "omt"
-    REFINE = "refine"
+    CONFORMAL, MOSER, OMT, REFINE = "conformal", "moser", "omt", "refine"
 
 
 class Cost(StrEnum):
     """The cost that transport minimises: squared geodesic distance, or the paper's geodesic distance."""
 
-    SQUARED = "squared"
-    GEODESIC = "geodesic"
+    SQUARED, GEODESIC = "squared", "geodesic"
 
 
 class Scheme(StrEnum):
     """How transport is optimised; ``paper`` is Algorithms 1 and 2 as written."""
 
-    DEFAULT = "default"
-    PLAIN = "plain"
-    PAPER = "paper"
+    DEFAULT, PLAIN, PAPER = "default", "plain", "paper"
 
 
 class Refinement(StrEnum):
     """Named weights of area against angle in the last stage."""
 
-    NONE = "none"
-    AREA = "area"
-    BALANCED = "balanced"
-    ANGLE = "angle"
+    NONE, AREA, BALANCED, ANGLE = "none", "area", "balanced", "angle"
 
 
 class WeightsAt(StrEnum):
     """What weights belong to; ``auto`` goes by their number, which decides unless it is that of both."""
 
-    AUTO = "auto"
-    VERTICES = "vertices"
-    TRIANGLES = "triangles"
+    AUTO, VERTICES, TRIANGLES = "auto", "vertices", "triangles"
 
 
 class Interpolation(StrEnum):
     """How data are carried from one sphere to another."""
 
-    BARYCENTRIC = "barycentric"
-    NEAREST = "nearest"
-    ADAPTIVE = "adaptive"
-    CONSERVATIVE = "conservative"
+    BARYCENTRIC, NEAREST, ADAPTIVE, CONSERVATIVE = "barycentric", "nearest", "adaptive", "conservative"
 
 
 class Side(StrEnum):
     """A hemisphere of the brain."""
 
-    LEFT = "left"
-    RIGHT = "right"
+    LEFT, RIGHT = "left", "right"
 
 
 class TextureFormat(StrEnum):
     """How the pictures of a glTF file are encoded; both keep every texel."""
 
-    PNG = "png"
-    WEBP = "webp"
+    PNG, WEBP = "png", "webp"
 
 
 class Domain(StrEnum):
@@ -132,70 +112,55 @@ class Domain(StrEnum):
 class FillArea(StrEnum):
     """How much of the sphere filled holes take."""
 
-    NATURAL = "natural"
-    SMALL = "small"
+    NATURAL, SMALL = "natural", "small"
 
 
 class CutAlong(StrEnum):
     """The loops that handles are cut along; ``auto`` takes the shortest unless they leave thin limbs."""
 
-    AUTO = "auto"
-    HANDLES = "handles"
-    HOLES = "holes"
+    AUTO, HANDLES, HOLES = "auto", "handles", "holes"
 
 
 class Backend(StrEnum):
     """Programs that draw pictures: OpenGL through pyrender, the built-in ray caster, or whichever works."""
 
-    AUTO = "auto"
-    PYRENDER = "pyrender"
-    WARP = "warp"
+    AUTO, PYRENDER, WARP = "auto", "pyrender", "warp"
 
 
 class PatternName(StrEnum):
     """The built-in patterns, each a file of :mod:`omtwarp.texturing.patterns`."""
 
-    CIRCLES = "circles"
-    PUZZLE = "puzzle"
-    GLOBE = "globe"
-    CHECKER = "checker"
+    CIRCLES, PUZZLE, GLOBE, CHECKER = "circles", "puzzle", "globe", "checker"
 
 
 class AtlasName(StrEnum):
     """Layouts of a texture of the sphere."""
 
-    EQUIRECTANGULAR = "equirectangular"
-    CUBE = "cube"
-    OCTAHEDRAL = "octahedral"
+    EQUIRECTANGULAR, CUBE, OCTAHEDRAL = "equirectangular", "cube", "octahedral"
 
 
 class ProjectionName(StrEnum):
     """Projections of pictures of the sphere."""
 
-    EQUIRECTANGULAR = "equirectangular"
-    SINUSOIDAL = "sinusoidal"
+    EQUIRECTANGULAR, SINUSOIDAL = "equirectangular", "sinusoidal"
 
 
 class Coordinates(StrEnum):
     """Whose texture coordinates a mesh gets: those of an atlas, or its own."""
 
-    ATLAS = "atlas"
-    OWN = "own"
+    ATLAS, OWN = "atlas", "own"
 
 
 class Keep(StrEnum):
     """Where a picture goes among a mesh's own materials."""
 
-    OVER = "over"
-    UNDER = "under"
+    OVER, UNDER = "over", "under"
 
 
 class AlignBy(StrEnum):
     """What two maps are aligned by."""
 
-    AUTO = "auto"
-    FEATURES = "features"
-    VERTICES = "vertices"
+    AUTO, FEATURES, VERTICES = "auto", "features", "vertices"
 
 
 # What functions take for an option: a member, or its text, which editors offer.

@@ -111,8 +111,7 @@ def transfer_texture(
         material = _material(source, baked)
         return replace(own, uv=coordinates, materials=(material,), face_material=None, vertex_colors=None, notes=())
     cut = unwrap(points, triangles, layout)
-    first = np.zeros(int(cut.welded.max()) + 1, dtype=np.int64)
-    first[cut.welded[::-1]] = np.arange(len(cut.welded))[::-1]
+    _, first = np.unique(cut.welded, return_index=True)
     return PaintedMesh(
         (cut.weights @ there)[first],
         cut.welded[cut.faces],

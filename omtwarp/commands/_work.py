@@ -8,8 +8,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar, cast
+from typing import TYPE_CHECKING, TypeAlias, TypeVar, cast
 
+import omtwarp
 from omtwarp.commands._options import Printing, Source
 from omtwarp.commands._streams import is_standard_output, progress_bar, say, warnings_as_lines
 from omtwarp.errors import OmtwarpError
@@ -19,17 +20,15 @@ from omtwarp.options import Domain, MapOptions, SurfaceKeywords, WeightsAt, pars
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from omtwarp.maps.result import MapReport, MapResult
-    from omtwarp.maps.torus_map import TorusMap
-    from omtwarp.measures import TargetDensity
-    from omtwarp.mesh.surface import Surface
+    from omtwarp.maps.result import MapReport
 
 
+AnyMap: TypeAlias = "omtwarp.MapResult | omtwarp.TorusMap"
 Output = TypeVar("Output", Path, Path | None)
 Target = TypeVar("Target")
 
 
-def facts_of(result: MapResult | TorusMap, output: Path, report: Path | None = None) -> dict:
+def facts_of(result: AnyMap, output: Path, report: Path | None = None) -> dict:
     """Sum up a finished map, its files and its figures, ready for JSON.
 
     ``degree`` is of the whole map: the total signed solid angle over 4π, so that parts with a sphere each are added up.
@@ -66,7 +65,7 @@ def facts_of(result: MapResult | TorusMap, output: Path, report: Path | None = N
     }
 
 
-def _counts(result: MapResult | TorusMap) -> dict[str, int]:
+def _counts(result: AnyMap) -> dict[str, int]:
     """Count the copies of vertices along cuts, new vertices, and the faces that triangles are parts of."""
     import numpy as np
 
@@ -81,7 +80,7 @@ def _counts(result: MapResult | TorusMap) -> dict[str, int]:
     return {"copied_vertices": copied, "new_vertices": new, "input_faces": faces}
 
 
-def sizes(result: MapResult | TorusMap) -> str:
+def sizes(result: AnyMap) -> str:
     """Return the sizes of a map's mesh in words: those of the input, and what cuts and new vertices added."""
     return _sizes(len(result.vertices), len(result.faces), **_counts(result))
 
@@ -144,7 +143,7 @@ class Input:
         file_faces: the file's faces, in its own vertices, shape [F, 3], in that case.
     """
 
-    surface: Surface
+    surface: omtwarp.Surface
     sizes: tuple[int, int] = (0, 0)
     notes: list[str] = field(default_factory=list)
     vertex_of_file: NDArray | None = None
@@ -179,7 +178,6 @@ def read_sound_mesh(
         OmtwarpError: the file cannot be read, or its mesh cannot be mapped.
     """
     from omtwarp.mesh.read import read_joined_mesh
-    from omtwarp.mesh.surface import Surface
     from omtwarp.mesh.validate import as_arrays, require_valid
 
     mesh = read_joined_mesh(path, together=repair or any_surface, smoothing=smoothing)
@@ -188,9 +186,7 @@ def read_sound_mesh(
     sizes = len(mesh.file.vertices), len(faces)
     origins = None if vertex_of_file is None else mesh.origins
     if repair:
-        from omtwarp.mesh.repair import repair as repair_mesh
-
-        repaired = repair_mesh(vertices, faces, whole=not any_surface)
+        repaired = omtwarp.repair(vertices, faces, whole=not any_surface)
         if repaired.actions:
             vertices, faces = repaired.vertices, repaired.faces
             notes += repaired.actions
@@ -198,9 +194,9 @@ def read_sound_mesh(
     for note in notes:
         say(f"{path}: {note}")
     if any_surface:
-        surface = Surface(*as_arrays(vertices, faces))
+        surface = omtwarp.Surface(*as_arrays(vertices, faces))
     else:
-        surface = Surface(*require_valid(vertices, faces, str(path)))
+        surface = omtwarp.Surface(*require_valid(vertices, faces, str(path)))
         surface.checked = True
     surface.origins = origins
     return Input(surface, sizes, notes, vertex_of_file, mesh.file.faces)
@@ -315,7 +311,7 @@ def start_device(device: str) -> None:
     resolve_device(device)
 
 
-def require_whole(result: MapResult | TorusMap, name: object) -> MapResult:
+def require_whole(result: AnyMap, name: object) -> omtwarp.MapResult:
     """Make sure that a map covers the sphere, with what fills its holes, as integrals over it and harmonics need.
 
     Args:
@@ -325,9 +321,8 @@ def require_whole(result: MapResult | TorusMap, name: object) -> MapResult:
     Raises:
         OmtwarpError: the map covers a torus, a hemisphere, a disk or a cap, or is of several parts.
     """
-    from omtwarp.maps.result import MapResult
 
-    if not isinstance(result, MapResult):
+    if not isinstance(result, omtwarp.MapResult):
         raise OmtwarpError(f"'{name}' is a map to a torus, where one to the sphere is needed, as --cut makes")
     try:
         result.closed()
@@ -336,7 +331,7 @@ def require_whole(result: MapResult | TorusMap, name: object) -> MapResult:
     return result
 
 
-def load_whole_map(path: Path) -> MapResult:
+def load_whole_map(path: Path) -> omtwarp.MapResult:
     """Read a finished map that covers the sphere.
 
     Args:
@@ -366,15 +361,15 @@ def report_text(report: object) -> str:
 
 
 def make_map(
-    surface: Surface,
+    surface: omtwarp.Surface,
     mapping: MapOptions,
     *,
     quiet: bool,
     any_surface: SurfaceKeywords | None = None,
     weights: ArrayLike | None = None,
     weights_at: WeightsAt = WeightsAt.AUTO,
-    target: TargetDensity | None = None,
-) -> MapResult | TorusMap:
+    target: omtwarp.TargetDensity | None = None,
+) -> AnyMap:
     """Map a mesh with a progress bar; its warnings are lines on standard error.
 
     Args:
@@ -386,20 +381,17 @@ def make_map(
         weights_at: which of them.
         target: the density on the sphere.
     """
-    from omtwarp.mapping.pipeline import map_to_sphere
 
     with warnings_as_lines(), progress_bar(quiet) as progress:
-        mapped: Callable[..., MapResult | TorusMap] = map_to_sphere
+        mapped: Callable[..., AnyMap] = omtwarp.map_to_sphere
         if any_surface is not None:
-            from omtwarp.mapping.any_surface import map_surface
-
-            mapped = partial(map_surface, **any_surface)
+            mapped = partial(omtwarp.map_surface, **any_surface)
         return mapped(
             surface, weights=weights, weights_at=weights_at, target=target, progress=progress, **vars(mapping)
         )
 
 
-def require_bijective(result: MapResult | TorusMap, path: Path | None = None) -> None:
+def require_bijective(result: AnyMap, path: Path | None = None) -> None:
     """Make sure that a map is one to one.
 
     Raises:
@@ -409,7 +401,7 @@ def require_bijective(result: MapResult | TorusMap, path: Path | None = None) ->
         raise OmtwarpError(f"{path or 'the map'}: not one to one: {result.certificate}")
 
 
-def map_from(mesh: Path | None, source: Source, mapping: MapOptions, printing: Printing) -> MapResult | TorusMap:
+def map_from(mesh: Path | None, source: Source, mapping: MapOptions, printing: Printing) -> AnyMap:
     """Return the map that a command works on: read if it is finished, otherwise computed from the mesh.
 
     Args:
@@ -443,7 +435,7 @@ def map_from(mesh: Path | None, source: Source, mapping: MapOptions, printing: P
     return result
 
 
-def say_made(result: MapResult | TorusMap, mesh: Path, printing: Printing) -> None:
+def say_made(result: AnyMap, mesh: Path, printing: Printing) -> None:
     """Print the quality of a map of a file that a command made on its way, and what every stage did."""
     if printing.verbose:
         say_stages(result)
@@ -451,7 +443,7 @@ def say_made(result: MapResult | TorusMap, mesh: Path, printing: Printing) -> No
         say(f"{mesh}: {quality(facts_of(result, mesh))}")
 
 
-def say_stages(result: MapResult | TorusMap) -> None:
+def say_stages(result: AnyMap) -> None:
     """Print a line about every stage of a map."""
     for stage in result.report["stages"]:
         words = [f"{stage['seconds']:.2f} s"] if "seconds" in stage else []

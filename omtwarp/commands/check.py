@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+import omtwarp
 from omtwarp.commands._options import Printing, output_option
 from omtwarp.commands._streams import input_file, say, step_times
 from omtwarp.commands._work import of_a_map, outputs_of, show_each
@@ -16,8 +17,6 @@ from omtwarp.files.output import check_output
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-    from omtwarp.mesh.validate import Defect
 
 
 def run_check(
@@ -82,15 +81,13 @@ def facts_of(mesh: Path, repair: bool, target: Path | None, *, verbose: bool) ->
     """
     from omtwarp.mapping.verdict import foretell
     from omtwarp.mesh.read import read_joined_mesh
-    from omtwarp.mesh.surface import Surface
-    from omtwarp.mesh.validate import check
     from omtwarp.mesh.write import write_mesh
 
     with step_times(verbose) as done:
         given = read_joined_mesh(mesh, together=True)
         done("read")
         vertices, faces = given.vertices, given.faces
-        defects = before = check(vertices, faces)
+        defects = before = omtwarp.check(vertices, faces)
         done("check")
         facts: dict = {
             "mesh": str(mesh), "vertices": len(vertices), "faces": len(faces),
@@ -98,20 +95,22 @@ def facts_of(mesh: Path, repair: bool, target: Path | None, *, verbose: bool) ->
             "repairs": [],
         }  # fmt: skip
         if repair and defects:
-            from omtwarp.mesh.repair import NOTED_LOSS, repair as repair_mesh
+            from omtwarp.mesh.repair import NOTED_LOSS
 
-            repaired = repair_mesh(vertices, faces)
+            repaired = omtwarp.repair(vertices, faces)
             facts["repairs"] = list(repaired.actions)
             if repaired.loss > NOTED_LOSS:
                 say(f"{mesh}: {repaired.actions[-1]}")
             vertices, faces = repaired.vertices, repaired.faces
-            defects = check(vertices, faces)
+            defects = omtwarp.check(vertices, faces)
             facts["defects_before"] = [{"kind": defect.kind, "text": str(defect)} for defect in before]
             done("repair")
         facts["defects"] = [{"kind": defect.kind, "text": str(defect)} for defect in defects]
         facts["options"] = options_text(vertices, faces, defects)
         facts["mappable"] = not defects
-        facts["warnings"] = [] if defects else [finding.to_dict() for finding in foretell(Surface(vertices, faces))]
+        facts["warnings"] = (
+            [] if defects else [finding.to_dict() for finding in foretell(omtwarp.Surface(vertices, faces))]
+        )
         done("foretell")
     if target is not None:
         write_mesh(target, vertices, faces)
@@ -143,7 +142,7 @@ def lines_about(facts: dict) -> list[str]:
     return lines
 
 
-def options_text(vertices: NDArray, faces: NDArray, defects: list[Defect]) -> list[str]:
+def options_text(vertices: NDArray, faces: NDArray, defects: list[omtwarp.Defect]) -> list[str]:
     """List the options of ``omtwarp map`` for a mesh that is no sphere; none for other defects."""
     from omtwarp.topology.kind import MAPPABLE, options_for, parts_of
 

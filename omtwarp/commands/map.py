@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
+import omtwarp
 from omtwarp.commands._options import ROUTE, Only, Printing, named, output_option
 from omtwarp.commands._streams import input_file
 from omtwarp.commands._work import (
+    AnyMap,
     facts_of,
     make_map,
     outputs_of,
@@ -33,9 +35,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from omtwarp.commands._work import Input
-    from omtwarp.maps.result import MapResult
-    from omtwarp.maps.torus_map import TorusMap
-    from omtwarp.measures import TargetDensity
 
 
 @dataclass(frozen=True)
@@ -106,7 +105,7 @@ class Mass:
     density: Annotated[Path | None, typer.Option("--target", metavar="IMAGE")] = None
     target_floor: float = 0.0
 
-    def target(self) -> TargetDensity | None:
+    def target(self) -> omtwarp.TargetDensity | None:
         """Return the density that is to be reached, None for the uniform one.
 
         Raises:
@@ -218,7 +217,7 @@ def run_map(
     show_each(meshes, zip(targets, reports, strict=True), map_one, printing)
 
 
-def write_json_report(file: Path, result: MapResult | TorusMap, mesh: Path, notes: list[str]) -> None:
+def write_json_report(file: Path, result: AnyMap, mesh: Path, notes: list[str]) -> None:
     """Write a map's report and history as JSON, with the mesh it is of and what was noted when that was read."""
 
     whole = {"input": {"path": str(mesh), "notes": notes}, **result.report, "history": result.history}
@@ -226,9 +225,7 @@ def write_json_report(file: Path, result: MapResult | TorusMap, mesh: Path, note
         place.write_text(report_text(whole), "utf-8")
 
 
-def with_copies(
-    result: MapResult | TorusMap, sound: Input, to_sphere: bool
-) -> tuple[MapResult | TorusMap, NDArray | None]:
+def with_copies(result: AnyMap, sound: Input, to_sphere: bool) -> tuple[AnyMap, NDArray | None]:
     """Note in a map which vertex each of the file's is, where copies along seams were joined and nothing else was done.
 
     Args:
@@ -239,10 +236,9 @@ def with_copies(
     Returns:
         The map, and the file's faces where vertices that are doubled along seams are to be written as there.
     """
-    from omtwarp.maps.result import MapResult
 
     joined = to_sphere and sound.vertex_of_file is not None
-    if joined and isinstance(result, MapResult) and len(result.vertices) == sound.surface.vertex_count:
+    if joined and isinstance(result, omtwarp.MapResult) and len(result.vertices) == sound.surface.vertex_count:
         return replace(result, vertex_of_file=sound.vertex_of_file), sound.file_faces
     return result, None
 
@@ -283,7 +279,7 @@ def weights_of(mass: Mass, sound: Input, structure: str | None) -> tuple[NDArray
 
 
 def save(
-    result: MapResult | TorusMap,
+    result: AnyMap,
     file: Path,
     like: Path | None = None,
     radius: float = 1.0,
@@ -300,7 +296,6 @@ def save(
         beside: write the surface, with the sphere at its vertices.
         file_faces: the faces of ``like`` where copies of its vertices were joined: a mesh is written with the copies.
     """
-    from omtwarp.maps.result import MapResult
     from omtwarp.mesh.write import write_mesh
 
     of_file: NDArray | slice = slice(None)
@@ -309,11 +304,9 @@ def save(
         faces, of_file = file_faces, getattr(result, "vertex_of_file", of_file)
     if file.suffix.lower() == ".npz":
         result.save(file)
-    elif not isinstance(result, MapResult) and file.suffix.lower() == ".glb":
-        from omtwarp.texturing import texture  # whose kernels no other map needs
-
-        texture(result, pattern="checker").export(file)
-    elif not isinstance(result, MapResult):
+    elif not isinstance(result, omtwarp.MapResult) and file.suffix.lower() == ".glb":
+        omtwarp.texture(result, pattern="checker").export(file)
+    elif not isinstance(result, omtwarp.MapResult):
         write_mesh(file, radius * result.ring(), result.faces, like=like)
     elif beside:
         places = dict(zip(("px", "py", "pz"), radius * image_of(result)[of_file].T, strict=True))
@@ -322,7 +315,7 @@ def save(
         write_mesh(file, radius * image_of(result)[of_file], faces, spherical=True, like=like)
 
 
-def image_of(result: MapResult) -> NDArray:
+def image_of(result: omtwarp.MapResult) -> NDArray:
     """Return the image of the surface as points in space, shape [V, 3]: the sphere, or the disk at height 0."""
     import numpy as np
 
@@ -363,8 +356,8 @@ def _make(output: Path, faces: int, device: str, printing: Printing) -> None:
     """Make the files of the demo; arguments are those of the command."""
     from omtwarp.mesh.shapes import demo_shape
     from omtwarp.mesh.write import write_mesh
-    from omtwarp.render import comparison, preview
-    from omtwarp.texturing import rasterize, texture
+    from omtwarp.render import comparison
+    from omtwarp.texturing import rasterize
 
     files = [check_output(output / name) for name in NAMES]
     mesh_file, map_file, report_file, model_file, globe_file, circles_file, comparison_file = files
@@ -377,7 +370,7 @@ def _make(output: Path, faces: int, device: str, printing: Printing) -> None:
     surface = demo_shape(faces)
     write_mesh(mesh_file, surface.vertices, surface.faces)
     notify(f"{mesh_file}: a creature of {surface.face_count} faces")
-    result = cast("MapResult", make_map(surface, MapOptions(device=device), quiet=printing.quiet))
+    result = cast("omtwarp.MapResult", make_map(surface, MapOptions(device=device), quiet=printing.quiet))
     with staged(map_file) as file:
         save(result, file)
     with staged(report_file) as file:
@@ -386,12 +379,12 @@ def _make(output: Path, faces: int, device: str, printing: Printing) -> None:
         say_stages(result)
     facts = facts_of(result, map_file, report_file)
     notify(summary(facts_of(result, map_file)))
-    globe = texture(result, pattern="globe", rotate=[0.0, -90.0, 0.0], device=device)  # Africa on its flank
+    globe = omtwarp.texture(result, pattern="globe", rotate=[0.0, -90.0, 0.0], device=device)  # Africa on its flank
     globe.export(model_file)
     notify(f"{model_file}: a globe pulled back to it")
-    circles = texture(result, pattern="circles", device=device)
+    circles = omtwarp.texture(result, pattern="circles", device=device)
     for file_to_be, textured in ((globe_file, globe), (circles_file, circles)):
-        preview(textured.trimesh(), file_to_be, up=UP, front=FRONT, views=VIEW, device=device)
+        omtwarp.preview(textured.trimesh(), file_to_be, up=UP, front=FRONT, views=VIEW, device=device)
         notify(f"{file_to_be}")
     circles_picture = rasterize("circles", 2048, device=device)
     comparison(result, comparison_file, image=circles_picture, up=UP, front=FRONT, views=VIEW, device=device)

@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+import omtwarp
 from omtwarp.commands._options import (
     ROUTE,
     Only,
@@ -31,14 +32,11 @@ PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".gif", ".mp4")
 
 
 class LightName(StrEnum):
-    STUDIO = "studio"
-    SOFT = "soft"
-    FLAT = "flat"
+    STUDIO, SOFT, FLAT = "studio", "soft", "flat"
 
 
 class CameraProjection(StrEnum):
-    PERSPECTIVE = "perspective"
-    ORTHOGRAPHIC = "orthographic"
+    PERSPECTIVE, ORTHOGRAPHIC = "perspective", "orthographic"
 
 
 @dataclass(frozen=True)
@@ -111,7 +109,7 @@ def run_preview(
         size: Size of the picture in pixels.
         backend: What draws: OpenGL or the ray caster.
     """
-    from omtwarp.render import Camera, preview
+    from omtwarp.render import Camera
 
     given = subjects or []
     if (not given and finished is None) or (len(given) == 1 and finished is not None):
@@ -122,7 +120,7 @@ def run_preview(
         shown = subject or finished
         assert shown is not None
         with step_times(printing.verbose) as done:
-            drawn = preview(
+            drawn = omtwarp.preview(
                 shown,
                 target,
                 size=as_size(size),
@@ -194,7 +192,6 @@ def run_film(
         output: .mp4 (needs ffmpeg), .gif or .webp; a directory of .gif for several meshes.
         size: Size in pixels; 1920x1080 by default, 640x360 for .gif and .webp.
     """
-    from omtwarp.render.films import film
     from omtwarp.render.output import check_target
 
     targets = targets_of(source, output, ".gif", FILMS, shown.image)
@@ -215,7 +212,7 @@ def run_film(
                 if progress is not None:
                     progress(stage, done, total, facts)
 
-            film(
+            omtwarp.film(
                 result,
                 target,
                 size=None if size is None else as_size(size),
@@ -256,7 +253,6 @@ def run_report(
 
     gl_client.prepare()  # its process starts while others are imported and the map is read
     from omtwarp.render.camera import axis_vector
-    from omtwarp.reporting import write_report
 
     targets = targets_of(source, output, ".html", (".html", ".htm"), picture.image)
     if up is not None:
@@ -266,7 +262,7 @@ def run_report(
 
     def report_one(mesh: Path | None, target: Path) -> tuple[dict[str, object], str]:
         result, shown = map_from(mesh, source, mapping, printing), mesh or source.finished
-        write_report(
+        omtwarp.write_report(
             result,
             target,
             title=title or (shown.stem if shown is not None else None),

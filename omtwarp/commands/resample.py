@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
+import omtwarp
 from omtwarp.commands._options import Printing, named, output_option
 from omtwarp.commands._streams import STREAM, input_file, output_file, step_times
 from omtwarp.commands._work import show_facts, start_device
@@ -121,7 +122,7 @@ def run_resample(
     from omtwarp.mesh.data import DATA_SUFFIXES
     from omtwarp.mesh.neuro import require_same_structure, structure_of
     from omtwarp.mesh.write import SUFFIXES
-    from omtwarp.resampling import file_points, resample
+    from omtwarp.resampling import file_points
     from omtwarp.resampling.averages import is_average, with_side
     from omtwarp.spheres import is_named
 
@@ -143,7 +144,7 @@ def run_resample(
     with step_times(printing.verbose) as done:
         ends = [file_points(source, surface), file_points(to, None)]
         done("read")
-        resampling = resample(*ends, method=chosen, device=device)
+        resampling = omtwarp.resample(*ends, method=chosen, device=device)
         done("resample")
         if data is not None:
             _write(output, resampling, data, as_labels)

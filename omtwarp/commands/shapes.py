@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+import omtwarp
 from omtwarp.commands._options import Printing, Source, output_option
 from omtwarp.commands._streams import STREAM, input_file, input_table, progress_bar, say, step_times
 from omtwarp.commands._work import load_whole_map, map_from, require_whole, show_facts, start_device
@@ -29,8 +30,7 @@ EXPANSIONS = (".coef", ".csv", ".npz")
 class Fit(StrEnum):
     """How coefficients are found; the values are those of :func:`omtwarp.shape_analysis.expansion.expand`."""
 
-    LEAST_SQUARES = "least-squares"
-    QUADRATURE = "quadrature"
+    LEAST_SQUARES, QUADRATURE = "least-squares", "quadrature"
 
 
 def run_spharm(
@@ -67,7 +67,6 @@ def run_spharm(
     """
     import numpy as np
 
-    from omtwarp.mesh.surface import Surface
     from omtwarp.mesh.write import SUFFIXES as MESH_SUFFIXES, write_mesh
     from omtwarp.shape_analysis.expansion import expand
     from omtwarp.spheres import mesh_grid
@@ -85,7 +84,7 @@ def run_spharm(
         done("expand")
         again = expansion.at(result.sphere)
         done("reconstruct")
-    areas = Surface(result.vertices, result.faces).vertex_areas
+    areas = omtwarp.Surface(result.vertices, result.faces).vertex_areas
     error = float(np.sqrt(areas @ ((again - result.vertices) ** 2).sum(axis=1) / areas.sum()))
     _save_expansion(output, expansion)
     if reconstruction is not None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+import omtwarp
 from omtwarp.commands._options import Printing, named, output_option
 from omtwarp.commands._streams import input_file, is_standard_output, progress_bar, step_times, warnings_as_lines
 from omtwarp.commands._work import show_facts
@@ -22,7 +23,6 @@ from omtwarp.options import AlignBy, Side
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from omtwarp.maps.result import MapResult
     from omtwarp.registration import GroupRegistration, Registration, SequenceRegistration
     from omtwarp.resampling import SpherePoints
 
@@ -103,18 +103,17 @@ class Pair:
                 mine[name], others[name] = here, there
         return mine or None, others or None
 
-    def write(self, moved: Callable[[MapResult], MapResult], sphere: NDArray, faces: NDArray) -> None:
+    def write(self, moved: Callable[[omtwarp.MapResult], omtwarp.MapResult], sphere: NDArray, faces: NDArray) -> None:
         """Write the moved map, or its sphere as a mesh.
 
         Args:
             moved: moves the map.
             sphere, faces: what a mesh holds, shapes [V, 3] and [F, 3].
         """
-        from omtwarp.maps.result import MapResult
         from omtwarp.mesh.write import write_mesh
 
         if self.as_map:
-            moved(MapResult.load(self.source)).save(self.output)
+            moved(omtwarp.MapResult.load(self.source)).save(self.output)
         else:
             write_mesh(self.output, self.radius * sphere, faces, spherical=True, like=self.source)
 
@@ -147,7 +146,6 @@ def run_align(
     import numpy as np
     from scipy.spatial.transform import Rotation
 
-    from omtwarp.alignment import align
     from omtwarp.resampling import as_points, file_points
     from omtwarp.spheres import is_named
 
@@ -159,7 +157,9 @@ def run_align(
         mine, others = pair.features(other)
         done("read")
         with warnings_as_lines():
-            alignment = align(moving, fixed, features=mine, to_features=others, by=by, mirror=mirror, degree=degree)
+            alignment = omtwarp.align(
+                moving, fixed, features=mine, to_features=others, by=by, mirror=mirror, degree=degree
+            )
         done("align")
         faces = moving.grid.own_triangles[:, ::-1] if alignment.mirrored else moving.grid.own_triangles
         pair.write(alignment.turned, alignment.sphere, faces)
@@ -247,10 +247,9 @@ class Extras:
 
             write_registration_page(self.report, found, moving, target_points(fixed)[0])
         if self.film is not None:
-            from omtwarp.maps.result import MapResult
             from omtwarp.shape_analysis.reports import film_warp
 
-            film_warp(self.film, found, MapResult.load(pair.source))
+            film_warp(self.film, found, omtwarp.MapResult.load(pair.source))
 
 
 @dataclass(frozen=True)
@@ -306,7 +305,6 @@ def run_register(
             weight.
     """
     from omtwarp.mesh.neuro import structure_of
-    from omtwarp.registration import register
     from omtwarp.registration.group_template import is_template
     from omtwarp.resampling import file_points
     from omtwarp.resampling.averages import is_average, with_side
@@ -329,7 +327,7 @@ def run_register(
         fixed = to if is_average(to) or is_template(to) else file_points(to, pair.to_surface)
         mine, others = pair.features(other)
         weights = None if feature_weight is None else _named_weights(list(mine or ["sulc", "curv"]), feature_weight)
-        warp: Callable[..., Registration] = register  # whose options are read from groups
+        warp: Callable[..., Registration] = omtwarp.register  # whose options are read from groups
         of_both = {"features": mine, "to_features": others, "feature_weights": weights, "landmarks": landmarks}
         found = warp(moving, fixed, progress=progress, **of_both, **strength.keywords())
     pair.write(found.registered, found.sphere, moving.grid.own_triangles)

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
+import omtwarp
 from omtwarp.commands._options import Only, Printing, RouteOptions, Source, output_option
 from omtwarp.commands._streams import input_file, say, step_times, warnings_as_lines
 from omtwarp.commands._work import (
+    AnyMap,
     make_map,
     map_from,
     require_bijective,
@@ -43,41 +45,34 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from omtwarp.maps.result import MapResult
-    from omtwarp.maps.torus_map import TorusMap
-    from omtwarp.mesh.surface import Surface
     from omtwarp.options import MapOptions
-    from omtwarp.texturing import PaintedMesh, TexturedSurface
+    from omtwarp.texturing import TexturedSurface
 
 
-def read_sound_painted(path: Path, repair: bool) -> tuple[PaintedMesh, Surface]:
+def read_sound_painted(path: Path, repair: bool) -> tuple[omtwarp.PaintedMesh, omtwarp.Surface]:
     """Read a mesh with its coordinates and materials, and make sure that it can be mapped.
 
     Raises:
         OmtwarpError: the file cannot be read, or its mesh cannot be mapped.
     """
-    from omtwarp.mesh.surface import Surface
     from omtwarp.mesh.validate import require_valid
-    from omtwarp.texturing import read_painted_mesh
 
-    mesh = read_painted_mesh(path)
+    mesh = omtwarp.read_painted_mesh(path)
     notes, origins = list(mesh.notes), None
     if repair:
-        from omtwarp.mesh.repair import repair as repair_mesh
-
-        repaired = repair_mesh(mesh.vertices, mesh.faces)
+        repaired = omtwarp.repair(mesh.vertices, mesh.faces)
         if repaired.actions:
             origins = dataclasses.replace(repaired.origins, given=len(mesh.vertices))
             mesh = mesh.on(repaired.vertices, repaired.faces, repaired.face_origin)
             notes += repaired.actions
     for note in notes:
         say(f"{path}: {note}")
-    surface = Surface(*require_valid(mesh.vertices, mesh.faces, str(path)))
+    surface = omtwarp.Surface(*require_valid(mesh.vertices, mesh.faces, str(path)))
     surface.checked, surface.origins = True, origins
     return mesh, surface
 
 
-def with_objects(path: Path | None, result: MapResult | TorusMap) -> PaintedMesh:
+def with_objects(path: Path | None, result: AnyMap) -> omtwarp.PaintedMesh:
     """Return the surface of a map as a plain mesh, with the names of objects in the file that it is from.
 
     Faces that the file has not get its first name.
@@ -88,10 +83,9 @@ def with_objects(path: Path | None, result: MapResult | TorusMap) -> PaintedMesh
     """
     import numpy as np
 
-    from omtwarp.texturing import PaintedMesh
     from omtwarp.texturing.read import read_objects
 
-    mesh = PaintedMesh(result.vertices, result.faces)
+    mesh = omtwarp.PaintedMesh(result.vertices, result.faces)
     names, numbers = ((), None) if path is None else read_objects(path)
     if numbers is None:
         return mesh
@@ -101,7 +95,7 @@ def with_objects(path: Path | None, result: MapResult | TorusMap) -> PaintedMesh
 
 def painted_map(
     path: Path, source: Source, mapping: MapOptions, printing: Printing
-) -> tuple[PaintedMesh, MapResult | TorusMap]:
+) -> tuple[omtwarp.PaintedMesh, AnyMap]:
     """Return a mesh with its materials and its map, which is read where it is finished and computed otherwise.
 
     Raises:
@@ -112,11 +106,10 @@ def painted_map(
         mesh, surface = read_sound_painted(path, source.repair)
         return mesh, mapped_surface(surface, path, mapping, printing)
     from omtwarp.maps.torus_map import read_map
-    from omtwarp.texturing import read_painted_mesh
 
     result = read_map(source.finished)
     require_bijective(result, source.finished)
-    mesh = read_painted_mesh(path)
+    mesh = omtwarp.read_painted_mesh(path)
     if source.repair and len(mesh.faces) != len(result.faces):
         mesh, _ = read_sound_painted(path, source.repair)
     try:
@@ -128,7 +121,7 @@ def painted_map(
 
 def painted_maps(
     files: Sequence[tuple[Path, Path | None]], *, repair: bool, device: str, printing: Printing
-) -> list[tuple[PaintedMesh, MapResult]]:
+) -> list[tuple[omtwarp.PaintedMesh, omtwarp.MapResult]]:
     """Return meshes with their materials and maps of the whole sphere; all are read before the first is mapped.
 
     Args:
@@ -152,9 +145,7 @@ def painted_maps(
     return [known[number] for number in range(len(files))]
 
 
-def standing(
-    result: MapResult | TorusMap, source: Path | None, up: str | None, front: str | None
-) -> MapResult | TorusMap:
+def standing(result: AnyMap, source: Path | None, up: str | None, front: str | None) -> AnyMap:
     """Turn a map so that pictures on its sphere stand upright on the surface, with their middle in front.
 
     The sphere is turned as near as it can be to the directions that points have from the surface's centre, with the
@@ -172,8 +163,6 @@ def standing(
     import numpy as np
 
     from omtwarp.geometry.axes import rotation_onto_axes
-    from omtwarp.maps.result import MapResult
-    from omtwarp.mesh.surface import Surface
     from omtwarp.render.camera import Camera, camera_axes
     from omtwarp.render.scene import SurfaceView
     from omtwarp.render.subject import posed
@@ -181,21 +170,21 @@ def standing(
     given = up is not None or front is not None
     if source is not None and source.suffix.lower() == ".npz" and not given:
         return result
-    if not isinstance(result, MapResult) or result.domain != Domain.SPHERE or result.part is not None:
+    if not isinstance(result, omtwarp.MapResult) or result.domain != Domain.SPHERE or result.part is not None:
         if given:
             raise OmtwarpError("--up and --front are for maps of one surface to the whole sphere: leave them out")
         return result
     pose = posed(SurfaceView(result.vertices, result.faces), up, front)
     right, above, ahead = camera_axes(Camera(azimuth=0.0, elevation=0.0), pose.up or "y", pose.front).T
-    surface = Surface(result.vertices, result.faces)
+    surface = omtwarp.Surface(result.vertices, result.faces)
     turn, certain = rotation_onto_axes(surface, result.sphere, np.stack([ahead, right, above]))
     return result.turned(turn.T) if certain else result
 
 
-def mapped_surface(surface: Surface, path: Path, mapping: MapOptions, printing: Printing) -> MapResult:
+def mapped_surface(surface: omtwarp.Surface, path: Path, mapping: MapOptions, printing: Printing) -> omtwarp.MapResult:
     """Map the surface of a file, and say how well."""
     start_device(mapping.device)
-    made = cast("MapResult", make_map(surface, mapping, quiet=printing.quiet))
+    made = cast("omtwarp.MapResult", make_map(surface, mapping, quiet=printing.quiet))
     require_bijective(made)
     say_made(made, path, printing)
     return made
@@ -328,7 +317,7 @@ def run_texture(
     Options:
         output: .glb, .obj (with .mtl and .png) or .ply; a directory of .glb for several meshes.
     """
-    from omtwarp.texturing import read_image, texture
+    from omtwarp.texturing import read_image
     from omtwarp.texturing.atlas import check_size
     from omtwarp.texturing.export import SUFFIXES, format_for
 
@@ -357,14 +346,16 @@ def run_texture(
     def texture_one(mesh: Path | None, target: Path) -> tuple[dict[str, object], str]:
         painted, result = _mapped(mesh, source, painting, mapping, printing)
         result = standing(result, source.finished or mesh, picture.up, picture.front)
-        made: PaintedMesh | TexturedSurface
+        made: omtwarp.PaintedMesh | TexturedSurface
         with step_times(printing.verbose) as done:
             if by_materials:
                 painted = painted or with_objects(mesh, result)
                 made, pictures, words = _painted(result, painted, image, painting, width, mapping.device, look)
             else:
                 size, blurred = _size_of(result, picture, look.atlas)
-                made = textured = texture(result, image, seam_longitude=seam, size=size, device=mapping.device, **looks)
+                made = textured = omtwarp.texture(
+                    result, image, seam_longitude=seam, size=size, device=mapping.device, **looks
+                )
                 named = with_objects(mesh, result)
                 textured.objects, textured.face_object = named.objects, named.face_object
                 rows, columns = textured.image.shape[:2]
@@ -381,7 +372,7 @@ def run_texture(
 
 def _mapped(
     mesh: Path | None, source: Source, painting: Painting, mapping: MapOptions, printing: Printing
-) -> tuple[PaintedMesh | None, MapResult | TorusMap]:
+) -> tuple[omtwarp.PaintedMesh | None, AnyMap]:
     """Return the mesh's own coordinates and materials where they are needed, and the map.
 
     Raises:
@@ -403,19 +394,20 @@ def _mapped(
     return painted, result
 
 
-def _size_of(result: MapResult | TorusMap, picture: Picture, atlas: str) -> tuple[int | tuple[int, int] | None, str]:
+def _size_of(result: AnyMap, picture: Picture, atlas: str) -> tuple[int | tuple[int, int] | None, str]:
     """Return the size of an atlas, None for the usual one, and words about what even the largest leaves blurred.
 
     Raises:
         OmtwarpError: ``auto`` for a map to a torus.
     """
-    from omtwarp.maps.result import MapResult
     from omtwarp.texturing.atlas import LARGEST_SIZE, LARGEST_UNASKED, sharp_size
 
     asked = picture.size == "auto"
-    if not asked and (picture.size is not None or picture.image is not None or not isinstance(result, MapResult)):
+    if not asked and (
+        picture.size is not None or picture.image is not None or not isinstance(result, omtwarp.MapResult)
+    ):
         return sides_of(picture.size), ""
-    if not isinstance(result, MapResult):
+    if not isinstance(result, omtwarp.MapResult):
         raise OmtwarpError("--size auto is for maps to the sphere: give texels for a map to a torus")
     limit = LARGEST_SIZE if asked else LARGEST_UNASKED
     chosen, coarse = sharp_size(result.vertices, result.faces, result.sphere, atlas, limit)
@@ -425,25 +417,23 @@ def _size_of(result: MapResult | TorusMap, picture: Picture, atlas: str) -> tupl
 
 
 def _painted(
-    result: MapResult | TorusMap,
-    painted: PaintedMesh | None,
+    result: AnyMap,
+    painted: omtwarp.PaintedMesh | None,
     image: NDArray[np.generic] | None,
     painting: Painting,
     size: int | None,
     device: str,
     look: Look,
-) -> tuple[PaintedMesh, list[dict[str, str | int]], str]:
+) -> tuple[omtwarp.PaintedMesh, list[dict[str, str | int]], str]:
     """Return a mesh in its own coordinates, with its own materials, or with bakes; its pictures, and words on them."""
-    from omtwarp.mesh.read import read_mesh
-    from omtwarp.texturing import paint
     from omtwarp.texturing.bakes import MOST_RAYS
 
     fine = None
     if painting.detail is not None:
-        finer = read_mesh(painting.detail, together=True)
+        finer = omtwarp.read_mesh(painting.detail, together=True)
         fine = (finer.vertices, finer.faces)
     with warnings_as_lines():
-        made = paint(
+        made = omtwarp.paint(
             result,
             painted,
             image,
@@ -464,7 +454,7 @@ def _painted(
     return made, pictures, ", ".join(dict.fromkeys(drawn)) or "no picture"
 
 
-def _pictures(made: PaintedMesh) -> list[dict[str, str | int]]:
+def _pictures(made: omtwarp.PaintedMesh) -> list[dict[str, str | int]]:
     """List the pictures of a mesh's materials: the material, what the picture shows, and its size."""
     pictures: list[dict[str, str | int]] = []
     for material in made.materials:
@@ -589,14 +579,13 @@ def run_transfer(
         map_of_target: A finished map of TO.
         repair: Repair the mesh first: equal vertices, orientation, small holes, largest component; prints what it did.
     """
-    from omtwarp.transfer import transfer_texture
 
     check_output(output, (".glb", ".obj"), source, target, map_of_source, map_of_target)
     (painted, result), (plain, other) = painted_maps(
         [(source, map_of_source), (target, map_of_target)], repair=repair, device=device, printing=printing
     )
     with warnings_as_lines():
-        made = transfer_texture(painted, result, other, onto=plain, device=device, **vars(how))
+        made = omtwarp.transfer_texture(painted, result, other, onto=plain, device=device, **vars(how))
     files = made.export(output, keep=(source, target, map_of_source, map_of_target))
     facts: dict[str, object] = {"output": str(output), "files": [str(file) for file in files], "from": str(source)}
     facts |= {"vertices": len(other.vertices), "faces": len(other.faces)}

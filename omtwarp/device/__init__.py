@@ -15,10 +15,7 @@ from omtwarp.errors import OmtwarpError, shown
 class Solver(StrEnum):
     """How sparse systems are solved: by SciPy, a built-in solver or, on a GPU, cuDSS; ``auto`` takes a built-in one."""
 
-    AUTO = "auto"
-    SCIPY = "scipy"
-    CHOLESKY = "cholesky"
-    CUDSS = "cudss"
+    AUTO, SCIPY, CHOLESKY, CUDSS = "auto", "scipy", "cholesky", "cudss"
 
 
 def parse_device(value: object) -> str:

@@ -179,6 +179,11 @@ def edge_keys(ends: NDArray[np.integer], vertex_count: int) -> NDArray[np.int64]
     return ends.min(axis=1) * vertex_count + ends.max(axis=1)
 
 
+def summed(values: NDArray[np.floating], places: NDArray[np.integer], count: int = 0) -> NDArray[np.float64]:
+    """Return the sums of rows of numbers, shape [N, C], that have the same place, shape [count, C] or more rows."""
+    return np.stack([np.bincount(places, column, count) for column in values.T], axis=1)
+
+
 def owned(values: object, dtype: type[np.generic]) -> NDArray[np.generic]:
     """Return a read-only copy, or the array itself if it is one already."""
     array = np.asarray(values)

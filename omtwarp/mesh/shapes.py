@@ -15,7 +15,7 @@ from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import TINY, Floats, normalised
+from omtwarp.mesh.arrays import TINY, Floats, normalised, summed
 from omtwarp.mesh.surface import Surface
 
 Faces = NDArray[np.int64]
@@ -430,8 +430,7 @@ def _average_of_neighbours(surface: Surface, points: Floats) -> Floats:
     following = points[np.roll(surface.faces, -1, axis=1).ravel()]
     degree = np.bincount(flat, minlength=surface.vertex_count)
     # In a closed oriented mesh every neighbour follows a vertex in exactly one face.
-    sums = [np.bincount(flat, weights=following[:, k], minlength=surface.vertex_count) for k in range(3)]
-    return np.stack(sums, axis=1) / degree[:, None]
+    return summed(following, flat, surface.vertex_count) / degree[:, None]
 
 
 def _onto_surface(value: Callable[[Floats], Floats], points: Floats, cell: float, steps: int) -> Floats:

@@ -14,7 +14,16 @@ from omtwarp.device.arrays import sent
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints, in_range, real_numbers, require_unit_length, whole_numbers
+from omtwarp.mesh.arrays import (
+    ROUND_OFF,
+    Floats,
+    Ints,
+    in_range,
+    real_numbers,
+    require_unit_length,
+    summed,
+    whole_numbers,
+)
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.validate import MeshLike, mesh_arrays, require_valid
 
@@ -248,22 +257,10 @@ class Surface:
         return order if twos and not np.any(ranked[2::2] == ranked[1:-1:2]) else None
 
 
-# Cached properties that do not depend on the measure of the triangles, and arrays on a device that do.
-_UNWEIGHTED = frozenset(
-    {
-        "checked",
-        "scaled_vertices",
-        "own_areas",
-        "face_neighbours",
-        "vertex_corners",
-        "edges",
-        "edge_corners",
-        "side_corners",
-        "_kept",
-        "_sides",
-    }
-)
-_WEIGHTED = frozenset({"face_areas", "vertex_areas"})
+# Arrays that depend on the measure of the triangles, and what a surface of another measure takes over.
+_WEIGHTED = {"face_areas", "vertex_areas"}
+_CACHED = {name for name, value in vars(Surface).items() if isinstance(value, cached_property)}
+_UNWEIGHTED = {"checked", "_kept"} | _CACHED - _WEIGHTED
 
 
 def scaled_areas(areas: ArrayLike, count: int) -> Floats:
@@ -288,6 +285,11 @@ def scaled_areas(areas: ArrayLike, count: int) -> Floats:
     return given * (SPHERE_AREA / math.fsum(given))  # the same in any order of the triangles
 
 
+def _on_device(name: str, dtype: type) -> property:
+    """Return a property that is a surface's array of a name, on the device."""
+    return property(lambda arrays: arrays._array(name, dtype))
+
+
 class SurfaceArrays:
     """Arrays of a surface on a device; kernels read them. Made by :meth:`omtwarp.mesh.surface.Surface.on`.
 
@@ -310,45 +312,31 @@ class SurfaceArrays:
             self._sent[key] = sent(values if part is None else values[part], dtype, self._device)
         return self._sent[key]
 
-    @property
-    def vertices(self) -> wp.array:
-        """Positions, vec3d, shape [V], in the units of the input; times a power of two where those are extreme."""
-        return self._array("moderate_vertices", wp.vec3d)
+    vertices = _on_device("moderate_vertices", wp.vec3d)
+    """Positions, vec3d, shape [V], in the units of the input; times a power of two where those are extreme."""
 
-    @property
-    def faces(self) -> wp.array:
-        """Corners of the triangles, vec3i, shape [F]."""
-        return self._array("faces", wp.vec3i)
+    faces = _on_device("faces", wp.vec3i)
+    """Corners of the triangles, vec3i, shape [F]."""
 
-    @property
-    def face_areas(self) -> wp.array:
-        """Areas of the scaled triangles, float64, shape [F]."""
-        return self._array("face_areas", wp.float64)
+    face_areas = _on_device("face_areas", wp.float64)
+    """Areas of the scaled triangles, float64, shape [F]."""
 
-    @property
-    def vertex_areas(self) -> wp.array:
-        """A third of the areas around every vertex, float64, shape [V]."""
-        return self._array("vertex_areas", wp.float64)
+    vertex_areas = _on_device("vertex_areas", wp.float64)
+    """A third of the areas around every vertex, float64, shape [V]."""
 
-    @property
-    def face_neighbours(self) -> wp.array:
-        """The faces across the edges of every face, vec3i, shape [F]."""
-        return self._array("face_neighbours", wp.vec3i)
+    face_neighbours = _on_device("face_neighbours", wp.vec3i)
+    """The faces across the edges of every face, vec3i, shape [F]."""
 
     @property
     def vertex_corners(self) -> list[wp.array]:
         """Corners around every vertex as compressed rows, int32: offsets, shape [V + 1], and corners, shape [3F]."""
         return [self._array("vertex_corners", wp.int32, part) for part in range(2)]
 
-    @property
-    def edges(self) -> wp.array:
-        """Every edge once, vec2i, shape [E]."""
-        return self._array("edges", wp.vec2i)
+    edges = _on_device("edges", wp.vec2i)
+    """Every edge once, vec2i, shape [E]."""
 
-    @property
-    def edge_corners(self) -> wp.array:
-        """The corners opposite to every edge, vec2i, shape [E]; -1 for the second of an edge with one triangle."""
-        return self._array("side_corners", wp.vec2i)
+    edge_corners = _on_device("side_corners", wp.vec2i)
+    """The corners opposite to every edge, vec2i, shape [E]; -1 for the second of an edge with one triangle."""
 
 
 def plane_areas(corners: Floats) -> Floats:
@@ -373,9 +361,7 @@ def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
     scaled = (vertices - low) / max(float((high - low).max()), np.finfo(float).tiny)
     p0, p1, p2 = (scaled[faces[:, k]] for k in range(3))
     weighted = np.cross(p1 - p0, p2 - p0)
-    total = np.stack(
-        [np.bincount(faces.ravel(), np.repeat(weighted[:, k], 3), minlength=len(vertices)) for k in range(3)], axis=1
-    )
+    total = summed(np.repeat(weighted, 3, axis=0), faces.ravel(), len(vertices))
     length = np.linalg.norm(total, axis=1, keepdims=True)
     return total / np.where(length > 0, length, 1.0)
 

@@ -20,8 +20,7 @@ from omtwarp.mesh.vtk import write_vtk
 class Target(IntEnum):
     """What a view of a buffer is for in glTF 2.0, by OpenGL's numbers."""
 
-    ARRAY_BUFFER = 34962
-    ELEMENT_ARRAY_BUFFER = 34963
+    ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 
 
 SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb", ".gii", ".vtk", *FREESURFER_SUFFIXES)

@@ -30,9 +30,7 @@ PI_F = wp.constant(wp.float32(math.pi))
 class Kind(IntEnum):
     """What a part's corners hold: colours, texture coordinates, or directions on the sphere."""
 
-    COLOR = 0
-    UV = 1
-    SPHERE = 2
+    COLOR, UV, SPHERE = 0, 1, 2
 
 
 @wp.struct

@@ -21,11 +21,12 @@ much next to the poles that a viewer which chooses mip maps by the larger stretc
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 from enum import IntEnum
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.limits import LONGEST_SIDE, MOST_TEXELS
@@ -51,20 +52,15 @@ CUBE_FRAMES = np.array(
 SIZE = 2048  # texels across a picture where no size is given
 
 
-def _triple(values: Floats) -> tuple[float, float, float]:
-    return float(values[0]), float(values[1]), float(values[2])
-
-
 # Sine of the angle below which a point counts as lying on a cut: far below any texel, far above round-off.
 ON_CUT = 1e-9
 
 
-@dataclass(frozen=True)
-class Arc:
+class Arc(NamedTuple):
     """A piece of a great circle: the points with ``normal · p = 0`` and ``h · p > 0`` for every half-space h."""
 
-    normal: tuple[float, float, float]
-    half_spaces: tuple[tuple[float, float, float], ...] = ()
+    normal: ArrayLike
+    half_spaces: tuple[ArrayLike, ...] = ()
 
 
 def normalised(vectors: Floats) -> Floats:
@@ -83,11 +79,7 @@ def lengths(vectors: Floats) -> Floats:
 class Kind(IntEnum):
     """Kinds of picture; the first three are the atlases, the last is one that repeats both ways."""
 
-    EQUIRECTANGULAR = 0
-    CUBE = 1
-    OCTAHEDRAL = 2
-    SINUSOIDAL = 3
-    REPEATED = 4
+    EQUIRECTANGULAR, CUBE, OCTAHEDRAL, SINUSOIDAL, REPEATED = 0, 1, 2, 3, 4
 
 
 class Atlas(ABC):
@@ -96,7 +88,10 @@ class Atlas(ABC):
     Attributes:
         name: one of ``ATLASES``.
         width, height: size of the picture in texels.
-        kind, parameters: arguments of the kernels (see :mod:`omtwarp.texturing.kernels`).
+        kind: argument of the kernels (see :mod:`omtwarp.texturing.kernels`).
+        parameters: more of them: longitude of the left border (equirectangular) or side of a cell (cube) in texels, and
+            gutter in texels.
+        texel_angle: roughly the smallest angle, in radians, that the side of a texel covers.
         wraps: whether u is periodic.
         corners: directions that must be vertices of the mesh.
         arcs: where the mesh is cut.
@@ -104,9 +99,11 @@ class Atlas(ABC):
 
     name: str
     kind: Kind
+    texel_angle: float
+    parameters: tuple[float, float]
     wraps = False
     gutter = 0
-    corners: tuple[tuple[float, float, float], ...] = ()
+    corners: tuple[tuple[float, ...], ...] = ()
     arcs: tuple[Arc, ...] = ()
     chart_count = 1
 
@@ -115,16 +112,6 @@ class Atlas(ABC):
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.width}x{self.height})"
-
-    @property
-    @abstractmethod
-    def texel_angle(self) -> float:
-        """Roughly the smallest angle, in radians, that the side of a texel covers."""
-
-    @property
-    def parameters(self) -> tuple[float, float]:
-        """Longitude of the left border (equirectangular) or side of a cell (cube) in texels, and gutter in texels."""
-        return 0.0, float(self.gutter)
 
     @property
     def row_lengths(self) -> Ints:
@@ -193,21 +180,14 @@ class Equirectangular(Atlas):
 
     def __init__(self, width: int, height: int, seam: float = np.pi):
         super().__init__(width, height)
-        self.seam = float(seam)
+        self.seam, self.texel_angle = float(seam), np.pi / height
+        self.parameters = self.seam - np.pi, 0.0
         # The cut is the half-plane y = 0, x < 0 after a rotation that brings the seam to longitude π. At π that
         # rotation is exactly the identity.
         turn = np.pi - self.seam
         self._cos = 1.0 if turn == 0.0 else float(np.cos(turn))
         self._sin = 0.0 if turn == 0.0 else float(np.sin(turn))
         self.arcs = (Arc((self._sin, self._cos, 0.0), ((-self._cos, self._sin, 0.0),)),)
-
-    @property
-    def texel_angle(self) -> float:
-        return np.pi / self.height
-
-    @property
-    def parameters(self) -> tuple[float, float]:
-        return self.seam - np.pi, 0.0
 
     def charts(self, directions: Floats) -> Ints:
         return np.zeros(len(directions), dtype=np.int32)
@@ -252,7 +232,7 @@ class Cube(Atlas):
     """
 
     name, kind, chart_count = "cube", Kind.CUBE, 6
-    corners = tuple((x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0))
+    corners = tuple(product((-1.0, 1.0), repeat=3))
 
     def __init__(self, cell: int, gutter: int | None = None, size: tuple[int, int] | None = None):
         width, height = (3 * cell, 2 * cell) if size is None else size
@@ -260,25 +240,12 @@ class Cube(Atlas):
         self.cell = int(cell)
         self.columns = 4 if width == 2 * height else 3
         self.gutter = max(2, self.cell // 24) if gutter is None else int(gutter)
-        arcs = []
-        for axis in range(3):  # the edges of the cube that run along this axis lie in the planes |a| = |b|
-            a, b = (axis + 1) % 3, (axis + 2) % 3
-            for sa in (-1.0, 1.0):
-                for sb in (-1.0, 1.0):
-                    normal, low, high = np.zeros(3), np.zeros(3), np.zeros(3)
-                    normal[a], normal[b] = sa, -sb
-                    low[a] = high[a] = sa
-                    low[axis], high[axis] = 1.0, -1.0
-                    arcs.append(Arc(_triple(normal), (_triple(low), _triple(high))))
-        self.arcs = tuple(arcs)
-
-    @property
-    def texel_angle(self) -> float:
-        return 2.0 * QUARTER / (self.cell - 2 * self.gutter)
-
-    @property
-    def parameters(self) -> tuple[float, float]:
-        return float(self.cell), float(self.gutter)
+        self.parameters, self.texel_angle = (float(cell), float(self.gutter)), 2.0 * QUARTER / (cell - 2 * self.gutter)
+        axes = np.eye(3)
+        self.arcs = tuple(  # the edges of the cube that run along an axis lie in the planes |a| = |b|
+            Arc(sa * axes[k - 2] - sb * axes[k - 1], (sa * axes[k - 2] + axes[k], sa * axes[k - 2] - axes[k]))
+            for k, sa, sb in product(range(3), (-1.0, 1.0), (-1.0, 1.0))
+        )
 
     @property
     def row_lengths(self) -> Ints:
@@ -327,10 +294,8 @@ class Octahedral(Atlas):
     def __init__(self, size: int):
         super().__init__(size, size)
         self.gutter = max(2, int(size) // 64)
-
-    @property
-    def texel_angle(self) -> float:
-        return 2.0 / (self.width - 2 * self.gutter)  # at the poles; up to 2.4 times that in the middle of an octant
+        self.parameters = 0.0, float(self.gutter)
+        self.texel_angle = 2.0 / (size - 2 * self.gutter)  # at the poles; up to 2.4 times that in an octant's middle
 
     def charts(self, directions: Floats) -> Ints:
         negative = np.asarray(directions) < 0
@@ -373,9 +338,7 @@ def make_atlas(name: str, size: int | tuple[int, int] | None = None, *, seam: fl
     """
     if not isinstance(name, str) or name not in ATLASES:
         raise OmtwarpError(f"unknown atlas '{name}': use {', '.join(ATLASES[:-1])} or {ATLASES[-1]}")
-    if size is None:
-        size = SIZE
-    pair = check_size(size)
+    pair = check_size(SIZE if size is None else size)
     if len(pair) == 2 and name == "octahedral":
         raise OmtwarpError(f"texture size {size!r}: the octahedral atlas takes a width only")
     width = pair[0]

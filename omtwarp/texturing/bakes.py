@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.colors import colormap_table
+from omtwarp.device.arrays import sent
 from omtwarp.device.start import KERNEL_OPTIONS, wp
 from omtwarp.device.threads import each, launch_parts
 from omtwarp.errors import OmtwarpError
@@ -144,17 +145,11 @@ def detail_normals(target: Target, tangents: Floats, detail: tuple[Floats, Ints]
     known = np.flatnonzero(covered(target.uv, target.size, device=target.device).ravel())
     rows = rows[known]
     where = wp.get_device(target.device)
-    mesh = wp.Mesh(
-        points=wp.array(((fine - low) / scale).astype(np.float32), dtype=wp.vec3, device=where),
-        indices=wp.array(np.ascontiguousarray(triangles.ravel(), dtype=np.int32), dtype=wp.int32, device=where),
-    )
-    numbers = wp.array(np.ascontiguousarray(triangles, dtype=np.int32), dtype=wp.int32, device=where)
-    normals = wp.array(vertex_normals(fine, triangles), dtype=wp.vec3d, device=where)
-    columns = [
-        wp.array(np.ascontiguousarray(rows[:, :3]), dtype=wp.vec3d, device=where),
-        wp.array(np.ascontiguousarray(rows[:, 3:6]), dtype=wp.vec3d, device=where),
-        wp.array(np.ascontiguousarray(rows[:, 6:]), dtype=wp.vec4d, device=where),
-    ]
+    numbers = sent(triangles.astype(np.int32), wp.int32, where)
+    mesh = wp.Mesh(sent(((fine - low) / scale).astype(np.float32), wp.vec3, where), numbers.flatten())
+    normals = sent(vertex_normals(fine, triangles), wp.vec3d, where)
+    kinds = ((slice(3), wp.vec3d), (slice(3, 6), wp.vec3d), (slice(6, 10), wp.vec4d))
+    columns = [sent(rows[:, part], kind, where) for part, kind in kinds]
     out = wp.zeros(len(known), dtype=wp.vec3d, device=where)
     launch_parts(kernels.tangent_normals, len(known), [mesh.id, numbers, normals, *each(*columns)], each(out), where)
     local = np.zeros((target.size[0] * target.size[1], 3))
@@ -381,14 +376,9 @@ def open_shares(
         where: the device.
     """
     corners = without_slivers(vertices[faces]).reshape(-1, 3)
-    mesh = wp.Mesh(
-        points=wp.array(corners.astype(np.float32), dtype=wp.vec3, device=where),
-        indices=wp.array(np.arange(len(corners)), dtype=wp.int32, device=where),
-    )
-    start = wp.array(origins.astype(np.float32), dtype=wp.vec3, device=where)
-    ways = wp.array(normals.astype(np.float32), dtype=wp.vec3, device=where)
-    which = wp.array(numbers.astype(np.int32), dtype=wp.int32, device=where)
-    begin = wp.array(firsts.astype(np.float32), dtype=wp.float32, device=where)
+    points, start, ways = (sent(x.astype(np.float32), wp.vec3, where) for x in (corners, origins, normals))
+    which, indices = (sent(x.astype(np.int32), wp.int32, where) for x in (numbers, np.arange(len(corners))))
+    mesh, begin = wp.Mesh(points, indices), sent(firsts.astype(np.float32), wp.float32, where)
     out = wp.zeros(len(origins), dtype=wp.float32, device=where)
     launch_parts(cast_open_rays, len(origins), [mesh.id, *each(start, ways, which, begin), rays], each(out), where)
     return out.numpy().astype(np.float64)

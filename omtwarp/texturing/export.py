@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from omtwarp.colors import to_linear
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.output import as_path, companion, staged
-from omtwarp.mesh.arrays import ROUND_OFF, TINY, Bytes, Floats, Ints, single_precision
+from omtwarp.mesh.arrays import ROUND_OFF, TINY, Bytes, Floats, Ints, single_precision, summed
 from omtwarp.mesh.write import Target
 from omtwarp.options import TextureFormat
 from omtwarp.texturing.image import png_bytes, webp_bytes
@@ -113,7 +113,7 @@ def corner_tangents(vertices: Floats, faces: Ints, uv: Floats, normals: Floats) 
     _, group = np.unique(rows, axis=0, return_inverse=True)
     group = group.reshape(-1)
     each = np.repeat(tangent, 3, axis=0)
-    total = np.stack([np.bincount(group, each[:, k]) for k in range(3)], axis=1)[group]
+    total = summed(each, group)[group]
     normal = normals[faces.ravel()]
     flat = total - normal * (total * normal).sum(axis=1, keepdims=True)
     length = np.linalg.norm(flat, axis=1, keepdims=True)

@@ -238,6 +238,8 @@ def rotation_matrix(rotate: ArrayLike | None) -> Floats:
     Raises:
         OmtwarpError: the argument has none of these forms, or the matrix is no rotation.
     """
+    from scipy.spatial.transform import Rotation  # takes a tenth of a second to import
+
     if rotate is None:
         return np.eye(3)
     try:
@@ -250,19 +252,8 @@ def rotation_matrix(rotate: ArrayLike | None) -> Floats:
             raise OmtwarpError(
                 "rotate: the 3x3 matrix is not a rotation: its rows must be orthonormal, its determinant 1"
             )
-        u, _, vt = np.linalg.svd(given)  # the nearest exact rotation: the 1e-6 above must not reach the texture
-        return u @ vt
+        return Rotation.from_matrix(given).as_matrix()  # exact: the 1e-6 above must not reach the texture
     angles = np.atleast_1d(given)
     if angles.shape not in ((1,), (3,)) or not np.all(np.isfinite(angles)):
         raise OmtwarpError("rotate: give yaw, or yaw, pitch and roll in degrees, or a 3x3 rotation matrix")
-    yaw, pitch, roll = np.deg2rad(np.concatenate([angles, np.zeros(3 - len(angles))]))
-    return _turn(2, yaw) @ _turn(1, pitch) @ _turn(0, roll)
-
-
-def _turn(axis: int, angle: float) -> Floats:
-    c, s = np.cos(angle), np.sin(angle)
-    a, b = (axis + 1) % 3, (axis + 2) % 3
-    matrix = np.eye(3)
-    matrix[a, a] = matrix[b, b] = c
-    matrix[a, b], matrix[b, a] = -s, s
-    return matrix
+    return Rotation.from_euler("ZYX", np.pad(angles, (0, 3 - len(angles))), degrees=True).as_matrix()

@@ -209,8 +209,7 @@ class _Sheet:
 
 def _sheet(made: TexturedSurface, vertices: Floats, faces: Ints) -> _Sheet:
     """Return a textured surface with its copies of vertices along seams joined; ``vertices`` and ``faces`` as given."""
-    first = np.zeros(int(made.welded.max()) + 1, dtype=np.int64)
-    first[made.welded[::-1]] = np.arange(len(made.welded))[::-1]
+    _, first = np.unique(made.welded, return_index=True)
     return _Sheet(
         vertices=made.vertices[first],
         faces=made.welded[made.faces].astype(np.int32),

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import cg
 
 from omtwarp.flips.exact import flipped_faces
-from omtwarp.mesh.arrays import Floats, Ints
+from omtwarp.mesh.arrays import Floats, Ints, summed
 
 HALVINGS = 4  # of the difference from the linear map, before the map is linear there
 
@@ -273,10 +273,7 @@ def _edge_derivatives(places: Floats, faces: Ints, sphere: Floats, ends: NDArray
     count = len(places)
     corner = places[faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    total: Floats = np.stack(
-        [np.bincount(faces.ravel(), np.repeat(normal[:, k], 3), minlength=count) for k in range(3)], axis=1
-    )
-    first, second = _tangents(total)
+    first, second = _tangents(summed(np.repeat(normal, 3, axis=0), faces.ravel(), count))
     edge = places[ends[:, 1]] - places[ends[:, 0]]
     length = np.maximum(np.linalg.norm(edge, axis=1), 1e-9)  # in extents: divisions by it do not overflow
     # Unit direction of the edge in the tangent plane of each end: the bending of the surface itself is left out.
@@ -354,10 +351,7 @@ def _inside(
     sign = np.where(forward[..., 0], 1.0, -1.0)
     flat = edge_of.ravel()
     number = np.bincount(flat, minlength=len(ends))
-    mean: Floats = np.stack(
-        [np.bincount(flat, (sign * inwards[..., k]).ravel(), minlength=len(ends)) for k in range(3)], axis=1
-    )
-    mean /= np.maximum(number, 1)[:, None]
+    mean = summed((sign[..., None] * inwards).reshape(-1, 3), flat, len(ends)) / np.maximum(number, 1)[:, None]
     inwards = sign[..., None] * mean[edge_of]
     # Derivative from the middle of each side towards the middle of the triangle, and the control point that gives it.
     speed = 3.0 / 4.0 * (np.roll(value, -1, axis=1) + before - after - value)
