@@ -251,13 +251,9 @@ def freesurfer_icosahedron(level: int) -> tuple[Floats, Ints]:
     """
     turn = 2.0 * np.pi / 5.0 * np.arange(5)
     z, radius = 1.0 / np.sqrt(5.0), 2.0 / np.sqrt(5.0)
-    upper = np.stack(
-        [radius * np.cos(turn - np.pi * (2.0 / 5.0)), radius * np.sin(turn - np.pi * (2.0 / 5.0)), np.full(5, z)],
-        axis=1,
-    )
-    lower = np.stack(
-        [radius * np.cos(turn - np.pi * (3.0 / 5.0)), radius * np.sin(turn - np.pi * (3.0 / 5.0)), np.full(5, -z)],
-        axis=1,
+    upper, lower = (
+        np.column_stack([radius * np.cos(turn - start), radius * np.sin(turn - start), np.full(5, height)])
+        for start, height in ((np.pi * (2.0 / 5.0), z), (np.pi * (3.0 / 5.0), -z))
     )
     points = np.concatenate([[[0.0, 0.0, 1.0]], upper, lower, [[0.0, 0.0, -1.0]]])
     # Clockwise seen from outside while midpoints are numbered.

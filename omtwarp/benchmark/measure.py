@@ -18,7 +18,8 @@ import subprocess
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
@@ -278,76 +279,65 @@ class KernelRecord:
         launches: how many.
         threads: of all launches.
         seconds: time spent in it.
-        moved: bytes it had to read and write.
+        bytes: that it had to read and write.
     """
 
     launches: int = 0
     threads: int = 0
     seconds: float = 0.0
-    moved: int = 0
+    bytes: int = 0
 
 
-class LaunchRecorder:
-    """Times all launches on one device between entering and leaving; the launches themselves are unchanged.
+@contextlib.contextmanager
+def recorded_launches(device: str) -> Iterator[dict[str, KernelRecord]]:
+    """Time all launches on one device meanwhile, by the names of their kernels; the launches themselves are unchanged.
 
-    Recorded graphs are launched step by step meanwhile.
+    Recorded graphs are launched step by step.
     """
+    where, launch, lock = wp.get_device(device), wp.launch, threading.Lock()
+    kernels: dict[str, KernelRecord] = defaultdict(KernelRecord)
+    events: list[tuple[KernelRecord, wp.Event, wp.Event]] = []
 
-    def __init__(self, device: str):
-        self.device = wp.get_device(device)
-        self.kernels: dict[str, KernelRecord] = {}
-        self._lock = threading.Lock()
-        self._events: list[tuple[KernelRecord, wp.Event, wp.Event]] = []
-        self._steps = step_by_step()
-
-    def __enter__(self) -> LaunchRecorder:
-        self._steps.__enter__()
-        self._launch = wp.launch
-        wp.launch = self._timed
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        wp.launch = self._launch
-        self._steps.__exit__(None, None, None)
-        if self._events:
-            wp.synchronize_device(self.device)
-            for record, begin, end in self._events:
-                record.seconds += wp.get_event_elapsed_time(begin, end, synchronize=False) / 1e3
-            self._events.clear()
-
-    def _timed(
-        self,
+    def timed(
         kernel: wp.Kernel,
         dim: int | tuple[int, ...],
         inputs: Sequence[object] = (),
         outputs: Sequence[object] = (),
-        *rest: object,
         **options: object,
     ) -> object:
-        if options.get("record_cmd") or wp.get_device(options.get("device")) != self.device:
-            return self._launch(kernel, dim, inputs, outputs, *rest, **options)
+        if options.get("record_cmd") or wp.get_device(options.get("device")) != where:
+            return launch(kernel, dim, inputs, outputs, **options)
         threads = int(np.prod(dim))
-        with self._lock:
-            name = f"{kernel.module.name.removeprefix('omtwarp.')}.{kernel.key}"
-            record = self.kernels.setdefault(name, KernelRecord())
+        with lock:
+            record = kernels[f"{kernel.module.name.removeprefix('omtwarp.')}.{kernel.key}"]
             record.launches += 1
             record.threads += threads
             if f"{kernel.module.name}.{kernel.key}" not in LISTED:
-                record.moved += moved_bytes(threads, [*inputs, *outputs])
-        if self.device.is_cuda:
-            begin, end = (wp.Event(self.device, enable_timing=True) for _ in range(2))
-            stream = self.device.stream  # that of the launch; Warp's default device may be another
-            stream.record_event(begin)
-            result = self._launch(kernel, dim, inputs, outputs, *rest, **options)
-            stream.record_event(end)
-            self._events.append((record, begin, end))
+                record.bytes += moved_bytes(threads, [*inputs, *outputs])
+        if where.is_cuda:
+            begin, end = (wp.Event(where, enable_timing=True) for _ in range(2))
+            where.stream.record_event(begin)  # of the launch; Warp's default device may have another
+            result = launch(kernel, dim, inputs, outputs, **options)
+            where.stream.record_event(end)
+            events.append((record, begin, end))
             return result
         start = time.perf_counter()
-        result = self._launch(kernel, dim, inputs, outputs, *rest, **options)
+        result = launch(kernel, dim, inputs, outputs, **options)
         seconds = time.perf_counter() - start
-        with self._lock:
+        with lock:
             record.seconds += seconds
         return result
+
+    with step_by_step():
+        wp.launch = timed
+        try:
+            yield kernels
+        finally:
+            wp.launch = launch
+    if events:
+        wp.synchronize_device(where)
+    for record, begin, end in events:
+        record.seconds += wp.get_event_elapsed_time(begin, end, synchronize=False) / 1e3
 
 
 def moved_bytes(threads: int, arguments: Sequence[object]) -> int:
@@ -401,20 +391,11 @@ def kernel_table(surface: Surface, device: str, refine: str | float | None) -> F
         ``seconds``, ``bytes``, ``bytes_per_second`` and ``part_of_copy``.
     """
     bandwidth = copy_bandwidth(device)
-    with LaunchRecorder(device) as recorder:
+    with recorded_launches(device) as kernels:
         map_to_sphere((surface.vertices, surface.faces), device=device, refine=refine)
     rows: list[Facts] = []
-    for name, record in sorted(recorder.kernels.items(), key=lambda item: -item[1].seconds):
-        rate = record.moved / record.seconds if record.seconds > 0.0 else 0.0
-        rows.append(
-            {
-                "name": name,
-                "launches": record.launches,
-                "threads": record.threads,
-                "seconds": record.seconds,
-                "bytes": record.moved,
-                "bytes_per_second": rate,
-                "part_of_copy": rate / bandwidth,
-            }
-        )
+    for name, record in sorted(kernels.items(), key=lambda item: -item[1].seconds):
+        rate = record.bytes / record.seconds if record.seconds > 0.0 else 0.0
+        speed = {"bytes_per_second": rate, "part_of_copy": rate / bandwidth}
+        rows.append({"name": name, **vars(record), **speed})
     return {"device": device, "faces": surface.face_count, "bandwidth": bandwidth, "kernels": rows}

@@ -15,8 +15,8 @@ from typing import TextIO
 
 from omtwarp.cohort.item import NUMBERS, OF_REGISTRATION, OK, REAL, WHOLE, Row
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
+from omtwarp.files import output
 from omtwarp.files.inputs import read_bytes
-from omtwarp.files.output import staged
 
 MESH_SUFFIXES = (
     *(".ply", ".obj", ".off", ".stl", ".glb", ".gltf", ".gii", ".vtk", ".vtp", ".vtu", ".mz3", ".msh", ".mesh"),
@@ -193,15 +193,12 @@ def write_table(rows: Sequence[Row], folder: Path) -> Path:
         import pyarrow.parquet as parquet
     except ImportError:
         target = folder / "table.csv"
-        with staged(target) as file, open(file, "w", encoding="utf-8", newline="") as stream:
-            writer = csv.writer(stream)
-            writer.writerow(names)
-            writer.writerows([["" if row.get(name) is None else row[name] for name in names] for row in rows])
+        output.write_table(target, names, [[row.get(name) for name in names] for row in rows])
     else:
         target = folder / "table.parquet"
         kinds = {name: arrow.int64() for name in WHOLE} | {name: arrow.float64() for name in REAL}
         columns = [arrow.array([row.get(name) for row in rows], kinds.get(name, arrow.string())) for name in names]
-        with staged(target) as file:
+        with output.staged(target) as file:
             parquet.write_table(arrow.table(columns, names=names), file)
     other = folder / ("table.csv" if target.suffix == ".parquet" else "table.parquet")
     other.unlink(missing_ok=True)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from omtwarp.maps.result import MapReport
+    from omtwarp.mesh.repair import Repaired
 
 
 AnyMap: TypeAlias = "omtwarp.MapResult | omtwarp.TorusMap"
@@ -163,6 +164,35 @@ def with_files(files: Sequence[Path]) -> str:
     return f"\nwith {' and '.join(str(file) for file in files[:-1])}" if len(files) > 1 else ""
 
 
+def sound_surface(
+    path: Path, vertices: NDArray, faces: NDArray, notes: list[str], repair: bool, *, any_surface: bool = False
+) -> tuple[omtwarp.Surface, Repaired | None]:
+    """Return a surface that can be mapped, and the repairs if there were any; say what was noted and repaired.
+
+    Args:
+        path: the file.
+        vertices, faces: what is in it.
+        notes: what reading did, in words; repairs are added.
+        repair: whether to repair the mesh first.
+        any_surface: whether holes, handles and several parts are left to :func:`omtwarp.map_surface`.
+
+    Raises:
+        OmtwarpError: the mesh cannot be mapped.
+    """
+    from omtwarp.mesh.validate import as_arrays, require_valid
+
+    repaired = omtwarp.repair(vertices, faces, whole=not any_surface) if repair else None
+    if repaired is not None and repaired.actions:
+        vertices, faces = repaired.vertices, repaired.faces
+        notes += repaired.actions
+    for note in notes:
+        say(f"{path}: {note}")
+    checked = as_arrays(vertices, faces) if any_surface else require_valid(vertices, faces, str(path))
+    surface = omtwarp.Surface(*checked)
+    surface.checked = not any_surface
+    return surface, repaired if repaired is not None and repaired.actions else None
+
+
 def read_sound_mesh(
     path: Path, repair: bool = False, *, any_surface: bool = False, smoothing: int | None = None
 ) -> Input:
@@ -178,28 +208,14 @@ def read_sound_mesh(
         OmtwarpError: the file cannot be read, or its mesh cannot be mapped.
     """
     from omtwarp.mesh.read import read_joined_mesh
-    from omtwarp.mesh.validate import as_arrays, require_valid
 
     mesh = read_joined_mesh(path, together=repair or any_surface, smoothing=smoothing)
-    notes, vertex_of_file = [*of_a_map(path), *mesh.notes], mesh.vertex_of_file
-    vertices, faces = mesh.vertices, mesh.faces
-    sizes = len(mesh.file.vertices), len(faces)
-    origins = None if vertex_of_file is None else mesh.origins
-    if repair:
-        repaired = omtwarp.repair(vertices, faces, whole=not any_surface)
-        if repaired.actions:
-            vertices, faces = repaired.vertices, repaired.faces
-            notes += repaired.actions
-            origins, vertex_of_file = mesh.origins.compose(repaired.origins), None
-    for note in notes:
-        say(f"{path}: {note}")
-    if any_surface:
-        surface = omtwarp.Surface(*as_arrays(vertices, faces))
-    else:
-        surface = omtwarp.Surface(*require_valid(vertices, faces, str(path)))
-        surface.checked = True
-    surface.origins = origins
-    return Input(surface, sizes, notes, vertex_of_file, mesh.file.faces)
+    notes, of_file = [*of_a_map(path), *mesh.notes], mesh.vertex_of_file
+    surface, repaired = sound_surface(path, mesh.vertices, mesh.faces, notes, repair, any_surface=any_surface)
+    surface.origins = None if of_file is None else mesh.origins
+    if repaired is not None:
+        surface.origins, of_file = mesh.origins.compose(repaired.origins), None
+    return Input(surface, (len(mesh.file.vertices), len(mesh.faces)), notes, of_file, mesh.file.faces)
 
 
 def of_a_map(path: Path) -> list[str]:

@@ -25,7 +25,7 @@ from omtwarp.commands._options import (
 from omtwarp.commands._streams import input_file, progress_bar, step_times
 from omtwarp.commands._work import map_from, show_each, start_device, targets_of
 from omtwarp.errors import OmtwarpError
-from omtwarp.options import BACKGROUND, FILM_RATE, PICTURE_SIZE, Backend, Device, MapOptions
+from omtwarp.options import BACKGROUND, FILM_RATE, PICTURE_SIZE, Backend, Device, MapOptions, tell
 
 DEFAULT_SIZE = "x".join(map(str, PICTURE_SIZE))
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".gif", ".mp4")
@@ -209,8 +209,7 @@ def run_film(
             def notify(stage: str, done: int, total: int, facts: dict) -> None:
                 nonlocal frames
                 frames = total if stage == "film" else frames
-                if progress is not None:
-                    progress(stage, done, total, facts)
+                tell(progress, stage, done, total, facts)
 
             omtwarp.film(
                 result,

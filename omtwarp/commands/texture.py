@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
@@ -12,7 +10,7 @@ import typer
 
 import omtwarp
 from omtwarp.commands._options import Only, Printing, RouteOptions, Source, output_option
-from omtwarp.commands._streams import input_file, say, step_times, warnings_as_lines
+from omtwarp.commands._streams import input_file, step_times, warnings_as_lines
 from omtwarp.commands._work import (
     AnyMap,
     make_map,
@@ -23,6 +21,7 @@ from omtwarp.commands._work import (
     show_each,
     show_facts,
     sizes,
+    sound_surface,
     start_device,
     targets_of,
     with_files,
@@ -55,20 +54,11 @@ def read_sound_painted(path: Path, repair: bool) -> tuple[omtwarp.PaintedMesh, o
     Raises:
         OmtwarpError: the file cannot be read, or its mesh cannot be mapped.
     """
-    from omtwarp.mesh.validate import require_valid
-
     mesh = omtwarp.read_painted_mesh(path)
-    notes, origins = list(mesh.notes), None
-    if repair:
-        repaired = omtwarp.repair(mesh.vertices, mesh.faces)
-        if repaired.actions:
-            origins = dataclasses.replace(repaired.origins, given=len(mesh.vertices))
-            mesh = mesh.on(repaired.vertices, repaired.faces, repaired.face_origin)
-            notes += repaired.actions
-    for note in notes:
-        say(f"{path}: {note}")
-    surface = omtwarp.Surface(*require_valid(mesh.vertices, mesh.faces, str(path)))
-    surface.checked, surface.origins = True, origins
+    surface, repaired = sound_surface(path, mesh.vertices, mesh.faces, list(mesh.notes), repair)
+    if repaired is not None:
+        surface.origins = replace(repaired.origins, given=len(mesh.vertices))
+        mesh = mesh.on(repaired.vertices, repaired.faces, repaired.face_origin)
     return mesh, surface
 
 
@@ -90,59 +80,42 @@ def with_objects(path: Path | None, result: AnyMap) -> omtwarp.PaintedMesh:
     if numbers is None:
         return mesh
     origin = np.arange(len(result.faces)) if result.origins is None else result.origins.face_origin
-    return dataclasses.replace(mesh, objects=names, face_object=np.where(origin < 0, 0, numbers[origin]))
+    return replace(mesh, objects=names, face_object=np.where(origin < 0, 0, numbers[origin]))
 
 
-def painted_map(
-    path: Path, source: Source, mapping: MapOptions, printing: Printing
-) -> tuple[omtwarp.PaintedMesh, AnyMap]:
-    """Return a mesh with its materials and its map, which is read where it is finished and computed otherwise.
+def painted_with_map(
+    path: Path, of_map: Path | None, repair: bool
+) -> tuple[omtwarp.PaintedMesh, AnyMap | omtwarp.Surface]:
+    """Return a mesh with its materials and its map, or the surface to be mapped where there is no file of a map.
 
     Raises:
         OmtwarpError: the mesh or the map cannot be used, or the map is of another mesh.
     """
-
-    if source.finished is None:
-        mesh, surface = read_sound_painted(path, source.repair)
-        return mesh, mapped_surface(surface, path, mapping, printing)
+    if of_map is None:
+        return read_sound_painted(path, repair)
     from omtwarp.maps.torus_map import read_map
 
-    result = read_map(source.finished)
-    require_bijective(result, source.finished)
+    result = read_map(of_map)
+    require_bijective(result, of_map)
     mesh = omtwarp.read_painted_mesh(path)
-    if source.repair and len(mesh.faces) != len(result.faces):
-        mesh, _ = read_sound_painted(path, source.repair)
+    if repair and len(mesh.faces) != len(result.faces):
+        mesh, _ = read_sound_painted(path, repair)
     try:
         mesh.on(result.vertices, result.faces)
     except OmtwarpError as error:
-        raise OmtwarpError(f"{source.finished} and {path}: {error}") from None
+        raise OmtwarpError(f"{of_map} and {path}: {error}") from None
     return mesh, result
 
 
-def painted_maps(
-    files: Sequence[tuple[Path, Path | None]], *, repair: bool, device: str, printing: Printing
-) -> list[tuple[omtwarp.PaintedMesh, omtwarp.MapResult]]:
-    """Return meshes with their materials and maps of the whole sphere; all are read before the first is mapped.
-
-    Args:
-        files: of meshes, each with that of its finished map, or None for one that is computed.
-        repair: whether to repair meshes first.
-        device: where kernels run.
-        printing: what is said about new maps.
-
-    Raises:
-        OmtwarpError: a mesh or a map cannot be used, a map is of another mesh, or does not cover the sphere.
-    """
-    known, sound, mapping = {}, {}, MapOptions(device=device)
-    for number, (path, of_map) in enumerate(files):
-        if of_map is None:
-            sound[number] = read_sound_painted(path, repair)
-        else:
-            mesh, result = painted_map(path, Source(finished=of_map, repair=repair), mapping, printing)
-            known[number] = mesh, require_whole(result, of_map)
-    for number, (mesh, surface) in sound.items():
-        known[number] = mesh, mapped_surface(surface, files[number][0], mapping, printing)
-    return [known[number] for number in range(len(files))]
+def mapped(found: AnyMap | omtwarp.Surface, path: Path, mapping: MapOptions, printing: Printing) -> AnyMap:
+    """Return the map of a file; that of a surface is made, and it is said how well."""
+    if not isinstance(found, omtwarp.Surface):
+        return found
+    start_device(mapping.device)
+    made = make_map(found, mapping, quiet=printing.quiet)
+    require_bijective(made)
+    say_made(made, path, printing)
+    return made
 
 
 def standing(result: AnyMap, source: Path | None, up: str | None, front: str | None) -> AnyMap:
@@ -179,15 +152,6 @@ def standing(result: AnyMap, source: Path | None, up: str | None, front: str | N
     surface = omtwarp.Surface(result.vertices, result.faces)
     turn, certain = rotation_onto_axes(surface, result.sphere, np.stack([ahead, right, above]))
     return result.turned(turn.T) if certain else result
-
-
-def mapped_surface(surface: omtwarp.Surface, path: Path, mapping: MapOptions, printing: Printing) -> omtwarp.MapResult:
-    """Map the surface of a file, and say how well."""
-    start_device(mapping.device)
-    made = cast("omtwarp.MapResult", make_map(surface, mapping, quiet=printing.quiet))
-    require_bijective(made)
-    say_made(made, path, printing)
-    return made
 
 
 def texture_width(text: str | None) -> str | None:
@@ -388,7 +352,8 @@ def _mapped(
         return None, result
     if mesh is None or mesh.suffix.lower() == ".npz":
         raise OmtwarpError("--uv own and --keep-materials need the mesh itself: give it together with the map")
-    painted, result = painted_map(mesh, source, mapping, printing)
+    painted, found = painted_with_map(mesh, source.finished, source.repair)
+    result = mapped(found, mesh, mapping, printing)
     if painting.uv is Coordinates.OWN:
         painted.require_uv(str(mesh))
     return painted, result
@@ -581,9 +546,14 @@ def run_transfer(
     """
 
     check_output(output, (".glb", ".obj"), source, target, map_of_source, map_of_target)
-    (painted, result), (plain, other) = painted_maps(
-        [(source, map_of_source), (target, map_of_target)], repair=repair, device=device, printing=printing
-    )
+    given = (source, map_of_source), (target, map_of_target)
+    pairs = [painted_with_map(*one, repair) for one in given]  # all are read before the first is mapped
+    for (_, known), (_, of_map) in zip(pairs, given, strict=True):
+        if of_map is not None:
+            require_whole(cast("AnyMap", known), of_map)
+    mapping = MapOptions(device=device)
+    maps = [mapped(found, path, mapping, printing) for (_, found), (path, _) in zip(pairs, given, strict=True)]
+    (painted, plain), (result, other) = (mesh for mesh, _ in pairs), cast("list[omtwarp.MapResult]", maps)
     with warnings_as_lines():
         made = omtwarp.transfer_texture(painted, result, other, onto=plain, device=device, **vars(how))
     files = made.export(output, keep=(source, target, map_of_source, map_of_target))

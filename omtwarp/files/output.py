@@ -10,6 +10,7 @@ changed, of which a record in the folder (:data:`RECORD`) has the digests, or an
 from __future__ import annotations
 
 import contextlib
+import csv
 import errno
 import hashlib
 import json
@@ -19,7 +20,7 @@ import shutil
 import stat
 import tempfile
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from omtwarp.errors import OmtwarpError
@@ -373,6 +374,12 @@ def staged(path: str | os.PathLike[str], *, keep: Iterable[Path | None] = ()) ->
         raise OmtwarpError(str(error).replace(str(folder), str(given.parent))) from None
     except OSError as error:
         raise _cannot_write(given, error) from error
+
+
+def write_table(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Write a table of comma-separated values (.csv), empty where there is None."""
+    with staged(path) as file, open(file, "w", encoding="utf-8", newline="") as stream:
+        csv.writer(stream).writerows([columns, *rows])
 
 
 def _move(folder: Path, target: Path, given: Path, keep: tuple[Path | None, ...]) -> None:

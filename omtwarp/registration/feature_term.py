@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from omtwarp.location import Locator
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import Surface
 from omtwarp.refine.further import VertexDerivatives
-
-Floats = NDArray[np.float64]
 
 
 class FeatureField:

@@ -12,12 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.geometry.operators import cotangent_edge_weights
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import Surface, triangle_areas, vertex_normals
 from omtwarp.solvers.cholesky.dissection import Dissection, dissect
 from omtwarp.solvers.mesh_factor import mesh_factor
 from omtwarp.solvers.poisson import edge_laplacian
-
-Floats = NDArray[np.float64]
 
 FOLDING_WEIGHTS = {"sulc": 1.0, "curv": 0.48}
 """Of the two features in registration: curvature, with most of its detail where folds differ, counts about half."""

@@ -19,14 +19,22 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.alignment.align import checked_features, feature_coefficients
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.files.inputs import read_arrays, write_arrays
-from omtwarp.files.output import RECORD, as_path, digest_of, folder_of_results, make_folder, staged, written_by_omtwarp
+from omtwarp.files.output import (
+    RECORD,
+    as_path,
+    digest_of,
+    folder_of_results,
+    make_folder,
+    write_table,
+    written_by_omtwarp,
+)
 from omtwarp.geometry.harmonics import power_per_degree
 from omtwarp.location import Locator
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.arrays import normalised, whole_number
+from omtwarp.mesh.arrays import Floats, normalised, whole_number
 from omtwarp.mesh.data import read_data
 from omtwarp.mesh.neuro import structure_of
-from omtwarp.options import Progress
+from omtwarp.options import Progress, tell
 from omtwarp.registration.folding import FOLDING_WEIGHTS
 from omtwarp.registration.group_template import Template
 from omtwarp.registration.register import Registration, register
@@ -179,13 +187,8 @@ def key_of(*parts: object) -> str:
 def write_facts(path: Path, table: Mapping[str, Mapping[str, float]]) -> None:
     """Write facts about maps as ``.csv``, a line for each, with its name as ``id``."""
     columns = list(dict.fromkeys(column for row in table.values() for column in row))
-    with staged(path) as file, open(file, "w", encoding="utf-8", newline="") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(["id", *columns])
-        writer.writerows([[name, *(row.get(column, "") for column in columns)] for name, row in table.items()])
+    write_table(path, ["id", *columns], [[name, *map(row.get, columns)] for name, row in table.items()])
 
-
-Floats = NDArray[np.float64]
 
 ROUNDS = 3  # that a template is made anew
 
@@ -259,8 +262,7 @@ def register_group(
                 for what, values in found.items():
                     total[what] = total.get(what, 0.0) + values
                 done += 1
-                if progress is not None:
-                    progress("group", done, steps, {})
+                tell(progress, "group", done, steps, {})
             template = _mean_template(total, template.names, max_strain)
         template = replace(template, origin=origin)
         table = {}
@@ -272,8 +274,7 @@ def register_group(
             )  # fmt: skip
             table[name] = {what: float(value) for what, value in facts.items()}
             done += 1
-            if progress is not None:
-                progress("group", done, steps, {})
+            tell(progress, "group", done, steps, {})
         write_facts(target / "table.csv", table)
         template.save(target / "template.npz")
         kept.remove()

@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import holds_array, open_input, read_arrays, write_arrays
 from omtwarp.files.limits import LARGEST_MESH_FILE
-from omtwarp.mesh.arrays import real_numbers, whole_numbers
+from omtwarp.mesh.arrays import Floats, real_numbers, whole_numbers
 from omtwarp.resampling import SpherePoints
 from omtwarp.spheres import mesh_grid
-
-Floats = NDArray[np.float64]
 
 ARRAYS = ("template_points", "template_faces", "template_features", "template_names")  # of its file
 

@@ -15,11 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import read_bytes
 from omtwarp.location import Locator
-from omtwarp.mesh.arrays import TINY, normalised, real_number, real_numbers, whole_numbers
+from omtwarp.mesh.arrays import TINY, Floats, normalised, real_number, real_numbers, whole_numbers
 from omtwarp.mesh.surface import Surface
 from omtwarp.refine.further import VertexDerivatives, VertexTerm
-
-Floats = NDArray[np.float64]
 
 ROUNDS = 20  # of pulling exact landmarks on
 SIDES = ("moving", "target")

@@ -18,11 +18,10 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from omtwarp.location import Locator
-from omtwarp.mesh.arrays import ROUND_OFF, normalised
+from omtwarp.mesh.arrays import ROUND_OFF, Floats, normalised
 from omtwarp.mesh.surface import Surface
 from omtwarp.registration.landmarks import Pairs
 
-Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Whole = NDArray[np.int64]
 

@@ -15,10 +15,10 @@ from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpWarning
 from omtwarp.location import Locator
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.arrays import real_number
+from omtwarp.mesh.arrays import Floats, real_number
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics.certificate import Certificate, certify_triangles
-from omtwarp.options import Progress, Record
+from omtwarp.options import Progress, Record, tell
 from omtwarp.registration.folding import FOLDING_WEIGHTS
 from omtwarp.registration.group_template import Template
 from omtwarp.registration.landmarks import LandmarksLike, Pairs, pairs_of
@@ -26,8 +26,6 @@ from omtwarp.registration.sides import Side, feature_weights_of, two_sides
 from omtwarp.registration.strain import area_changes, kept_within, octaves, with_areas
 from omtwarp.registration.warp import AREA_WEIGHT, COARSE, FINE, MATCHED, Warp, Warping
 from omtwarp.resampling.resample import PointsLike
-
-Floats = NDArray[np.float64]
 
 FACTS = ("score", "margin", "doubtful", "flips", "degree", "area_p95", "stretch_p95", "strain")  # of every registration
 
@@ -211,9 +209,8 @@ def register(
     grids = here.points.grid, there.points.grid
     counts = grids[0].own_points, grids[1].own_points
     pairs = None if landmarks is None else pairs_of(landmarks, grids[0].points, grids[1].points, counts)
-    notify = progress or (lambda *_: None)
     rotations, doubtful = here.rotations(there)
-    notify("register", 1, 3, {})
+    tell(progress, "register", 1, 3, {})
     coarser = min(len(grid.points) for grid in grids)
     warping = Warping(there.on_grid[0], weights, stiffness, max_strain, coarser, weight_of_areas)
     match = warping.match(*here.on_grid, pairs)
@@ -222,12 +219,12 @@ def register(
     tried = [_Try.of(warping, sides[nearest], rotations[nearest], pairs, match)]
     tried += [_Try.of(warping, side, rotation, pairs) for side, rotation in zip(sides, rotations, strict=True)]
     best = min(tried, key=lambda one: one.warp.energy)
-    notify("register", 2, 3, {})
+    tell(progress, "register", 2, 3, {})
     warp = warping.run(*best.turned.on_grid, FINE, best.warp, best.marks)
     before = best.turned.points.grid.points
     surface = Surface(before, grids[0].triangles)
     sphere, distances = _arrived(surface, warp, best.marks, max_strain, weight_of_areas)
-    notify("register", 3, 3, {})
+    tell(progress, "register", 3, 3, {})
     by_area, by_stretch = octaves(before, sphere, grids[0].own_triangles)
     _warn_of_strain(np.maximum(np.abs(by_area), by_stretch), max_strain)
     agreement = [side.agreement(there) for side in (best.turned, best.turned.moved(sphere))]

@@ -11,25 +11,23 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.files.inputs import write_arrays
 from omtwarp.files.output import as_path, folder_of_results
 from omtwarp.location import Locator
 from omtwarp.maps.result import MapResult
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.data import VertexData, write_data
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics.certificate import certify_triangles
-from omtwarp.options import Progress
+from omtwarp.options import Progress, tell
 from omtwarp.registration.folding import LEAST_AREA, vertex_areas
 from omtwarp.registration.group import STEPS, Files, Kept, Member, key_of, members, write_facts
 from omtwarp.registration.register import Registration, area_penalty, register, settled
 from omtwarp.registration.sides import Side
 from omtwarp.registration.strain import area_changes, octaves, strain_at_vertices
 from omtwarp.resampling import SpherePoints, as_points
-
-Floats = NDArray[np.float64]
 
 MEASURES = ("area", "stretch")
 
@@ -110,8 +108,7 @@ def register_sequence(
             table[name] = {what: float(value) for what, value in step.items()}
             _warn_of_drift(name, table[name])
             before = replace(one, path=output)
-            if progress is not None:
-                progress("sequence", done, len(others), {})
+            tell(progress, "sequence", done, len(others), {})
         area, stretch = (np.stack([one[measure] for one in strains]) for measure in MEASURES)
         found = SequenceRegistration(tuple(files), area, stretch, table)
         _write(found, target, first)

@@ -14,7 +14,7 @@ from omtwarp.alignment.align import checked_features, feature_rotations, sphere_
 from omtwarp.alignment.rotation_search import Best
 from omtwarp.errors import OmtwarpError
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.arrays import real_number
+from omtwarp.mesh.arrays import Floats, real_number
 from omtwarp.registration.folding import folding_features
 from omtwarp.registration.group_template import Template, is_template
 from omtwarp.registration.warp import feature_grid
@@ -22,8 +22,6 @@ from omtwarp.resampling import SpherePoints, as_points, resample
 from omtwarp.resampling.averages import average_surface, is_average, with_side
 from omtwarp.resampling.resample import PointsLike
 from omtwarp.spheres import SphereGrid, mesh_grid
-
-Floats = NDArray[np.float64]
 
 STARTS = 3  # rotations of each degree that a doubtful start is tried from
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.flips.exact import flipped_faces
-from omtwarp.mesh.arrays import TINY
+from omtwarp.mesh.arrays import TINY, Floats
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.optimal.cells import MeasuredRings, RingCells
@@ -19,8 +19,6 @@ from omtwarp.optimal.sphere import ShapeEnergy
 from omtwarp.refine.further import VertexTerm, strain_limit
 from omtwarp.spheres import triangle_solid_angles
 from omtwarp.untangling.untangle import untangle
-
-Floats = NDArray[np.float64]
 
 ROUNDS = 24  # of relaxing around triangles over the bound
 FREED_RINGS = 2  # that move with the corners of these triangles

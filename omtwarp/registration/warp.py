@@ -7,11 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from omtwarp.geometry.axes import fitted_rotation
 from omtwarp.location import Locator
-from omtwarp.mesh.arrays import normalised
+from omtwarp.mesh.arrays import Floats, normalised
 from omtwarp.mesh.shapes import icosphere
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.solver import OptimalMap, minimise
@@ -22,8 +21,6 @@ from omtwarp.registration.folding import smoothed, vertex_areas
 from omtwarp.registration.landmarks import LandmarkTerm, Pairs, TermSum
 from omtwarp.registration.matching import Matching
 from omtwarp.registration.strain import has_room, kept_within, warp_energy
-
-Floats = NDArray[np.float64]
 
 FEATURE_GRID = 32  # frequency of the icosphere that features are read from: its edges are 2 degrees
 # Levels from coarse to fine: the frequency of the grid that moves, the width in degrees that features are smoothed to

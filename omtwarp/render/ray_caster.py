@@ -86,20 +86,14 @@ class Look:
 @wp.func
 def light_of(c: wp.float32):
     """Convert an sRGB value to linear light (IEC 61966-2-1), as :func:`omtwarp.colors.to_linear` does."""
-    linear = c / 12.92
-    if c > 0.04045:
-        linear = wp.pow((c + 0.055) / 1.055, 2.4)
-    return linear
+    return wp.where(c > 0.04045, wp.pow((c + 0.055) / 1.055, 2.4), c / 12.92)
 
 
 @wp.func
 def srgb_of(c: wp.float32):
     """Convert linear light to an sRGB value (IEC 61966-2-1), as :func:`omtwarp.colors.to_srgb` does."""
     clamped = wp.clamp(c, 0.0, 1.0)
-    encoded = clamped * 12.92
-    if clamped > 0.0031308:
-        encoded = 1.055 * wp.pow(clamped, 1.0 / 2.4) - 0.055
-    return encoded
+    return wp.where(clamped > 0.0031308, 1.055 * wp.pow(clamped, 1.0 / 2.4) - 0.055, clamped * 12.92)
 
 
 @wp.func
@@ -124,18 +118,12 @@ def texel(picture: Picture, level: int, column: int, row: int):
 
 @wp.func
 def bilinear(picture: Picture, u: float, v: float, level: int):
-    width = picture.widths[level]
-    height = picture.heights[level]
-    x = u * float(width) - 0.5
-    y = (1.0 - v) * float(height) - 0.5
-    column = int(wp.floor(x))
-    row = int(wp.floor(y))
-    s = x - wp.floor(x)
-    t = y - wp.floor(y)
-    left = wrapped(column, width, picture.repeat)
-    right = wrapped(column + 1, width, picture.repeat)
-    top = wrapped(row, height, picture.repeat_rows)
-    bottom = wrapped(row + 1, height, picture.repeat_rows)
+    width, height = picture.widths[level], picture.heights[level]
+    x, y = u * float(width) - 0.5, (1.0 - v) * float(height) - 0.5
+    column, row = int(wp.floor(x)), int(wp.floor(y))
+    s, t = x - wp.floor(x), y - wp.floor(y)
+    left, right = wrapped(column, width, picture.repeat), wrapped(column + 1, width, picture.repeat)
+    top, bottom = wrapped(row, height, picture.repeat_rows), wrapped(row + 1, height, picture.repeat_rows)
     above = (1.0 - s) * texel(picture, level, left, top) + s * texel(picture, level, right, top)
     below = (1.0 - s) * texel(picture, level, left, bottom) + s * texel(picture, level, right, bottom)
     return (1.0 - t) * above + t * below
@@ -158,15 +146,10 @@ def filtered(picture: Picture, uv: wp.vec2, along_x: wp.vec2, along_y: wp.vec2):
 
     Samples are taken along its long axis, at the mip level of the short one.
     """
-    width = float(picture.widths[0])
-    height = float(picture.heights[0])
-    ax = along_x[0] * width
-    ay = along_x[1] * height
-    bx = along_y[0] * width
-    by = along_y[1] * height
-    xx = ax * ax + bx * bx
-    yy = ay * ay + by * by
-    xy = ax * ay + bx * by
+    width, height = float(picture.widths[0]), float(picture.heights[0])
+    ax, ay = along_x[0] * width, along_x[1] * height
+    bx, by = along_y[0] * width, along_y[1] * height
+    xx, yy, xy = ax * ax + bx * bx, ay * ay + by * by, ax * ay + bx * by
     half_gap = 0.5 * (xx - yy)
     root = wp.sqrt(half_gap * half_gap + xy * xy)
     longest = wp.sqrt(0.5 * (xx + yy) + root)
@@ -244,23 +227,20 @@ def lit(look: Look, albedo: wp.vec3, n: wp.vec3, v: wp.vec3):
 
 
 @wp.func
-def ray_origin(view: View, x: float, y: float):
-    origin = view.origin
+def ray_at(view: View, x: float, y: float):
+    """Return where the ray of a point of the picture begins, and its unit direction."""
+    across = (2.0 * x / float(view.width) - 1.0) * view.half_width
+    above = (1.0 - 2.0 * y / float(view.height)) * view.half_height
+    aside = across * view.right + above * view.up
     if view.perspective == 0:
-        across = (2.0 * x / float(view.width) - 1.0) * view.half_width
-        above = (1.0 - 2.0 * y / float(view.height)) * view.half_height
-        origin = view.origin + across * view.right + above * view.up
-    return origin
+        return view.origin + aside, -view.backward
+    return view.origin, wp.normalize(aside - view.backward)
 
 
 @wp.func
-def ray_way(view: View, x: float, y: float):
-    way = -view.backward
-    if view.perspective != 0:
-        across = (2.0 * x / float(view.width) - 1.0) * view.half_width
-        above = (1.0 - 2.0 * y / float(view.height)) * view.half_height
-        way = wp.normalize(across * view.right + above * view.up - view.backward)
-    return way
+def as_seen(view: View, v: wp.vec3):
+    """Return the components of a vector to the right, upwards and to the viewer."""
+    return wp.vec3(wp.dot(v, view.right), wp.dot(v, view.up), wp.dot(v, view.backward))
 
 
 @wp.func
@@ -294,83 +274,60 @@ def line_strength(weight: float, gradient_x: float, gradient_y: float, width: fl
 @wp.func
 def sample(view: View, shape: Geometry, pictures: wp.array[Picture], look: Look, x: float, y: float, spacing: float):
     """Return colour and coverage at a point of the picture; ``spacing`` is the width of the area it represents."""
-    origin = ray_origin(view, x, y)
-    way = ray_way(view, x, y)
+    origin, way = ray_at(view, x, y)
     hit = wp.mesh_query_ray(shape.mesh, origin, way, 1.0e6)
     if not hit.result:
         # Rays exactly at a vertex can miss; a thousandth of a pixel next to it they do not.
-        beside_x = x + wp.float32(1.1e-3)
-        beside_y = y + wp.float32(0.7e-3)
-        origin = ray_origin(view, beside_x, beside_y)
-        way = ray_way(view, beside_x, beside_y)
+        origin, way = ray_at(view, x + wp.float32(1.1e-3), y + wp.float32(0.7e-3))
         hit = wp.mesh_query_ray(shape.mesh, origin, way, 1.0e6)
-    color = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    if hit.result:
-        face = hit.face
-        picture = pictures[shape.pictures[face]]
-        i0 = shape.faces[face, 0]
-        i1 = shape.faces[face, 1]
-        i2 = shape.faces[face, 2]
-        p0 = wp.mesh_get_point(shape.mesh, 3 * face)
-        e1 = wp.mesh_get_point(shape.mesh, 3 * face + 1) - p0
-        e2 = wp.mesh_get_point(shape.mesh, 3 * face + 2) - p0
-        here = weights_on_plane(origin, way, p0, e1, e2, 0.0)
-        u = here[0]
-        v = here[1]
-        ox = ray_origin(view, x + spacing, y)
-        wx = ray_way(view, x + spacing, y)
-        oy = ray_origin(view, x, y - spacing)
-        wy = ray_way(view, x, y - spacing)
-        beside = weights_on_plane(ox, wx, p0, e1, e2, here[2])
-        above = weights_on_plane(oy, wy, p0, e1, e2, here[2])
-        ux = beside[0] - u
-        vx = beside[1] - v
-        uy = above[0] - u
-        vy = above[1] - v
-        a0 = shape.values[i0]
-        a1 = shape.values[i1] - a0
-        a2 = shape.values[i2] - a0
-        value = a0 + u * a1 + v * a2
-        kind = shape.kinds[face]
-        albedo = wp.vec3(light_of(value[0]), light_of(value[1]), light_of(value[2]))
-        if kind == Kind.UV:
-            if picture.levels == 1:
-                albedo = bilinear(picture, value[0], value[1], 0)
-            else:
-                grad_x = ux * a1 + vx * a2
-                grad_y = uy * a1 + vy * a2
-                along_x = wp.vec2(grad_x[0], grad_x[1])
-                along_y = wp.vec2(grad_y[0], grad_y[1])
-                albedo = filtered(picture, wp.vec2(value[0], value[1]), along_x, along_y)
-        if kind == Kind.SPHERE:
-            albedo = sphere_color(picture, value, ux * a1 + vx * a2, uy * a1 + vy * a2)
-        if kind != Kind.COLOR:
-            albedo = wp.cw_mul(albedo, picture.tint)
-        if look.unlit == 0:
-            n = (1.0 - u - v) * shape.normals[i0] + u * shape.normals[i1] + v * shape.normals[i2]
-            if wp.dot(wp.cross(e1, e2), way) > 0.0:
-                n = -n
-            n = wp.normalize(wp.vec3(wp.dot(n, view.right), wp.dot(n, view.up), wp.dot(n, view.backward)))
-            back = -way
-            towards = wp.vec3(wp.dot(back, view.right), wp.dot(back, view.up), wp.dot(back, view.backward))
-            albedo = lit(look, albedo, n, towards)
-        red = srgb_of(albedo[0])
-        green = srgb_of(albedo[1])
-        blue = srgb_of(albedo[2])
-        if shape.edges[face] != 0:
-            # The derivatives were taken over `spacing`; the lines' width is in whole pixels.
-            per = 1.0 / spacing
-            ramp = wp.min(2.0 * spacing, 1.0)
-            width = look.edge_width
-            line = line_strength(u, ux * per, uy * per, width, ramp)
-            line = wp.max(line, line_strength(v, vx * per, vy * per, width, ramp))
-            line = wp.max(line, line_strength(1.0 - u - v, (ux + vx) * per, (uy + vy) * per, width, ramp))
-            line = line * look.edge_opacity
-            red = (1.0 - line) * red + line * look.edge_color[0]
-            green = (1.0 - line) * green + line * look.edge_color[1]
-            blue = (1.0 - line) * blue + line * look.edge_color[2]
-        color = wp.vec4(red, green, blue, 1.0)
-    return color
+    if not hit.result:
+        return wp.vec4(0.0, 0.0, 0.0, 0.0)
+    face = hit.face
+    picture = pictures[shape.pictures[face]]
+    i0, i1, i2 = shape.faces[face, 0], shape.faces[face, 1], shape.faces[face, 2]
+    p0 = wp.mesh_get_point(shape.mesh, 3 * face)
+    e1 = wp.mesh_get_point(shape.mesh, 3 * face + 1) - p0
+    e2 = wp.mesh_get_point(shape.mesh, 3 * face + 2) - p0
+    here = weights_on_plane(origin, way, p0, e1, e2, 0.0)
+    u, v = here[0], here[1]
+    ox, wx = ray_at(view, x + spacing, y)
+    oy, wy = ray_at(view, x, y - spacing)
+    beside = weights_on_plane(ox, wx, p0, e1, e2, here[2])
+    above = weights_on_plane(oy, wy, p0, e1, e2, here[2])
+    ux, vx = beside[0] - u, beside[1] - v
+    uy, vy = above[0] - u, above[1] - v
+    a0 = shape.values[i0]
+    a1, a2 = shape.values[i1] - a0, shape.values[i2] - a0
+    value = a0 + u * a1 + v * a2
+    along_x, along_y = ux * a1 + vx * a2, uy * a1 + vy * a2
+    kind = shape.kinds[face]
+    albedo = wp.vec3(light_of(value[0]), light_of(value[1]), light_of(value[2]))
+    if kind == Kind.UV:
+        if picture.levels == 1:
+            albedo = bilinear(picture, value[0], value[1], 0)
+        else:
+            grad_x, grad_y = wp.vec2(along_x[0], along_x[1]), wp.vec2(along_y[0], along_y[1])
+            albedo = filtered(picture, wp.vec2(value[0], value[1]), grad_x, grad_y)
+    if kind == Kind.SPHERE:
+        albedo = sphere_color(picture, value, along_x, along_y)
+    if kind != Kind.COLOR:
+        albedo = wp.cw_mul(albedo, picture.tint)
+    if look.unlit == 0:
+        n = (1.0 - u - v) * shape.normals[i0] + u * shape.normals[i1] + v * shape.normals[i2]
+        if wp.dot(wp.cross(e1, e2), way) > 0.0:
+            n = -n
+        albedo = lit(look, albedo, wp.normalize(as_seen(view, n)), as_seen(view, -way))
+    color = wp.vec3(srgb_of(albedo[0]), srgb_of(albedo[1]), srgb_of(albedo[2]))
+    if shape.edges[face] != 0:
+        # The derivatives were taken over `spacing`; the lines' width is in whole pixels.
+        per, width = 1.0 / spacing, look.edge_width
+        ramp = wp.min(2.0 * spacing, 1.0)
+        line = line_strength(u, ux * per, uy * per, width, ramp)
+        line = wp.max(line, line_strength(v, vx * per, vy * per, width, ramp))
+        line = wp.max(line, line_strength(1.0 - u - v, (ux + vx) * per, (uy + vy) * per, width, ramp))
+        line = line * look.edge_opacity
+        color = (1.0 - line) * color + line * look.edge_color
+    return wp.vec4(color[0], color[1], color[2], 1.0)
 
 
 @wp.kernel

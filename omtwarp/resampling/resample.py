@@ -129,10 +129,7 @@ def adaptive(
     forward = barycentric(source, target, device)
     backward = barycentric(target, source, device).T.tocsr()
     # Where the forward weights include every source point that refers to the target point, they include more.
-    looked_at = forward.copy()
-    looked_at.data[:] = 1.0
-    looking = backward.copy()
-    looking.data[:] = 1.0
+    looked_at, looking = forward.sign(), backward.sign()
     missed = (looking - looking.multiply(looked_at)).tocsr()
     use_backward = np.asarray(missed.sum(axis=1)).ravel() > 0
     chosen = sparse.diags_array((~use_backward).astype(float)) @ forward

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
@@ -11,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files.output import make_folder, staged
+from omtwarp.files.output import make_folder, write_table
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.arrays import Floats, Ints
 from omtwarp.mesh.data import VertexData, write_data
@@ -68,12 +67,14 @@ def write_group_report(
     for k, name in enumerate(names):
         numbers = [study.from_mean[k], study.alignment.scales[k], *study.components.scores[k]]
         rows.append([name, *(str(values[k]) for values in given.values()), *map(float, numbers)])
-    files = [_write_csv(folder / "table.csv", columns, rows)]
+    files = [folder / "table.csv"]
+    write_table(files[0], columns, rows)
     apart: list[list[str | float]]
     for file, distances in (("distances.csv", study.distances), ("transport.csv", study.transport)):
         if distances is not None:
             apart = [[name, *map(float, line)] for name, line in zip(names, distances, strict=True)]
-            files.append(_write_csv(folder / file, ["id", *names], apart))
+            files.append(folder / file)
+            write_table(files[-1], ["id", *names], apart)
     beside = {f"{name}_{word}": values for name, one in study.effects.items() for word, values in _maps(one).items()}
     files += _write_shape(folder, "mean", study.mean, like, beside)
     for k in range(len(study.components.deviations)):
@@ -107,14 +108,6 @@ def _write_shape(
             files.append(folder / f"{name}.shape.gii")
             write_data(files[-1], data)
     return files
-
-
-def _write_csv(path: Path, columns: Sequence[str], rows: Sequence[Sequence[str | float]]) -> Path:
-    with staged(path) as file, open(file, "w", encoding="utf-8", newline="") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(columns)
-        writer.writerows(rows)
-    return path
 
 
 def _body(study: GroupStudy, columns: Sequence[str], rows: Sequence[Sequence[str | float]]) -> list[Markup]:

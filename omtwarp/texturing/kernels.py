@@ -14,31 +14,18 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 @wp.func
 def sign_of(x: wp.float64):
-    s = ONE
-    if x < ZERO:
-        s = -ONE
-    return s
+    return wp.where(x < ZERO, -ONE, ONE)
 
 
 @wp.func
 def cube_face(d: wp.vec3d):
     """Return the face of the cube that a direction passes through: +x, +y, -x, -y, +z, -z."""
-    ax = wp.abs(d[0])
-    ay = wp.abs(d[1])
-    az = wp.abs(d[2])
-    face = int(0)
+    ax, ay, az = wp.abs(d[0]), wp.abs(d[1]), wp.abs(d[2])
     if ax >= ay and ax >= az:
-        if d[0] < ZERO:
-            face = int(2)
-    elif ay >= az:
-        face = int(1)
-        if d[1] < ZERO:
-            face = int(3)
-    else:
-        face = int(4)
-        if d[2] < ZERO:
-            face = int(5)
-    return face
+        return wp.where(d[0] < ZERO, 2, 0)
+    if ay >= az:
+        return wp.where(d[1] < ZERO, 3, 1)
+    return wp.where(d[2] < ZERO, 5, 4)
 
 
 @wp.func
@@ -61,10 +48,7 @@ def cube_direction(face: int, a: wp.float64, b: wp.float64):
 @wp.func
 def cube_columns(width: int, height: int):
     """Return how many cells of a cube map lie in a row."""
-    columns = int(3)
-    if width == 2 * height:
-        columns = int(4)
-    return columns
+    return wp.where(width == 2 * height, 4, 3)
 
 
 @wp.func
@@ -76,8 +60,7 @@ def picture_direction(
     The point has x to the right and y **down**, in texels. Gutters continue past borders. ``offset`` and ``gutter`` are
     the parameters of omtwarp.texturing.atlas.
     """
-    w = wp.float64(width)
-    h = wp.float64(height)
+    w, h = wp.float64(width), wp.float64(height)
     d = wp.vec3d(ONE, ZERO, ZERO)
     if kind == Kind.CUBE:
         cell = offset
@@ -115,10 +98,8 @@ def picture_direction(
 @wp.func
 def picture_point(kind: int, d: wp.vec3d, width: int, height: int, offset: wp.float64, gutter: wp.float64):
     """Return the point of a picture that shows a direction: x to the right and y down, in texels."""
-    w = wp.float64(width)
-    h = wp.float64(height)
-    x = ZERO
-    y = ZERO
+    w, h = wp.float64(width), wp.float64(height)
+    x, y = ZERO, ZERO
     if kind == Kind.CUBE:
         cell = offset
         half = HALF * (cell - TWO * gutter)
@@ -172,10 +153,8 @@ def texel(picture: wp.array3d[wp.float32], kind: int, row: int, column: int, c: 
 
     Other pictures are continued by themselves where they repeat, and by their borders where not.
     """
-    height = picture.shape[0]
-    width = picture.shape[1]
-    r = row
-    q = column
+    height, width = picture.shape[0], picture.shape[1]
+    r, q = row, column
     if kind == Kind.EQUIRECTANGULAR:
         if r < 0:
             r = -1 - r
@@ -198,8 +177,7 @@ def texel(picture: wp.array3d[wp.float32], kind: int, row: int, column: int, c: 
 @wp.func
 def bilinear(picture: wp.array3d[wp.float32], kind: int, x: wp.float64, y: wp.float64, c: int):
     """Interpolate the four texels nearest to a point, given in texels with centres at halves."""
-    column = int(wp.floor(x - HALF))
-    row = int(wp.floor(y - HALF))
+    column, row = int(wp.floor(x - HALF)), int(wp.floor(y - HALF))
     s = x - HALF - wp.float64(column)
     t = y - HALF - wp.float64(row)
     top = (ONE - s) * texel(picture, kind, row, column, c) + s * texel(picture, kind, row, column + 1, c)
@@ -262,8 +240,7 @@ def sample_repeated(
 ):
     """Compute the bilinear samples of a picture that repeats both ways, at texture coordinates (v up)."""
     i = wp.tid()
-    u = points[i, 0]
-    v = points[i, 1]
+    u, v = points[i, 0], points[i, 1]
     x = (u - wp.floor(u)) * wp.float64(picture.shape[1])
     y = (wp.ceil(v) - v) * wp.float64(picture.shape[0])
     for c in range(picture.shape[2]):
@@ -324,23 +301,18 @@ def own_texels(
     of the given ones are left alone, so that launches side by side write to places of their own.
     """
     f = wp.tid()
-    a = corners[f, 0]
-    b = corners[f, 1]
-    c = corners[f, 2]
+    a, b, c = corners[f, 0], corners[f, 1], corners[f, 2]
     area = edge_side(a[0], a[1], b[0], b[1], c[0], c[1])
     if area == ZERO:
         return
     flip = sign_of(area)
     # Lengths turn the edge functions into distances.
-    ab = wp.length(b - a) * flip
-    bc = wp.length(c - b) * flip
-    ca = wp.length(a - c) * flip
+    ab, bc, ca = wp.length(b - a) * flip, wp.length(c - b) * flip, wp.length(a - c) * flip
     low_x, high_x = texels_within(a[0], b[0], c[0], grow, 0, width)
     low_y, high_y = texels_within(a[1], b[1], c[1], grow, first_row, end_row)
     for row in range(low_y, high_y + 1):
         for column in range(low_x, high_x + 1):
-            x = wp.float64(column) + HALF
-            y = wp.float64(row) + HALF
+            x, y = wp.float64(column) + HALF, wp.float64(row) + HALF
             if edge_side(a[0], a[1], b[0], b[1], x, y) / ab >= -grow:
                 if edge_side(b[0], b[1], c[0], c[1], x, y) / bc >= -grow:
                     if edge_side(c[0], c[1], a[0], a[1], x, y) / ca >= -grow:
@@ -394,9 +366,7 @@ def owner_values(
         v = wp.dot(d, wp.cross(points[f, 2], points[f, 0]))
         total = u + v + wp.dot(d, wp.cross(points[f, 0], points[f, 1]))
     else:
-        a = corners[f, 0]
-        b = corners[f, 1]
-        c = corners[f, 2]
+        a, b, c = corners[f, 0], corners[f, 1], corners[f, 2]
         u = edge_side(b[0], b[1], c[0], c[1], x, y)
         v = edge_side(c[0], c[1], a[0], a[1], x, y)
         total = edge_side(a[0], a[1], b[0], b[1], c[0], c[1])
@@ -495,12 +465,10 @@ def average_to_bytes(
 def grid_place(bary: wp.vec3d, parts: int, first: int, grid: wp.array[wp.int32], points: wp.array[wp.vec3d]):
     """Return the point of a divided triangle at barycentric coordinates."""
     n = wp.float64(parts)
-    x = wp.clamp(bary[1], ZERO, ONE) * n
-    y = wp.clamp(bary[2], ZERO, ONE) * n
+    x, y = wp.clamp(bary[1], ZERO, ONE) * n, wp.clamp(bary[2], ZERO, ONE) * n
     a = wp.clamp(int(wp.floor(x)), 0, parts - 1)
     b = wp.clamp(int(wp.floor(y)), 0, parts - 1 - a)
-    s = x - wp.float64(a)
-    t = y - wp.float64(b)
+    s, t = x - wp.float64(a), y - wp.float64(b)
     here = first + a * (2 * parts + 3 - a) // 2 + b
     after = first + (a + 1) * (2 * parts + 2 - a) // 2 + b  # one step towards corner 1
     if s + t <= ONE or a + b == parts - 1:
@@ -540,8 +508,7 @@ def bent_sample_directions(
     """
     i, _compiled_once = wp.tid()
     number = texels[i]
-    row = number // width
-    column = number % width
+    row, column = number // width, number % width
     # All samples are moved as the middle is: across a texel that changes by a small part of one.
     d = picture_direction(kind, wp.float64(column) + HALF, wp.float64(row) + HALF, width, height, offset, gutter)
     f = hints[row // block * blocks_across + column // block]
@@ -559,11 +526,7 @@ def bent_sample_directions(
         face = faces[f]
         weights = spherical_coordinates(sphere[face[0]], sphere[face[1]], sphere[face[2]], d)
         total = weights[0] + weights[1] + weights[2]
-        worst = int(0)
-        if weights[1] < weights[worst]:
-            worst = int(1)
-        if weights[2] < weights[worst]:
-            worst = int(2)
+        worst = int(wp.argmin(weights))
         # In shares of the triangle: ten times round-off's part of the least one that a texel shows
         if weights[worst] >= wp.float64(-1.0e-9) * total and total > ZERO:
             inside = True
@@ -612,8 +575,7 @@ def tangent_normals(
     hit = wp.mesh_query_point_no_sign(detail, p, 10.0)
     out[i] = wp.vec3d(ZERO, ZERO, ONE)
     if hit.result:
-        u = wp.float64(hit.u)
-        v = wp.float64(hit.v)
+        u, v = wp.float64(hit.u), wp.float64(hit.v)
         n0 = detail_normals[detail_faces[hit.face, 0]]
         n1 = detail_normals[detail_faces[hit.face, 1]]
         n2 = detail_normals[detail_faces[hit.face, 2]]

@@ -11,11 +11,11 @@ from typer.testing import CliRunner
 from omtwarp.benchmark import markdown, run, runner
 from omtwarp.benchmark.measure import (
     LISTED,
-    LaunchRecorder,
     PeakMemory,
     copy_bandwidth,
     first_use,
     moved_bytes,
+    recorded_launches,
     splu_reference,
     table,
 )
@@ -108,13 +108,13 @@ def test_recording_changes_no_result_and_ends(device):
     launch = wp.launch
     factors = wp.array(np.full(5000, 2.0), dtype=wp.float64, device=device)
     values = wp.array(np.arange(5000.0), dtype=wp.float64, device=device)
-    with LaunchRecorder(device) as recorder:
+    with recorded_launches(device) as kernels:
         wp.launch(scale_values, dim=5000, inputs=[factors, values], device=device)
         wp.launch(scale_values, dim=5000, inputs=[factors], outputs=[values], device=device)
     assert wp.launch is launch
     np.testing.assert_array_equal(values.numpy(), 4.0 * np.arange(5000.0))
-    (record,) = recorder.kernels.values()
-    assert record.launches == 2 and record.threads == 10_000 and record.moved == 2 * 2 * 8 * 5000
+    (record,) = kernels.values()
+    assert record.launches == 2 and record.threads == 10_000 and record.bytes == 2 * 2 * 8 * 5000
     assert record.seconds > 0.0
     assert copy_bandwidth(device, megabytes=1) > 0.0
 
@@ -135,10 +135,10 @@ def test_events_are_recorded_on_the_stream_of_the_device_that_is_timed(monkeypat
     monkeypatch.setattr(wp, "Event", lambda where, enable_timing: [where])
     monkeypatch.setattr(wp, "synchronize_device", lambda where: None)
     monkeypatch.setattr(wp, "get_event_elapsed_time", lambda begin, end, synchronize: 3000.0)
-    with LaunchRecorder("cuda:1") as recorder:
+    with recorded_launches("cuda:1") as kernels:
         wp.launch(scale_values, dim=8, device="cuda:1")
     assert recorded == [[device], [device]] and launched == [1]  # one before the launch, one after it
-    (record,) = recorder.kernels.values()
+    (record,) = kernels.values()
     assert record.seconds == 3.0
 
 
