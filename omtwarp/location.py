@@ -65,11 +65,7 @@ def walk(
     for _ in range(2000):
         face = faces[f]
         weights = spherical_barycentric(p, points[face[0]], points[face[1]], points[face[2]])
-        worst = int(0)
-        if weights[1] < weights[worst]:
-            worst = int(1)
-        if weights[2] < weights[worst]:
-            worst = int(2)
+        worst = int(wp.argmin(weights))
         # A few thousand units of roundoff outside is on the edge, so that a walk does not go back and forth across it.
         if weights[worst] >= -wp.float64(1e-12):
             break

@@ -93,14 +93,9 @@ def flip_to_delaunay(
             following[t2] = h1
             following[h1] = t
             count += 1
+            sides = wp.vec4i(h1, h2, t1, t2)
             for k in range(4):
-                side = h1
-                if k == 1:
-                    side = h2
-                elif k == 2:
-                    side = t1
-                elif k == 3:
-                    side = t2
+                side = sides[k]
                 key = wp.min(side, twins[side])
                 if queued[key] == 0:
                     queued[key] = 1

@@ -72,20 +72,13 @@ def number_along_curve(
         if z & bit:
             turned = turned ^ (bit - 1)
         bit = bit >> 1
-    x = x ^ turned
-    y = y ^ turned
-    z = z ^ turned
+    x, y, z = x ^ turned, y ^ turned, z ^ turned
     # The number has the highest bits of x, y and z first, then the next.
     place = wp.int64(0)
     bit = int(HIGHEST_BIT)
     while bit > 0:
-        place = place * wp.int64(8)
-        if x & bit:
-            place = place + wp.int64(4)
-        if y & bit:
-            place = place + wp.int64(2)
-        if z & bit:
-            place = place + wp.int64(1)
+        digit = wp.where(x & bit, 4, 0) + wp.where(y & bit, 2, 0) + wp.where(z & bit, 1, 0)
+        place = place * wp.int64(8) + wp.int64(digit)
         bit = bit >> 1
     place_out[i] = place
 

@@ -16,20 +16,6 @@ def single(v: wp.vec3d) -> wp.vec3:
 
 
 @wp.func
-def row(m: mat93d, k: int) -> wp.vec3d:
-    return wp.vec3d(m[k, 0], m[k, 1], m[k, 2])
-
-
-@wp.func
-def with_row(m: mat93d, k: int, v: wp.vec3d) -> mat93d:
-    out = m
-    out[k, 0] = v[0]
-    out[k, 1] = v[1]
-    out[k, 2] = v[2]
-    return out
-
-
-@wp.func
 def overlap_area(subject: wp.array2d[wp.vec3d], s: int, cutter: wp.array2d[wp.vec3d], t: int) -> wp.float64:
     """Return the area of the intersection of polygons s and t.
 
@@ -38,37 +24,34 @@ def overlap_area(subject: wp.array2d[wp.vec3d], s: int, cutter: wp.array2d[wp.ve
     polygon = mat93d()
     count = int(4)
     for k in range(4):
-        polygon = with_row(polygon, k, subject[s, k])
+        polygon[k] = subject[s, k]
     for k in range(4):
         start = cutter[t, k]
-        following = k + 1
-        if following == 4:
-            following = int(0)
-        end = cutter[t, following]
+        end = cutter[t, (k + 1) % 4]
         side = wp.cross(start, end - start)
         if count > 0 and wp.length_sq(side) > ZERO:  # a triangle has one side of no length
             kept = mat93d()
             kept_count = int(0)
-            previous = row(polygon, count - 1)
+            previous = polygon[count - 1]
             height_before = wp.dot(side, previous - start)
             for m in range(count):
-                current = row(polygon, m)
+                current = polygon[m]
                 height = wp.dot(side, current - start)
                 if (height >= ZERO) != (height_before >= ZERO) and kept_count < 9:
                     where = height_before / (height_before - height)
-                    kept = with_row(kept, kept_count, wp.normalize(previous + where * (current - previous)))
+                    kept[kept_count] = wp.normalize(previous + where * (current - previous))
                     kept_count += 1
                 if height >= ZERO and kept_count < 9:
-                    kept = with_row(kept, kept_count, current)
+                    kept[kept_count] = current
                     kept_count += 1
                 previous = current
                 height_before = height
             polygon = kept
             count = kept_count
     area = wp.float64(0.0)
-    first = row(polygon, 0)
+    first = polygon[0]
     for m in range(1, count - 1):
-        area += solid_angle(first, row(polygon, m), row(polygon, m + 1))
+        area += solid_angle(first, polygon[m], polygon[m + 1])
     return area
 
 
