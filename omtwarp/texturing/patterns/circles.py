@@ -37,9 +37,7 @@ def circle_colours(
     d = wp.normalize(directions[i])
     # Only circles that reach this cell of the faces of a cube are looked at.
     face = cube_face(d)
-    axis = face % 2
-    if face > 3:
-        axis = int(2)
+    axis = wp.where(face > 3, 2, face % 2)
     scale = HALF * wp.float64(side) / wp.abs(d[axis])
     column = wp.clamp(int((d[(axis + 1) % 3]) * scale + HALF * wp.float64(side)), 0, side - 1)
     row = wp.clamp(int((d[(axis + 2) % 3]) * scale + HALF * wp.float64(side)), 0, side - 1)

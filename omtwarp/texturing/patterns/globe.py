@@ -22,34 +22,23 @@ wp.set_module_options(KERNEL_OPTIONS)
 @wp.func
 def crosses(px: wp.float64, py: wp.float64, qx: wp.float64, qy: wp.float64, a: wp.vec4d):
     """Return 1 where the straight piece with its ends in ``a`` crosses the path from p to q in the plane, else 0."""
-    ax = a[0]
-    ay = a[1]
-    bx = a[2]
-    by = a[3]
+    ax, ay, bx, by = a[0], a[1], a[2], a[3]
     # Half-open tests, so that a vertex of the coast that lies on the path's line counts once.
     side_a = (qx - px) * (ay - py) - (qy - py) * (ax - px) >= ZERO
     side_b = (qx - px) * (by - py) - (qy - py) * (bx - px) >= ZERO
-    count = int(0)
-    if side_a != side_b:
-        side_p = (bx - ax) * (py - ay) - (by - ay) * (px - ax) >= ZERO
-        side_q = (bx - ax) * (qy - ay) - (by - ay) * (qx - ax) >= ZERO
-        if side_p != side_q:
-            count = int(1)
-    return count
+    side_p = (bx - ax) * (py - ay) - (by - ay) * (px - ax) >= ZERO
+    side_q = (bx - ax) * (qy - ay) - (by - ay) * (qx - ax) >= ZERO
+    return wp.where(side_a != side_b and side_p != side_q, 1, 0)
 
 
 @wp.func
 def piece_distance(px: wp.float64, py: wp.float64, stretch: wp.float64, a: wp.vec4d):
     """Return the distance in degrees from a point to a straight piece of coast, longitudes scaled by ``stretch``."""
-    ex = (a[2] - a[0]) * stretch
-    ey = a[3] - a[1]
-    dx = (px - a[0]) * stretch
-    dy = py - a[1]
+    ex, ey = (a[2] - a[0]) * stretch, a[3] - a[1]
+    dx, dy = (px - a[0]) * stretch, py - a[1]
     # Squared degrees, that are divided by: a shorter piece of coast is a point.
     t = wp.clamp((dx * ex + dy * ey) / wp.max(ex * ex + ey * ey, wp.float64(1.0e-12)), ZERO, ONE)
-    dx = dx - t * ex
-    dy = dy - t * ey
-    return wp.sqrt(dx * dx + dy * dy)
+    return wp.length(wp.vec2d(dx - t * ex, dy - t * ey))
 
 
 @wp.kernel
@@ -103,17 +92,10 @@ def globe_colours(
         colour = colours[3] * (ONE - ice) + colours[4] * ice
         ink = wp.float64(0.28)
     # Meridians of one width everywhere; only every sixth reaches the poles, where more would merge into a blot.
-    spacing = step
-    if wp.abs(lat) > wp.float64(90.0) - step:
-        spacing = step * wp.float64(6.0)
-    if wp.abs(lat) > wp.float64(89.0):
-        spacing = wp.float64(720.0)
-    meridian = near_multiple(lon, spacing) * stretch
-    if wp.abs(lat) > wp.float64(89.0):
-        meridian = wp.float64(1.0e3)
-    parallel = near_multiple(lat, step)
-    if wp.abs(lat) > wp.float64(89.5):
-        parallel = wp.float64(1.0e3)
+    polar = wp.abs(lat)
+    spacing = wp.where(polar > wp.float64(90.0) - step, step * wp.float64(6.0), step)
+    meridian = wp.where(polar > wp.float64(89.0), wp.float64(1.0e3), near_multiple(lon, spacing) * stretch)
+    parallel = wp.where(polar > wp.float64(89.5), wp.float64(1.0e3), near_multiple(lat, step))
     grid = wp.min(meridian, parallel)
     if wp.abs(lat) < line_width:
         grid = ZERO

@@ -68,23 +68,12 @@ def puzzle_colours(
     piece = (face * side + row) * side + column
     owner = piece
     nearest = wp.float64(10.0)
-    for edge in range(4):  # bottom, right, top, left; t is the depth into this piece
-        s = x
-        t = y
-        if edge == 1:
-            s = y
-            t = ONE - x
-        elif edge == 2:
-            t = ONE - y
-        elif edge == 3:
-            s = y
-            t = x
-        s = s + shifts[piece, edge]
-        distance = ZERO
-        if tabs[piece, edge] > 0:  # this piece's tab reaches over the edge, into t < 0
-            distance = -jigsaw_edge(s, -t)
-        else:
-            distance = jigsaw_edge(s, t)
+    depths = wp.vec4d(y, ONE - x, ONE - y, x)  # into this piece from its bottom, right, top and left edge
+    for edge in range(4):
+        s = wp.where(edge % 2 == 0, x, y) + shifts[piece, edge]
+        # This piece's tab reaches over the edge, to negative depths; its neighbour's into it
+        sign = wp.where(tabs[piece, edge] > 0, -ONE, ONE)
+        distance = sign * jigsaw_edge(s, sign * depths[edge])
         if distance < ZERO:
             owner = neighbours[piece, edge]
         nearest = wp.min(nearest, wp.abs(distance))
