@@ -15,6 +15,7 @@ from omtwarp.geometry.axes import fitted_rotation
 from omtwarp.geometry.harmonics import check_degree, real_harmonics
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.arrays import TINY, Floats, in_range, real_numbers
+from omtwarp.mesh.surface import sums_around
 from omtwarp.options import AlignBy, AlignByLike
 from omtwarp.resampling import SpherePoints, as_points
 from omtwarp.resampling.resample import PointsLike
@@ -28,7 +29,7 @@ def sphere_weights(points: SpherePoints) -> Floats:
     """
     faces = points.grid.own_triangles
     angles = triangle_solid_angles(*(points.grid.points[faces[:, k]] for k in range(3)))
-    return np.bincount(faces.ravel(), np.repeat(angles / 3.0, 3), minlength=len(points.grid.points)).astype(np.float64)
+    return sums_around(angles / 3.0, faces, len(points.grid.points))
 
 
 def own_features(points: SpherePoints) -> dict[str, Floats]:

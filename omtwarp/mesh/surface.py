@@ -147,9 +147,7 @@ class Surface:
 
     def sum_to_vertices(self, per_face: Floats) -> Floats:
         """Sum a number per face, shape [F], over the faces around every vertex, shape [V]."""
-        weights = np.repeat(per_face, 3)
-        sums = np.bincount(self.faces.ravel(), weights=weights, minlength=self.vertex_count)
-        return sums.astype(np.float64, copy=False)
+        return sums_around(per_face, self.faces, self.vertex_count)
 
     @cached_property
     def face_neighbours(self) -> Ints:
@@ -337,6 +335,11 @@ class SurfaceArrays:
 
     edge_corners = _on_device("side_corners", wp.vec2i)
     """The corners opposite to every edge, vec2i, shape [E]; -1 for the second of an edge with one triangle."""
+
+
+def sums_around(per_face: Floats, faces: NDArray[np.integer], count: int) -> Floats:
+    """Sum a number per face, shape [F], over the faces around every vertex, shape [count]."""
+    return np.bincount(faces.ravel(), np.repeat(per_face, 3), count).astype(np.float64, copy=False)
 
 
 def plane_areas(corners: Floats) -> Floats:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from omtwarp.geometry.operators import cotangent_edge_weights
 from omtwarp.mesh.arrays import Floats
-from omtwarp.mesh.surface import Surface, triangle_areas, vertex_normals
+from omtwarp.mesh.surface import Surface, sums_around, triangle_areas, vertex_normals
 from omtwarp.solvers.cholesky.dissection import Dissection, dissect
 from omtwarp.solvers.mesh_factor import mesh_factor
 from omtwarp.solvers.poisson import edge_laplacian
@@ -92,5 +92,4 @@ def folding_features(vertices: Floats, faces: NDArray[np.int32]) -> dict[str, Fl
 
 def vertex_areas(points: Floats, faces: NDArray[np.int32]) -> Floats:
     """Return a third of the areas of the triangles around every vertex, shape [V]."""
-    shares = np.repeat(triangle_areas(points, faces) / 3.0, 3)
-    return np.bincount(faces.ravel(), weights=shares, minlength=len(points)).astype(np.float64)
+    return sums_around(triangle_areas(points, faces) / 3.0, faces, len(points))

@@ -10,7 +10,7 @@ from omtwarp.device.start import wp
 from omtwarp.flips.exact import flipped_faces
 from omtwarp.mesh.arrays import TINY, Floats
 from omtwarp.mesh.patches import Patches, grow
-from omtwarp.mesh.surface import Surface, triangle_areas
+from omtwarp.mesh.surface import Surface, sums_around, triangle_areas
 from omtwarp.optimal.cells import MeasuredRings, RingCells
 from omtwarp.optimal.exact import restore_areas
 from omtwarp.optimal.local import LocalSteps
@@ -54,7 +54,7 @@ def strain_at_vertices(before: Floats, faces: NDArray[np.int32], strain: Floats)
         strain: of the triangles, one of :func:`octaves`, shape [F].
     """
     areas = triangle_areas(before, faces)
-    sums = [np.bincount(faces.ravel(), np.repeat(x, 3), len(before)) for x in (areas * strain, areas)]
+    sums = [sums_around(x, faces, len(before)) for x in (areas * strain, areas)]
     return np.asarray(sums[0] / np.maximum(sums[1], TINY))
 
 
@@ -132,7 +132,7 @@ def areas_around(points: Floats, faces: NDArray[np.int32]) -> Floats:
         faces: shape [F, 3].
     """
     solid = triangle_solid_angles(*(points[faces[:, k]] for k in range(3)))
-    return np.bincount(faces.ravel(), np.repeat(solid, 3), len(points)).astype(np.float64)
+    return sums_around(solid, faces, len(points))
 
 
 def warp_energy(

@@ -24,7 +24,7 @@ from omtwarp.colors import backdrop
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.limits import MOST_FILM_PIXELS, MOST_FRAMES
 from omtwarp.mesh.arrays import Bytes, Floats, Ints
-from omtwarp.mesh.surface import SPHERE_AREA, triangle_areas
+from omtwarp.mesh.surface import SPHERE_AREA, sums_around, triangle_areas
 from omtwarp.options import Backend, BackendLike, PatternLike, Progress, tell
 from omtwarp.render import annotate, output
 from omtwarp.render.camera import Camera, Shot, as_light, as_view, camera_axes, frame
@@ -505,7 +505,7 @@ def domain_name(result: FinishedMap) -> str:
 
 def vertex_areas(surface: Floats, faces: Ints) -> Floats:
     """Return three times the area around every vertex, and a little for those without, shape [V]."""
-    areas = np.bincount(faces.ravel(), np.repeat(triangle_areas(surface, faces), 3), minlength=len(surface))
+    areas = sums_around(triangle_areas(surface, faces), faces, len(surface))
     return areas + 1e-9 * areas.mean()  # which turns a domain as little as that
 
 

@@ -409,22 +409,18 @@ def _geometry(parts: list[Part], where: wp.Device) -> tuple[Geometry, wp.Mesh]:
     offsets = np.cumsum([0] + [len(part.positions) for part in parts])
     faces = np.concatenate([part.faces + offset for part, offset in zip(parts, offsets[:-1], strict=True)])
     positions = np.concatenate([part.positions for part in parts])
-    mesh = wp.Mesh(
-        points=wp.array(positions, dtype=wp.vec3, device=where),
-        indices=wp.array(faces.ravel().astype(np.int32), dtype=wp.int32, device=where),
-    )
+    corners = wp.array(faces.astype(np.int32), dtype=wp.int32, device=where)
+    mesh = wp.Mesh(wp.array(positions, dtype=wp.vec3, device=where), corners.flatten())
     shape = Geometry()
-    shape.mesh = mesh.id
+    shape.mesh, shape.faces = mesh.id, corners
     shape.normals = wp.array(np.concatenate([part.normals for part in parts]), dtype=wp.vec3, device=where)
     shape.values = wp.array(np.concatenate([part.value for part in parts]), dtype=wp.vec3, device=where)
-    shape.faces = wp.array(faces.astype(np.int32), dtype=wp.int32, device=where)
-    kinds = np.concatenate([np.full(len(part.faces), Kind[part.kind.upper()], np.int32) for part in parts])
-    edges = np.concatenate([np.full(len(part.faces), int(part.edges), np.int32) for part in parts])
     having = np.cumsum([part.image is not None for part in parts]) - 1
-    numbers = np.concatenate([np.full(len(p.faces), max(k, 0), np.int32) for p, k in zip(parts, having, strict=True)])
-    shape.pictures = wp.array(numbers, dtype=wp.int32, device=where)
-    shape.kinds = wp.array(kinds, dtype=wp.int32, device=where)
-    shape.edges = wp.array(edges, dtype=wp.int32, device=where)
+    numbers = [Kind[part.kind.upper()] for part in parts], [part.edges for part in parts], np.maximum(having, 0)
+    counts = [len(part.faces) for part in parts]
+    shape.kinds, shape.edges, shape.pictures = (
+        wp.array(np.repeat(of_parts, counts).astype(np.int32), dtype=wp.int32, device=where) for of_parts in numbers
+    )
     return shape, mesh
 
 
@@ -449,9 +445,9 @@ def _picture(part: Appearance, where: wp.Device) -> Picture:
     picture = Picture()
     picture.texels = wp.array(texels, dtype=wp.uint8, device=where)
     picture.decode = wp.array(decode, dtype=wp.float32, device=where)
-    picture.offsets = wp.array(offsets, dtype=wp.int32, device=where)
-    picture.widths = wp.array(widths, dtype=wp.int32, device=where)
-    picture.heights = wp.array(heights, dtype=wp.int32, device=where)
+    picture.offsets, picture.widths, picture.heights = (
+        wp.array(numbers, dtype=wp.int32, device=where) for numbers in (offsets, widths, heights)
+    )
     picture.levels = len(levels)
     picture.repeat, picture.repeat_rows = int(part.repeat), int(part.repeat_rows)
     tint = to_linear(np.array(part.tint))

@@ -199,10 +199,7 @@ def _stills(
     # Texels around the sphere of the texture of still pictures: three for each pixel of the surface. Along the side of
     # a texel two samples: pictures average over several texels besides.
     picture: NDArray[np.generic]
-    if isinstance(texture, Pattern):
-        picture = rasterize(texture, 1536, supersample=2, device=device)
-    else:
-        picture = texture
+    picture = rasterize(texture, 1536, supersample=2, device=device) if isinstance(texture, Pattern) else texture
     # Most edges, faces: with more, edges would hide the surface between them
     edges = len(result.faces) <= 60_000
     for stage in (stages[0], stages[-1])[: len(stages)]:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from omtwarp.colors import colormap_table
 from omtwarp.device.policy import resolve_device
+from omtwarp.geometry.axes import fitted_rotation
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.arrays import Bytes, Floats, Ints
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas, vertex_normals
@@ -255,9 +256,7 @@ def alignment(directions: Floats, placed: Floats) -> Floats:
     """Return the rotation [3, 3] that best aligns points of the sphere with the surface (Kabsch 1976)."""
     # Least radius, of a vertex at the centre, which no direction leads to
     radial = placed / np.maximum(np.linalg.norm(placed, axis=1, keepdims=True), 1e-12)
-    u, _, vt = np.linalg.svd(radial.T @ directions)
-    flip = np.sign(np.linalg.det(u @ vt))
-    return u @ np.diag([1.0, 1.0, flip]) @ vt
+    return fitted_rotation(directions.T @ radial)[0]
 
 
 def cube_faces(texture: Source, size: int = FACE_TEXELS, *, device: str = "auto") -> list[str]:

@@ -25,7 +25,7 @@ from omtwarp.mesh.arrays import Floats, Ints, real_numbers, whole_numbers
 from omtwarp.mesh.data import read_data
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.read import read_mesh
-from omtwarp.mesh.surface import MeshLike, triangle_areas
+from omtwarp.mesh.surface import MeshLike, sums_around, triangle_areas
 from omtwarp.options import Domain, Interpolation, InterpolationLike
 from omtwarp.resampling.averages import average_sphere, is_average
 from omtwarp.resampling.overlap_kernels import box_polygons, count_overlaps, list_overlaps
@@ -198,8 +198,7 @@ class SpherePoints:
         if self.vertices is None or self.grid.faces is None:
             return self.grid.areas
         faces = self.grid.own_triangles
-        shares = np.repeat(triangle_areas(self.vertices, faces) / 3.0, 3)
-        return np.bincount(faces.ravel(), weights=shares, minlength=len(self.vertices)).astype(np.float64)
+        return sums_around(triangle_areas(self.vertices, faces) / 3.0, faces, len(self.vertices))
 
     def closed(self) -> SpherePoints:
         """Return the same points, those that fill holes counted as the surface's."""

@@ -17,7 +17,7 @@ from omtwarp.files.output import as_path, staged
 from omtwarp.geometry.harmonics import check_degree, degree_of, power_per_degree, real_harmonics
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.shapes import icosphere
-from omtwarp.mesh.surface import Surface, triangle_areas
+from omtwarp.mesh.surface import Surface, sums_around, triangle_areas
 
 METHODS = ("least-squares", "quadrature")
 _AT_ONCE = 2**22  # harmonics at points that are held at once
@@ -133,8 +133,7 @@ def expand(
         raise OmtwarpError(f"unknown method '{method}': use {' or '.join(METHODS)}")
     weights: Floats = np.ones(len(points))
     if triangles is not None:
-        areas = np.repeat(triangle_areas(points, triangles.astype(np.int32)), 3)
-        weights = np.bincount(triangles.ravel(), areas, minlength=len(points)).astype(np.float64)
+        weights = sums_around(triangle_areas(points, triangles.astype(np.int32)), triangles, len(points))
     return Expansion(_least_squares(points, data, weights, degree))
 
 

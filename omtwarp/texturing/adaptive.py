@@ -113,17 +113,15 @@ def _divided_as_shown(curves: SmoothCurves, atlas: Atlas) -> tuple[Ints, Ints, I
     first = np.zeros(len(divided), dtype=np.int32)
     grids, points, rows, count = [], [curves.sphere], 0, len(curves.sphere)
     sizes = np.unique(divided[divided > 0]).tolist()
+    which_of = {parts: np.flatnonzero(divided == parts) for parts in sizes}
     # NumPy lets go of the interpreter in long operations.
     with ThreadPoolExecutor(len(divisions)) as pool:
-        finer = {
-            parts: pool.submit(curves.divided, parts, np.flatnonzero(divided == parts)) for parts in sizes if parts > 1
-        }
-    for parts in sizes:
-        which = np.flatnonzero(divided == parts)
+        finer = pool.map(lambda parts: curves.divided(parts, which_of[parts]), [n for n in sizes if n > 1])
+    for parts, which in which_of.items():
         if parts == 1:
             grid = curves.faces[which][:, [0, 2, 1]]  # in the order of a grid's points
         else:
-            made = finer[parts].result()
+            made = next(finer)
             grid = np.where(made.grid < len(curves.sphere), made.grid, made.grid + count - len(curves.sphere))
             points.append(made.sphere[len(curves.sphere) :])
             count += len(points[-1])

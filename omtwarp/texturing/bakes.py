@@ -21,7 +21,7 @@ from omtwarp.geometry.space_order import in_strips
 from omtwarp.mesh.arrays import TINY, Bytes, Floats, Ints
 from omtwarp.mesh.data import read_data
 from omtwarp.mesh.origins import Origins
-from omtwarp.mesh.surface import plane_areas, triangle_areas, vertex_normals
+from omtwarp.mesh.surface import plane_areas, sums_around, triangle_areas, vertex_normals
 from omtwarp.texturing import kernels
 from omtwarp.texturing.baking import PADDING, bake_corners, covered
 
@@ -280,8 +280,7 @@ def area_ratio(vertices: Floats, faces: Ints, on_map: Floats, parts: NDArray[np.
     shares = []
     for areas in (on_map, triangle_areas(vertices, faces)):
         share = areas / np.maximum(np.bincount(number, areas), TINY)[number]
-        around = np.bincount(faces.ravel(), np.repeat(share, 3), minlength=len(vertices))
-        shares.append(np.maximum(around, TINY))
+        shares.append(np.maximum(sums_around(share, faces, len(vertices)), TINY))
     return shares[0] / shares[1]
 
 

@@ -308,17 +308,14 @@ class _Painting:
                 materials.append(material)
                 continue
             extent = _extent(material, self.size)
-            layers = None if draw is None else with_opacity(draw(which[mine], tiled[mine], extent))
+            color = None if draw is None else with_opacity(draw(which[mine], tiled[mine], extent))
             doubled = max(doubled, overlap(tiled[mine], *extent, self.where))
             target = self._target(tiled[mine], which[mine], extent)
             at = None if tangents is None else tangents[which[mine]]
-            color = None
-            if layers is not None:
-                color = layers
-                if self.keep is not None:
-                    inside = covered(tiled[mine], extent, device=self.where)[..., None]
-                    base = self._base(layers, mesh, which[mine], tiled[mine], material, extent)
-                    color = np.where(inside, self._together(layers, base), base)
+            if color is not None and self.keep is not None:
+                inside = covered(tiled[mine], extent, device=self.where)[..., None]
+                base = self._base(color, mesh, which[mine], tiled[mine], material, extent)
+                color = np.where(inside, self._together(color, base), base)
             materials.append(self._finish(material, color, target, at))
         if doubled > 0.002:  # rounding gives less
             text = (

@@ -93,10 +93,7 @@ def laid_out(
         number = spheres_of(result)
         parts = np.zeros(len(faces), dtype=np.intp) if number is None else number
         disk = getattr(result, "disk", None)
-        if disk is not None:
-            charts = _disks(vertices, faces, disk, parts)
-        else:
-            charts = _cubes(vertices, faces, sphere, parts)
+        charts = _cubes(vertices, faces, sphere, parts) if disk is None else _disks(vertices, faces, disk, parts)
     turned = plane_areas(charts[0]) <= 0
     if turned.any():
         raise OmtwarpError(
