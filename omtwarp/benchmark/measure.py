@@ -214,14 +214,10 @@ def _number(value: float | None, digits: int = 3) -> str:
     return f"{value:.{digits}g}" if abs(value) < 1000 else f"{value:.0f}"
 
 
-def _stage_names(result: Facts) -> list[str]:
-    present = {stage["name"] for mesh in result["meshes"] for run in mesh["runs"] for stage in run["stages"]}
-    return [name for name in STAGES if name in present] + sorted(present - set(STAGES))
-
-
 def maps_table(result: Facts) -> str:
     """Return the table of all maps, one in a row: seconds on the wall by stage, processor seconds and memory."""
-    names = _stage_names(result)
+    present = {stage["name"] for mesh in result["meshes"] for run in mesh["runs"] for stage in run["stages"]}
+    names = [name for name in STAGES if name in present] + sorted(present - set(STAGES))
     rows = []
     for mesh in result["meshes"]:
         for run in mesh["runs"]:

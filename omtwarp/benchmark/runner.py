@@ -187,7 +187,8 @@ def measure_mesh(
             for stage in one["stages"]:
                 stage["ratio"] = stage["seconds"] / before[0] if before else None
             measured.append(one)
-        runs.append({"device": device, **median_of(measured)})
+        stages = [_median([one["stages"][k] for one in measured]) for k in range(len(measured[0]["stages"]))]
+        runs.append({"device": device, **_median(measured), "stages": stages})
     if system is not None and not references:
         references.append(splu_reference(*system))
     reference = None
@@ -236,16 +237,8 @@ def measure_map(surface: Surface, device: str, refine: str | float | None) -> Fa
             }
         )
         before = now
-    stages.append(
-        {
-            "name": "other",
-            "seconds": wall - sum(stage["seconds"] for stage in stages),
-            "cpu_seconds": cpu - before,
-            "iterations": 1,
-            "flips": stages[-1]["flips"],
-            "area": stages[-1]["area"],
-        }
-    )
+    other = {"name": "other", "seconds": wall - sum(stage["seconds"] for stage in stages)}
+    stages.append(stages[-1] | other | {"cpu_seconds": cpu - before, "iterations": 1})
     return {
         "seconds": wall,
         "cpu_seconds": cpu,
@@ -270,12 +263,6 @@ def reference_system(surface: Surface) -> tuple[sparse.csc_matrix, Floats]:
     """Return the cotangent Laplacian without its first vertex, and a right-hand side."""
     matrix = cotangent_laplacian(surface.scaled_vertices, surface.faces).tocsc()[1:, 1:]
     return matrix, np.random.default_rng(0).normal(size=matrix.shape[0])
-
-
-def median_of(runs: list[Facts]) -> Facts:
-    """Return the median over repeated maps of one mesh of every number, stage by stage."""
-    stages = [_median([run["stages"][k] for run in runs]) for k in range(len(runs[0]["stages"]))]
-    return _median(runs) | {"stages": stages}
 
 
 def _median(records: Sequence[Mapping[str, object]]) -> dict[str, object]:

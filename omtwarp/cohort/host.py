@@ -50,7 +50,10 @@ def run_item(job: Job) -> Row:
         finished = read_record(job)
         if finished is not None:
             return finished
-        _limit_memory(job.memory_limit)
+        if job.memory_limit and sys.platform == "linux":  # elsewhere no such limit is enforced
+            import resource
+
+            resource.setrlimit(resource.RLIMIT_AS, (address_space() + job.memory_limit,) * 2)
         begun, used = time.perf_counter(), time.process_time()
 
         def recorded(status: str, message: str = "", numbers: Row | None = None) -> Row:
@@ -133,14 +136,6 @@ def numbers_of(result: MapResult) -> Row:
         "ring": float(np.sqrt(np.average((around - 1.0) ** 2, weights=surface.vertex_areas))),
         "gap": result.report.get("optimality", {}).get("gap"),
     }
-
-
-def _limit_memory(limit: int) -> None:
-    """Limit how many more bytes the process may allocate; only Linux enforces such a limit."""
-    if limit and sys.platform == "linux":
-        import resource
-
-        resource.setrlimit(resource.RLIMIT_AS, (address_space() + limit,) * 2)
 
 
 def _peak_memory() -> int:

@@ -280,7 +280,7 @@ def write_data(path: Path, data: VertexData, mesh: tuple[Floats, Ints] | None = 
     with staged(path) as file:
         if name.endswith(".npy"):
             with open(file, "wb") as stream:
-                to_npy(stream, data)
+                np.save(stream, data.values[:, 0] if data.values.shape[1] == 1 else data.values)
         elif name.endswith(TEXT_SUFFIXES):
             rows = [",".join(data.names), *(",".join(map(repr, row)) for row in data.values.tolist())]
             file.write_text("\n".join(rows) + "\n", "utf-8")
@@ -299,11 +299,6 @@ def write_data(path: Path, data: VertexData, mesh: tuple[Floats, Ints] | None = 
             file.write_bytes(ply_bytes(mesh[0], mesh[1], dict(zip(data.names, data.values.T, strict=True))))
         else:
             raise OmtwarpError(f"cannot write '{path}': unknown format of data, use {', '.join(DATA_SUFFIXES)}")
-
-
-def to_npy(stream: BinaryIO, data: VertexData) -> None:
-    """Write the values as an array [V], or [V, K] of several columns."""
-    np.save(stream, data.values[:, 0] if data.values.shape[1] == 1 else data.values)
 
 
 def _write_gifti(file: Path, data: VertexData, name: str) -> None:

@@ -280,7 +280,10 @@ def load_scene(data: bytes, file: Path, suffix: str, *, pictures: bool = True) -
     named = reader_beside(file)
     if suffix in ("glb", "gltf"):
         header = gltf_header(data, suffix)
-        _require_read(header, (*_READ, *(() if pictures else _OF_PICTURES)))
+        read = (*_READ, *(() if pictures else _OF_PICTURES))
+        unknown = [str(name) for name in header.get("extensionsRequired", []) if not str(name).startswith(read)]
+        if unknown:
+            raise OmtwarpError(f"needs {unknown[0]}, which is not read: save it without compression and extensions")
         data = with_plain_accessors(data, header, suffix == "glb", named)
         if header.pop("images", None) or header.get("materials"):
             for number, material in enumerate(header.get("materials", [])):
@@ -368,17 +371,6 @@ def _document(text: bytes) -> Document:
     if not isinstance(document, dict):
         raise ValueError("its JSON is no object")
     return document
-
-
-def _require_read(header: Document, read: tuple[str, ...]) -> None:
-    """Refuse a file that requires a part of glTF which is not read.
-
-    Raises:
-        OmtwarpError: the file requires such a part.
-    """
-    unknown = [str(name) for name in header.get("extensionsRequired", []) if not str(name).startswith(read)]
-    if unknown:
-        raise OmtwarpError(f"needs {unknown[0]}, which is not read: save it without compression and extensions")
 
 
 def placed_meshes(scene: trimesh.Scene) -> list[tuple[str, trimesh.Trimesh, Floats, NDArray[np.int64]]]:

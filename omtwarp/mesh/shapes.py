@@ -86,7 +86,10 @@ def sphere_from_directions(directions: ArrayLike) -> Surface:
     p0, p1, p2 = (points[faces[:, k]] for k in range(3))
     inward = np.einsum("ij,ij->i", np.cross(p1 - p0, p2 - p0), hull.equations[:, :3]) < 0
     faces[inward] = faces[inward][:, ::-1]
-    return Surface(points, _sorted_faces(faces))
+    # Every face begins at its smallest vertex, and faces are sorted: their order does not depend on a library.
+    start = faces.argmin(axis=1)
+    faces = np.take_along_axis(faces, (np.arange(3)[None] + start[:, None]) % 3, axis=1)
+    return Surface(points, faces[np.lexsort(faces.T[::-1])])
 
 
 def fibonacci_sphere(face_count: int = 5000) -> Surface:
@@ -588,13 +591,6 @@ def _capped_grid(grid: Floats, north: Floats, south: Floats, flip: bool = False)
     )
     ends = [south, north] if flip else [north, south]
     return np.concatenate([grid.reshape(-1, 3), ends]), faces[:, ::-1] if flip else faces
-
-
-def _sorted_faces(faces: Faces) -> Faces:
-    """Begin every face at its smallest vertex and sort the faces, so that their order does not depend on a library."""
-    start = faces.argmin(axis=1)
-    faces = np.take_along_axis(faces, (np.arange(3)[None] + start[:, None]) % 3, axis=1)
-    return faces[np.lexsort(faces.T[::-1])]
 
 
 def _normals(points: Floats, a: NDArray, b: NDArray, c: NDArray) -> Floats:

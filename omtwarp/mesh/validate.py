@@ -280,7 +280,8 @@ def _open_boundary(points: Floats, topology: Topology, two_sided: bool) -> Defec
     size, vertex = topology.first_hole
     which = "the first " if topology.hole_count > 1 else ""
     text = f"open boundary: {edges} with one face, in {holes}, {which}a loop of {size} edges at vertex {vertex}"
-    copies = _coincident_vertices(points, topology.edges[lone])
+    ends = np.unique(topology.edges[lone])
+    copies = len(ends) - len(np.unique(points[ends], axis=0))  # exactly where another one is
     if copies:
         remedy = f"{number(copies, 'vertex lies', 'vertices lie')} on another one, merge them with {REPAIR}"
     elif not two_sided:
@@ -473,12 +474,6 @@ def _spanning_forest(count: int, links: NDArray) -> NDArray[np.bool_]:
     chosen = np.zeros(len(links), dtype=bool)
     chosen[np.round(taken).astype(np.int64) - 1] = True
     return chosen
-
-
-def _coincident_vertices(points: Floats, boundary: NDArray[np.int64]) -> int:
-    """Count the vertices of the boundary that have exactly the coordinates of another one."""
-    ends = np.unique(boundary)
-    return len(ends) - len(np.unique(points[ends], axis=0))
 
 
 def _signed_volume(points: Floats, faces: NDArray[np.int64]) -> float:

@@ -123,17 +123,14 @@ def _by_name(maps: Files, folder: str | os.PathLike[str], *taken: str) -> dict[s
     for word in taken:
         if word in files:
             raise OmtwarpError(f"'{files[word]}' has the name of a result: rename it")
-    replaced = next((one for name, one in files.items() if _same(one, Path(folder) / f"{name}.npz")), None)
+    real = os.path.realpath
+    replaced = next((one for name, one in files.items() if real(one) == real(Path(folder) / f"{name}.npz")), None)
     if replaced is not None:
         raise OmtwarpError(f"'{replaced}' is a map and would be replaced as a result: choose another folder")
     missing = next((path for path in files.values() if not path.is_file()), None)
     if missing is not None:
         raise OmtwarpError(f"'{missing}' is no file: give maps (.npz)")
     return files
-
-
-def _same(one: Path, other: Path) -> bool:
-    return os.path.realpath(one) == os.path.realpath(other)
 
 
 class Kept:

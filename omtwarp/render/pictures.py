@@ -108,7 +108,7 @@ def takes(kind: type, defaults: PanelOptions | PreviewOptions) -> Callable[[Func
         kind: the TypedDict of the options.
         defaults: a value for each of them.
     """
-    types = {name: getattr(given, "__forward_arg__", given) for name, given in _annotations(kind).items()}
+    types = {name: getattr(given, "__forward_arg__", given) for name, given in inspect.get_annotations(kind).items()}
 
     def signed(function: Function) -> Function:
         signature = inspect.signature(function)
@@ -123,11 +123,6 @@ def takes(kind: type, defaults: PanelOptions | PreviewOptions) -> Callable[[Func
         return function
 
     return signed
-
-
-def _annotations(kind: type) -> dict[str, object]:
-    """Return the annotations of a TypedDict and of those that it extends, in their order."""
-    return {name: given for base in reversed(kind.__mro__) for name, given in inspect.get_annotations(base).items()}
 
 
 def complete(given: PreviewOptions, function: str) -> PreviewOptions:

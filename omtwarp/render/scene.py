@@ -208,8 +208,9 @@ class SurfaceView:
         if self.uv is not None:
             self.uv = _checked("uv", self.uv, [(count, 2), (triangles, 3, 2)])
         if self.colors is not None:
-            self.colors = _as_colors(self.colors)
-            self.colors = _checked("colors", self.colors, [(count, 3), (triangles, 3)])
+            scale = 255.0 if np.issubdtype(np.asarray(self.colors).dtype, np.integer) else 1.0
+            colors = np.clip(numbers_of(self.colors, "colors")[..., :3] / scale, 0.0, 1.0)
+            self.colors = _checked("colors", colors, [(count, 3), (triangles, 3)])
         if self.scalar is not None:
             if not isinstance(self.scalar, ScalarField):
                 self.scalar = ScalarField(self.scalar)
@@ -477,12 +478,6 @@ def _checked(name: str, values: ArrayLike, shapes: list[tuple[int, ...]]) -> Flo
         wanted = " or ".join(str(list(shape)) for shape in shapes)
         raise OmtwarpError(f"{name} needs the shape {wanted}, not {list(array.shape)}")
     return real_numbers(array, name, None)
-
-
-def _as_colors(colors: ArrayLike) -> Floats:
-    scale = 255.0 if np.issubdtype(np.asarray(colors).dtype, np.integer) else 1.0
-    values = numbers_of(colors, "colors")[..., :3] / scale
-    return np.clip(values, 0.0, 1.0)
 
 
 def _scalar_lookup(scalar: ScalarField) -> tuple[Bytes, Floats]:

@@ -24,25 +24,16 @@ NUMBER, COUNT, TEXT, FLAG = "number", "count", "text", "flag"
 
 REPORT: dict[str, object] = {
     "seconds": NUMBER,
-    "device": TEXT,
-    "method": TEXT,
-    "scheme": TEXT,
-    "cost": TEXT,
+    **dict.fromkeys(("device", "method", "scheme", "cost"), TEXT),
     "versions": {"*": TEXT},
     "mesh": {"faces": COUNT},
     "start": {"route": TEXT, "reason": TEXT},
     "optimality": {"relative_curl": NUMBER, "lower_bound": NUMBER, "gap": NUMBER},
     "stages": [
-        {
-            "name": TEXT,
-            "seconds": NUMBER,
-            "iterations": COUNT,
-            "transport_cost": NUMBER,
-            "weight": TEXT,
-            "repaired": COUNT,
-            "route": TEXT,
-            "converged": FLAG,
-        }
+        dict.fromkeys(("name", "weight", "route"), TEXT)
+        | dict.fromkeys(("seconds", "transport_cost"), NUMBER)
+        | dict.fromkeys(("iterations", "repaired"), COUNT)
+        | {"converged": FLAG}
     ],
 }
 """Fields of a report and their kinds; ``*`` is any name, and a list for any number of entries."""

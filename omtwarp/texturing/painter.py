@@ -207,16 +207,17 @@ class _Sheet:
     repeats: bool = False
 
 
-def _sheet(made: TexturedSurface, vertices: Floats, faces: Ints) -> _Sheet:
-    """Return a textured surface with its copies of vertices along seams joined; ``vertices`` and ``faces`` as given."""
+def _sheet(made: TexturedSurface) -> _Sheet:
+    """Return a textured surface with its copies of vertices along seams joined."""
     _, first = np.unique(made.welded, return_index=True)
+    corners = made.original_vertices[made.original_faces[made.source_face]]
     return _Sheet(
         vertices=made.vertices[first],
         faces=made.welded[made.faces].astype(np.int32),
         uv=made.uv[made.faces],
         normals=made.normals[made.faces],
         source_face=made.source_face,
-        weights=_combinations(made.vertices[made.faces], vertices[faces[made.source_face]]),
+        weights=_combinations(made.vertices[made.faces], corners),
         picture=made.image,
     )
 
@@ -408,12 +409,11 @@ class _Painting:
     def on_atlas(self) -> PaintedMesh:
         """Lay the surface out on one picture, which all of its materials share."""
         if self.torus is not None:
-            sheet = replace(_sheet(self._textured(self.torus, self.size), self.vertices, self.faces), repeats=True)
+            sheet = replace(_sheet(self._textured(self.torus, self.size)), repeats=True)
         elif self.parts is not None:
             sheet = self._parts_side_by_side(self.parts)
         else:
-            made = self._textured((self.vertices, self.faces, self.sphere), self.size)
-            sheet = _sheet(made, self.vertices, self.faces)
+            sheet = _sheet(self._textured((self.vertices, self.faces, self.sphere), self.size))
         mesh = self._mesh_of(sheet)
         which, uv = tiled_copies(sheet.uv) if sheet.repeats else (np.arange(len(sheet.faces)), sheet.uv)
         height, width = sheet.picture.shape[:2]
@@ -469,16 +469,14 @@ class _Painting:
         for part, width in enumerate(wide.tolist()):
             mine = np.flatnonzero(parts == part)
             used, own = np.unique(self.faces[mine], return_inverse=True)
-            numbers = np.asarray(own.reshape(-1, 3), dtype=np.int32)
-            own_vertices = self.vertices[used]
-            sheet = _sheet(self._textured((own_vertices, numbers, self.sphere[used]), width), own_vertices, numbers)
+            sheet = _sheet(self._textured((self.vertices[used], own.reshape(-1, 3), self.sphere[used]), width))
             high, across = sheet.picture.shape[:2]
             if picture is None:
                 picture = np.zeros((side, side, sheet.picture.shape[2]), dtype=np.uint8)
                 picture[:] = np.rint(sheet.picture.mean(axis=(0, 1)))
-            aside = (0, 0), (gap - 1, gap - 1), (0, 0)
-            drawn = np.pad(sheet.picture, aside, "wrap") if one.wraps else np.pad(sheet.picture, aside, "edge")
-            drawn = np.pad(drawn, ((gap - 1, gap - 1), (0, 0), (0, 0)), "edge")
+            aside, none = (gap - 1, gap - 1), (0, 0)
+            drawn = np.pad(sheet.picture, (none, aside, none), "wrap" if one.wraps else "edge")
+            drawn = np.pad(drawn, (aside, none, none), "edge")
             row, column = side - int(bottom[part]) - high - gap + 1, int(left[part]) - gap + 1
             picture[row : row + drawn.shape[0], column : column + drawn.shape[1]] = drawn
             uv = (sheet.uv * (across, high) + (left[part], bottom[part])) / side

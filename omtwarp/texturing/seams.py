@@ -239,7 +239,8 @@ class CutMesh:
         """
         d = np.asarray(direction, dtype=np.float64)
         along = self.points @ d
-        if np.any(_on_line(self.points[along > 0], d)):
+        ahead = self.points[along > 0]
+        if np.any(lengths(np.cross(ahead, d)) <= ON_CUT * lengths(ahead)):
             return
         bary = np.zeros((len(self.faces), 3))
         inside = np.zeros(len(self.faces), dtype=bool)
@@ -291,7 +292,7 @@ class CutMesh:
         """Split every edge that crosses an arc, exactly where it does."""
         normal = np.asarray(arc.normal, dtype=np.float64)
         height = self.points @ normal
-        height[_on_plane(self.points, normal)] = 0.0
+        height[np.abs(height) <= ON_CUT * lengths(self.points)] = 0.0
         side = np.sign(height).astype(np.int8)[self.faces]
         face, corner = np.nonzero(side * np.roll(side, -1, axis=1) < 0)
         tail, head = self.faces[face, corner], self.faces[face, (corner + 1) % 3]
@@ -304,12 +305,3 @@ class CutMesh:
             active &= crossing @ np.asarray(h, dtype=np.float64) > 0
         t = np.where(forward, t, 1.0 - t)
         self.split_half_edges(face[active], corner[active], t[active])
-
-
-def _on_plane(points: Floats, normal: Floats) -> NDArray[np.bool_]:
-    return np.abs(points @ normal) <= ON_CUT * lengths(points)
-
-
-def _on_line(points: Floats, direction: Floats) -> NDArray[np.bool_]:
-    """Return a mask of the points that lie on the line of a direction, shape [N]."""
-    return lengths(np.cross(points, direction)) <= ON_CUT * lengths(points)

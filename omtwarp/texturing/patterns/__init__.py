@@ -16,7 +16,7 @@ import heapq
 from abc import ABC, abstractmethod
 from functools import lru_cache
 from importlib import import_module
-from typing import TypeGuard, cast
+from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -152,14 +152,11 @@ def colour_groups(neighbours: NDArray, colours: int) -> Ints:
     return group
 
 
-def _class(name: str) -> type[Pattern]:
-    """Return the class of a pattern, which its file is named after."""
-    return cast("type[Pattern]", getattr(import_module(f"{__name__}.{name}"), name.capitalize()))
-
-
 @lru_cache(maxsize=16)
-def _default(name: str) -> Pattern:
-    return _class(name)()
+def _made(name: str, **options: int | str) -> Pattern:
+    """Return a pattern of the class that its file is named after."""
+    kind: type[Pattern] = getattr(import_module(f"{__name__}.{name}"), name.capitalize())
+    return kind(**options)
 
 
 def is_name(given: object) -> TypeGuard[PatternLike]:
@@ -178,10 +175,8 @@ def pattern(name: str | Pattern, **options: int | str) -> Pattern:
     if name not in tuple(PatternName):
         *most, last = tuple(PatternName)
         raise OmtwarpError(f"unknown pattern '{name}': use {', '.join(most)} or {last}")
-    if not options:
-        return _default(name)
     try:
-        return _class(name)(**options)
+        return _made(name, **options)
     except TypeError as error:
         raise OmtwarpError(f"pattern {name}: {error}") from error
 
