@@ -143,10 +143,7 @@ def superpose(surfaces: Floats, weights: Floats, scale: bool = False) -> tuple[F
         posed = posed * scales[:, None, None]
     mean, rounds = posed[0], 0
     for rounds in range(1, ROUNDS + 1):  # noqa: B007
-        turned = []
-        for one in posed:
-            turned.append(one @ fitted_rotation((one * shares[:, None]).T @ mean)[0].T)
-        posed = np.stack(turned)
+        posed = np.stack([one @ fitted_rotation((one * shares[:, None]).T @ mean)[0].T for one in posed])
         before, mean = mean, posed.mean(axis=0)
         if np.sqrt(shares @ ((mean - before) ** 2).sum(axis=1)) < TOLERANCE * size:
             break

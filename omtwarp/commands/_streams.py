@@ -14,6 +14,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import TextIO, cast
 
@@ -102,19 +103,12 @@ _current: _Streams | None = None
 def standard_streams() -> Iterator[None]:
     """Make ``-`` mean standard input and output while a command runs; send the output at its end."""
     global _current
-    real = sys.stdout, sys.stderr
     with contextlib.ExitStack() as stack:
-        made: list[Path] = []
-
-        def folder() -> Path:
-            if not made:
-                made.append(stack.enter_context(scratch()))
-            return made[0]
-
-        before, _current = _current, _Streams(folder)
+        before, _current = _current, _Streams(cache(lambda: stack.enter_context(scratch())))
         streams = _current
         shown, messages = _Shown(sys.stdout, streams, needed=True), _Shown(sys.stderr, streams, needed=False)
-        sys.stdout, sys.stderr = cast(tuple[TextIO, TextIO], (shown, messages))
+        stack.enter_context(contextlib.redirect_stdout(cast(TextIO, shown)))
+        stack.enter_context(contextlib.redirect_stderr(cast(TextIO, messages)))
         try:
             try:
                 yield
@@ -132,7 +126,6 @@ def standard_streams() -> Iterator[None]:
                 raise
         finally:
             _current = before
-            sys.stdout, sys.stderr = real
             shown.end()
             messages.end()
 

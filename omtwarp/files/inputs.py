@@ -320,6 +320,8 @@ def read_stack(stream: BinaryIO) -> tuple[NDArray[np.generic], tuple[float, floa
         OmtwarpError: colours, pages of different sizes, several channels or times, or too many numbers.
         Exception: what Pillow raises on a damaged file.
     """
+    from PIL import ImageSequence
+
     # Tags of TIFF: the description, and texels per unit of length across and down
     described, across, down = 270, 282, 283
     pages: list[NDArray[np.generic]] = []
@@ -329,19 +331,15 @@ def read_stack(stream: BinaryIO) -> tuple[NDArray[np.generic], tuple[float, floa
         more = re.search(r"^(channels|frames)=([2-9]|\d{2,})", text, re.M)
         if more:
             raise OmtwarpError(f"a volume of several {more.group(1)}: save one of them by itself")
-        while True:
-            if opened.mode not in ("1", "L", "P", "I", "F", "I;16", "I;16L", "I;16B"):
-                raise OmtwarpError(f"pages of colours ({opened.mode}), not of labels")
-            if (len(pages) + 1) * opened.width * opened.height > MOST_TEXELS:
+        for image in ImageSequence.Iterator(opened):
+            if image.mode not in ("1", "L", "P", "I", "F", "I;16", "I;16L", "I;16B"):
+                raise OmtwarpError(f"pages of colours ({image.mode}), not of labels")
+            if (len(pages) + 1) * image.width * image.height > MOST_TEXELS:
                 raise OmtwarpError(f"more than {MOST_TEXELS / 1e6:.0f} million voxels, which is the most")
-            page = np.asarray(opened)
+            page = np.asarray(image)
             if pages and page.shape != pages[0].shape:
                 raise OmtwarpError(f"no volume: page {len(pages)} is of another size than the first")
             pages.append(page)
-            try:
-                opened.seek(len(pages))
-            except EOFError:
-                break
     thick = re.search(r"^spacing=(\S+)", text, re.M)
     sides = (1.0, 1.0, 1.0)
     if text.startswith("ImageJ=") and thick and min(per_unit) > 0.0:

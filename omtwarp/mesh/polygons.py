@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -38,6 +40,15 @@ def fans(flat: NDArray[np.generic], corners: NDArray[np.int64]) -> tuple[NDArray
     step = np.arange(len(first)) - np.repeat(np.cumsum(fans) - fans, fans)
     note = f"cut {larger} face{'s' if larger > 1 else ''} with more than three corners into triangles"
     return flat[np.stack([first, first + step + 1, first + step + 2], axis=1)], [note]
+
+
+def taken_together(
+    meshes: Sequence[tuple[NDArray[np.float64], NDArray[np.int64]]],
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return the vertices and triangles of several meshes as those of one."""
+    starts = np.cumsum([0, *(len(points) for points, _ in meshes)])
+    triangles = [faces + start for (_, faces), start in zip(meshes, starts[:-1], strict=True)]
+    return np.concatenate([points for points, _ in meshes]), np.concatenate(triangles)
 
 
 def triangles_of_strips(flat: NDArray[np.generic], lengths: NDArray[np.int64]) -> NDArray[np.generic]:

@@ -42,7 +42,7 @@ from omtwarp.mesh.other_formats import (
     read_plates,
 )
 from omtwarp.mesh.ply import read_ply
-from omtwarp.mesh.polygons import Polygons, fans
+from omtwarp.mesh.polygons import Polygons, fans, taken_together
 from omtwarp.mesh.scenes import load_scene, placed_meshes, scene_formats
 from omtwarp.mesh.validate import Topology, components_of
 from omtwarp.mesh.volumes import MOST_ROUNDS, ROUNDS, VOLUMES, label_surfaces
@@ -349,13 +349,8 @@ def _single_geometry(scene: trimesh.Scene, together: bool) -> tuple[NDArray[np.f
             f"{len(meshes)} geometries in one scene ({names}), first '{meshes[0][0]}'; save the one to be mapped by "
             "itself, take the largest with --repair, or map all with --components or --together"
         )
-    vertices, faces, start = [], [], 0
-    for _, _, points, triangles in meshes:
-        vertices.append(points)
-        faces.append(triangles + start)
-        start += len(points)
     notes = [f"took {len(meshes)} geometries together"] if len(meshes) > 1 else []
-    return np.concatenate(vertices), np.concatenate(faces), notes
+    return *taken_together([one[2:] for one in meshes]), notes
 
 
 Ints = NDArray[np.int64]

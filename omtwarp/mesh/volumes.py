@@ -20,6 +20,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import read_stack
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.neuro import nibabel_module
+from omtwarp.mesh.polygons import taken_together
 from omtwarp.mesh.shapes import crossed_edges
 
 Ints = NDArray[np.int64]
@@ -56,19 +57,15 @@ def label_surfaces(data: bytes, suffix: str, rounds: int = ROUNDS) -> tuple[Floa
     labels = labels[labels != 0]
     if not len(labels):
         raise OmtwarpError("a volume without a label: all of it is 0")
-    vertices, faces, start = [], [], 0
-    for label in labels:
-        points, triangles = surface_of(volume == label)
-        vertices.append(smoothed(points, triangles, rounds) @ affine[:3, :3].T + affine[:3, 3])
-        faces.append(triangles + start)
-        start += len(points)
-    corners = np.concatenate(faces)
+    surfaces = [surface_of(volume == label) for label in labels]
+    placed = [(smoothed(*one, rounds) @ affine[:3, :3].T + affine[:3, 3], one[1]) for one in surfaces]
+    vertices, corners = taken_together(placed)
     if np.linalg.det(affine[:3, :3]) < 0.0:
         corners = corners[:, ::-1]
     shown = ", ".join(f"{label:.0f}" for label in labels[:8]) + (", ..." if len(labels) > 8 else "")
     notes = [f"took the surfaces of {len(labels)} label{'s' * (len(labels) > 1)} ({shown}) together"]
     notes += [f"smoothed them by {rounds} round{'s' * (rounds != 1)} of Taubin's filter"]
-    return np.concatenate(vertices), corners, notes
+    return vertices, corners, notes
 
 
 def _volume(data: bytes, suffix: str) -> tuple[NDArray[np.generic], Floats]:

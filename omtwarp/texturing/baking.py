@@ -31,7 +31,7 @@ from omtwarp.texturing.atlas import Atlas, check_size, make_atlas
 from omtwarp.texturing.export import Material
 from omtwarp.texturing.image import PictureLike, as_floats, check_projection, read_image, with_opacity
 from omtwarp.texturing.patterns import Pattern, is_name, pattern
-from omtwarp.texturing.seams import Unwrapped, unwrap
+from omtwarp.texturing.seams import Unwrapped, shares_of_corners, unwrap
 
 Picture = NDArray[np.float32]
 
@@ -510,9 +510,8 @@ def own_at_parts(cut: Unwrapped, faces: NDArray, own: Floats) -> Floats:
     Each corner is a combination of vertices of its source face; its coordinates are the same combination of that
     face's corners.
     """
-    rows, corner_face = cut.faces.ravel(), np.repeat(cut.source_face, 3)
-    share = np.stack([np.asarray(cut.weights[rows, faces[corner_face, k]]).ravel() for k in range(3)], axis=1)
-    return np.einsum("ik,ikj->ij", share, own[corner_face]).reshape(-1, 3, 2)
+    shares = shares_of_corners(cut.weights, cut.faces, cut.source_face, faces)
+    return np.einsum("tij,tjc->tic", shares, own[cut.source_face])
 
 
 def tiled_copies(uv: Floats) -> tuple[NDArray[np.int64], Floats]:

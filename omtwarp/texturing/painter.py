@@ -16,7 +16,7 @@ from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.maps.result import StoredMap
 from omtwarp.maps.torus_map import TorusMap
-from omtwarp.mesh.arrays import TINY, Bytes, Floats, Ints
+from omtwarp.mesh.arrays import Bytes, Floats, Ints
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.surface import plane_areas, triangle_areas, vertex_normals
 from omtwarp.options import AtlasLike, CoordinatesLike, KeepLike, PatternLike, ProjectionLike
@@ -47,6 +47,7 @@ from omtwarp.texturing.image import (
 )
 from omtwarp.texturing.painted import PaintedMesh
 from omtwarp.texturing.patterns import Pattern
+from omtwarp.texturing.seams import shares_of_corners
 from omtwarp.texturing.smooth import SmoothMap, grid_shares, grid_triangles, smooth_map
 from omtwarp.texturing.textured import SphereMap, TexturedSurface, as_map, spheres_of, texture
 from omtwarp.texturing.unwrap import pack_rows
@@ -210,36 +211,18 @@ class _Sheet:
 def _sheet(made: TexturedSurface) -> _Sheet:
     """Return a textured surface with its copies of vertices along seams joined."""
     _, first = np.unique(made.welded, return_index=True)
-    corners = made.original_vertices[made.original_faces[made.source_face]]
+    weights = np.broadcast_to(np.eye(3), (len(made.faces), 3, 3))
+    if made.weights is not None:
+        weights = shares_of_corners(made.weights, made.faces, made.source_face, made.original_faces)
     return _Sheet(
         vertices=made.vertices[first],
         faces=made.welded[made.faces].astype(np.int32),
         uv=made.uv[made.faces],
         normals=made.normals[made.faces],
         source_face=made.source_face,
-        weights=_combinations(made.vertices[made.faces], corners),
+        weights=weights,
         picture=made.image,
     )
-
-
-def _combinations(points: Floats, corners: Floats) -> Floats:
-    """Return the matrix of points in triangles as combinations of their corners.
-
-    Args:
-        points: shape [T, 3, 3], three points for each triangle.
-        corners: shape [T, 3, 3].
-
-    Returns:
-        Shape [T, 3, 3]: a row for each point, which sums to 1.
-    """
-    e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal = np.cross(e1, e2)
-    square = np.maximum((normal * normal).sum(axis=1), TINY)[:, None]
-    to = points - corners[:, None, 0]
-    v = np.einsum("tij,tj->ti", np.cross(to, e2[:, None, :]), normal) / square
-    w = np.einsum("tij,tj->ti", np.cross(e1[:, None, :], to), normal) / square
-    v, w = np.clip(v, 0.0, 1.0), np.clip(w, 0.0, 1.0)
-    return np.stack([1.0 - v - w, v, w], axis=2)
 
 
 @dataclass

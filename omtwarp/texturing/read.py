@@ -20,7 +20,7 @@ from omtwarp.files.inputs import file_beside, read_bytes
 from omtwarp.files.limits import LARGEST_MESH_FILE, MOST_FACES
 from omtwarp.mesh.arrays import Bytes, Floats, Ints, whole_numbers
 from omtwarp.mesh.ply import Column, ply_columns, polygons_of
-from omtwarp.mesh.polygons import fans
+from omtwarp.mesh.polygons import fans, taken_together
 from omtwarp.mesh.read import mesh_content, read_mesh, require_counted_from_one, utf8
 from omtwarp.mesh.scenes import gltf_header, gltf_pictures, load_scene, placed_meshes, scene_formats
 from omtwarp.texturing.export import Material
@@ -399,34 +399,25 @@ def _from_scene(scene: trimesh.Scene, looks: list[GltfLook] | None) -> PaintedMe
     placed = placed_meshes(scene)
     if not placed:
         raise OmtwarpError("not a triangle mesh: no triangles in it")
-    materials: list[Material] = []
-    numbers: dict[int, int] = {}
-    vertices, faces, uvs, which, colors = [], [], [], [], []
-    start = 0
+    materials: dict[int, Material] = {}
+    uvs, which, colors, colored = [], [], [], False
     for _, one, points, triangles in placed:
         material, uv, color = _appearance(one, looks)
         key = id(getattr(one.visual, "material", one))
-        if key not in numbers:
-            numbers[key] = len(materials)
-            materials.append(material)
-        vertices.append(points)
-        faces.append(triangles + start)
+        materials.setdefault(key, material)
         uvs.append(np.full((len(triangles), 3, 2), np.nan) if uv is None else uv[triangles])
-        which.append(np.full(len(triangles), numbers[key], dtype=np.int32))
-        colors.append(color)
-        start += len(points)
+        which.append(np.full(len(triangles), list(materials).index(key), dtype=np.int32))
+        colors.append(np.full((len(points), 4), 255, np.uint8) if color is None else color)
+        colored = colored or color is not None
     uv_all = np.concatenate(uvs)
-    all_colors = None
-    if any(color is not None for color in colors):
-        pairs = zip(colors, vertices, strict=True)
-        all_colors = np.concatenate([np.full((len(v), 4), 255, np.uint8) if c is None else c for c, v in pairs])
+    points, triangles = taken_together([one[2:] for one in placed])
     mesh = PaintedMesh(
-        np.concatenate(vertices),
-        np.concatenate(faces),
+        points,
+        triangles.astype(np.int32),
         None if np.isnan(uv_all).all() else uv_all,
-        tuple(materials),
+        tuple(materials.values()),
         np.concatenate(which),
-        all_colors,
+        np.concatenate(colors) if colored else None,
         (f"took {len(placed)} geometries together",) if len(placed) > 1 else (),
     )
     return joined_seams(mesh)

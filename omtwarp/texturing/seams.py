@@ -94,6 +94,20 @@ def unwrap(sphere: Floats, faces: Ints, atlas: Atlas, *, rotation: Floats | None
     )
 
 
+def shares_of_corners(weights: sparse.csr_matrix, parts: Ints, source_face: Ints, faces: Ints) -> Floats:
+    """Return the corners of parts of faces as combinations of the corners of these faces, shape [M, 3, 3].
+
+    Args:
+        weights: vertices as combinations of original ones, shape [N, V].
+        parts: corners of the parts, shape [M, 3].
+        source_face: the face that each is a part of, shape [M].
+        faces: corners of the faces, shape [F, 3].
+    """
+    rows, whole = parts.ravel(), faces[np.repeat(source_face, 3)]
+    shares = np.stack([np.asarray(weights[rows, column]).ravel() for column in whole.T], axis=1)
+    return shares.reshape(-1, 3, 3)
+
+
 def _face_charts(mesh: CutMesh, atlas: Atlas, which: NDArray | slice = slice(None)) -> Ints:
     return atlas.charts(mesh.points[mesh.faces[which]].sum(axis=1))
 

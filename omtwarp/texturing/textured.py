@@ -50,6 +50,7 @@ from omtwarp.texturing.smooth import smooth_curves
 if TYPE_CHECKING:
     import trimesh
     from PIL.Image import Image
+    from scipy.sparse import csr_matrix
 
 
 @dataclass(repr=False)
@@ -78,6 +79,7 @@ class TexturedSurface:
         atlas: how the sphere is laid out on the image.
         rotation: the texture's rotation on the sphere, shape [3, 3].
         original_sphere: the map of the input's vertices, shape [V, 3].
+        weights: every vertex as a combination of the input's, sparse, shape [N, V].
         objects: names of object and group for ``.obj``, empty ones for none.
         face_object: number of these of every face of the input, shape [F]; None where there are none.
     """
@@ -100,6 +102,7 @@ class TexturedSurface:
     atlas: Atlas | None = None
     rotation: Floats | None = None
     original_sphere: Floats | None = None
+    weights: csr_matrix | None = None
     objects: tuple[tuple[str, str], ...] = ()
     face_object: Ints | None = None
 
@@ -304,6 +307,7 @@ def texture(
         original_vertices=vertices,
         original_faces=faces,
         original_sphere=sphere,
+        weights=cut.weights,
         source_image=Path(image) if isinstance(image, (str, os.PathLike)) else None,
     )
 
