@@ -1,7 +1,5 @@
 """Colours, colour maps and the sRGB transfer curve that the pictures use."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import TypeVar
 

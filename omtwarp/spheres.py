@@ -19,8 +19,6 @@ corners in the triangles' barycentric coordinates.
 .. [2] E. Praun, H. Hoppe, "Spherical Parametrization and Remeshing", ACM Trans. Graph. 22 (2003).
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from functools import cached_property

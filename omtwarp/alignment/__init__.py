@@ -1,7 +1,5 @@
 """Rotations that bring spheres into one position: by a shape's own axes, to another map, or to a group's mean."""
 
-from __future__ import annotations
-
 from omtwarp.alignment.align import Alignment, align, align_to_axes
 from omtwarp.alignment.group import GroupAlignment, procrustes_mean
 

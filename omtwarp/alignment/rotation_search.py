@@ -12,8 +12,6 @@ method climbs to the maximum; the derivatives are products with the matrices J.
 .. [2] P. J. Kostelec, D. N. Rockmore, "FFTs on the rotation group", J. Fourier Anal. Appl. 14 (2008).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

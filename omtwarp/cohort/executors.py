@@ -1,7 +1,5 @@
 """Executors of items: processes of this machine, a Dask cluster, or Slurm through submitit, with one interface."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -6,8 +6,6 @@ is done or dead, the item at work is ended too. Where there is no fork, and on C
 survive, the process works on one item itself and ends.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import gc

@@ -1,7 +1,5 @@
 """The report page of a cohort: how many of each status, the failures, and pictures of outliers."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path

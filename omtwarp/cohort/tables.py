@@ -1,7 +1,5 @@
 """The tables of a cohort: its items, from a table, a pattern of names or BIDS names, and its results."""
 
-from __future__ import annotations
-
 import csv
 import glob
 import io

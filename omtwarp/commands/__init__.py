@@ -3,8 +3,6 @@
 Nothing heavy is imported at the top of these modules, so that ``omtwarp --help`` answers at once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from importlib import import_module
 

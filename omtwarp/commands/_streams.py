@@ -4,8 +4,6 @@ Standard input is stored in a temporary file named after the format recognised b
 written when the command has succeeded; messages of the command and its progress go to standard error.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import logging

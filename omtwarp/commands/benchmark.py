@@ -1,7 +1,5 @@
 """``omtwarp benchmark``: how fast the package is on this machine."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

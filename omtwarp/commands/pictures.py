@@ -1,7 +1,5 @@
 """``omtwarp preview``, ``film`` and ``report``: what a mesh or a map looks like."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 from enum import StrEnum

@@ -3,8 +3,6 @@
 Here are names of devices and of solvers, as users write them, and the number of cores; nothing heavy is imported.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from enum import StrEnum

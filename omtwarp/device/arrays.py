@@ -1,7 +1,5 @@
 """Arrays that kernels on a device read, made of maps and meshes, and memory on the host that is shared and returned."""
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import sys

@@ -1,7 +1,5 @@
 """Every decision between the CPU and CUDA, and between the host and a device."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 from collections.abc import Iterator

@@ -4,8 +4,6 @@ Warp compiles a file's kernels when the first of them is launched and keeps them
 together on an empty cache would each compile everything; run this once before them.
 """
 
-from __future__ import annotations
-
 import importlib
 import re
 import sys

@@ -1,7 +1,5 @@
 """Sums on the device in an order that depends only on the terms, sums by NumPy, combinations and sparse products."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse

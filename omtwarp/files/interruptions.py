@@ -7,8 +7,6 @@ second. While it waits a thread, woken by the signal, ends the process. Code tha
 lock is not interrupted before it returns; none that the package calls holds it for long.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil

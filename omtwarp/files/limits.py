@@ -4,8 +4,6 @@ Memory that a parser may allocate is bounded too, on Linux alone. The limits kee
 error, from filling memory or running for ever.
 """
 
-from __future__ import annotations
-
 import contextlib
 import sys
 from collections.abc import Iterator

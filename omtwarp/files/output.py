@@ -7,8 +7,6 @@ folder of results, replaces only what :func:`_may_replace` allows: what the pack
 changed, of which a record in the folder (:data:`RECORD`) has the digests, or any file with ``force``.
 """
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import errno

@@ -6,8 +6,6 @@ the directions that they have from the surface's centre in that frame. Which end
 coordinates say: the picture of a body that stands on its shortest axis in its file is upright.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import combinations
 

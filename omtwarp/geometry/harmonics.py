@@ -10,8 +10,6 @@ pole. Y_00 = 1 / √(4π), and (Y_11, Y_1,-1, Y_10) = √(3 / 4π) (x, y, z). py
 The coefficient of Y_lm has the index l² + l + m.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import sph_legendre_p_all

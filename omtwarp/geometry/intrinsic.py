@@ -8,8 +8,6 @@ these vertices this one gives functions that are linear on triangles the least D
    Computational Geometry 38 (2007).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -9,8 +9,6 @@ that is only possible if
     n >= 4π sqrt(s (1 - s)) (F / 64π)^(1/3) = 2.145 sqrt(s (1 - s)) F^(1/3).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ long in the order of the file. The order depends on the positions alone, so that
 the vertices of the input are numbered.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

@@ -6,8 +6,6 @@ numbered coarse first, so K(j) is the first ``node_counts[j]`` nodes of any fine
 place.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import combinations

@@ -1,7 +1,5 @@
 """Check the arrays that callers pass: type, shape and values."""
 
-from __future__ import annotations
-
 import math
 import operator
 import sys

@@ -16,8 +16,6 @@
 A number may be NaN, where there is none.
 """
 
-from __future__ import annotations
-
 import io
 import re
 from dataclasses import dataclass, field, replace

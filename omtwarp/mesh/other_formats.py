@@ -3,8 +3,6 @@
 Finite elements are read by meshio, an optional package (``pip install 'omtwarp[meshio]'``).
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import re

@@ -3,8 +3,6 @@
 All lengths are checked against the header before memory is allocated.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Polygons and strips of triangles, as files list them, cut into triangles."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -4,8 +4,6 @@ A map of the quartered mesh has enough freedom to keep the area of every triangl
 four parts, and to be optimal and smooth as well: 4 E unknowns and F conditions, where the mesh has 2 V of both.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

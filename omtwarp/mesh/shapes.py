@@ -5,8 +5,6 @@ closed, of genus 0, oriented outward, without triangles of zero area. The same a
 random takes an explicit seed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import product
 

@@ -8,8 +8,6 @@ neighbouring cells meet in the same triangles, so that every surface is closed a
    IEICE Trans. Inf. Syst. E74 (1991).
 """
 
-from __future__ import annotations
-
 import io
 
 import numpy as np

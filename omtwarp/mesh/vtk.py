@@ -1,7 +1,5 @@
 """Surfaces in the file formats of VTK: legacy (``.vtk``) and XML (``.vtp``, ``.vtu``)."""
 
-from __future__ import annotations
-
 import base64
 import re
 import zlib

@@ -1,7 +1,5 @@
 """Writing of meshes with vertices and faces unchanged, in double precision where the format has it."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from enum import IntEnum

@@ -1,7 +1,5 @@
 """Registration: warps of the sphere that bring the same place of two surfaces to the same point."""
 
-from __future__ import annotations
-
 from omtwarp.registration.folding import folding_features
 from omtwarp.registration.group import GroupRegistration, register_group
 from omtwarp.registration.group_template import Template

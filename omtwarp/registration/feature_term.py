@@ -1,7 +1,5 @@
 """The energy of registration at vertices: squared differences between features that move and features that stay."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from omtwarp.location import Locator

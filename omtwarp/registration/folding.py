@@ -6,8 +6,6 @@ for :data:`FLOW_TIME` in one implicit step, along the normal of the surface that
 with FreeSurfer's on fsaverage5.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -10,8 +10,6 @@ descent ends at the folds that lie next to where it begins; here all places are 
 .. [2] F. Besse, C. Rother, A. Fitzgibbon, J. Kautz, "PMBP: PatchMatch belief propagation", IJCV 110 (2014).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array

@@ -1,7 +1,5 @@
 """Strain and areas of a warp of the sphere: how far it changes them, the energy of both, and what bounds them."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

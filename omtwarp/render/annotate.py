@@ -1,7 +1,5 @@
 """Annotations of a picture: backdrop, colour bar, captions."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -14,8 +14,6 @@ Call :func:`import_pyrender` before anything else imports pyrender or OpenGL in 
 process only (see :mod:`omtwarp.render.gl_client`), so that its changes affect no other code.
 """
 
-from __future__ import annotations
-
 import ctypes.util
 import os
 import sys

@@ -4,8 +4,6 @@ Everything here runs in the drawing process. It imports pyrender, so import it o
 :func:`omtwarp.render.pyrender_compat.import_pyrender`.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from contextlib import suppress

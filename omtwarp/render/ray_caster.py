@@ -5,8 +5,6 @@ filter, light and lines, those of the shaders in ``shaders/mesh.frag``. Single p
 the package: the result is eight bits per channel, and Warp's ray query takes nothing else.
 """
 
-from __future__ import annotations
-
 import math
 from enum import IntEnum
 

@@ -4,8 +4,6 @@ Everything is quantised without visible loss: positions, normals and directions 
 surface's size, or 0.002 degrees), scalars to 8 bits of the range that the legend shows.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import zlib

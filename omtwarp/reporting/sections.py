@@ -3,8 +3,6 @@
 Charts are drawn in the page's own colours, so that they follow its light and dark look.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

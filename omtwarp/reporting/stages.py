@@ -1,7 +1,5 @@
 """The stages of a finished map, as the report shows them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import cast

@@ -4,8 +4,6 @@ The sphere of every template is that of FreeSurfer's fsaverage. The vertices of 
 spheres has them, so that fsaverage to fs_LR and back are resamplings like all others.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Iterator, Sequence

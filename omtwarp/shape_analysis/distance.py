@@ -1,7 +1,5 @@
 """Distances between two shapes: of their coefficients, and of their densities under the conformal map."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 

@@ -1,7 +1,5 @@
 """Pages and files about groups of shapes, and about registrations: tables, meshes, and pictures of what differs."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.util import find_spec

@@ -5,8 +5,6 @@ only next to edges is every texel looked at, and only those that an edge crosses
 in the directions of their atlas, as these are or moved from the linear map of a mesh to its smooth one.
 """
 
-from __future__ import annotations
-
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np

@@ -18,8 +18,6 @@ much next to the poles that a viewer which chooses mip maps by the larger stretc
 .. [2] Z. Cigolle et al., "A Survey of Efficient Representations for Independent Unit Vectors", JCGT 3 (2014).
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from enum import IntEnum
 from itertools import product

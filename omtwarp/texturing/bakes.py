@@ -3,8 +3,6 @@
 And the openness of the space in front of a surface by ray casting, along which seams are hidden.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

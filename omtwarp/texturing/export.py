@@ -3,8 +3,6 @@
 The files appear once all of them are complete, so that a failure, a full disk or Ctrl-C leaves the old ones or none.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re
