@@ -330,11 +330,11 @@ def equiangular(height: int, width: int) -> SphereGrid:
     latitude = np.pi / 2.0 - np.pi * np.arange(height + 1) / height
     latitude[[0, -1]] = np.pi / 2.0, -np.pi / 2.0
     longitude = -np.pi + 2.0 * np.pi * np.arange(width + 1) / width
-    nodes = _directions(latitude[:, None], longitude[None])
+    nodes = direction_from_angles(longitude[None], latitude[:, None])
     nodes[0], nodes[-1], nodes[:, -1] = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0), nodes[:, 0]  # the same to the bit
     corners = np.stack([nodes[1:, :-1], nodes[1:, 1:], nodes[:-1, 1:], nodes[:-1, :-1]], axis=2).reshape(-1, 4, 3)
     middle = (latitude[:-1] + latitude[1:]) / 2.0, (longitude[:-1] + longitude[1:]) / 2.0
-    points = _directions(middle[0][:, None], middle[1][None]).reshape(-1, 3)
+    points = direction_from_angles(middle[1][None], middle[0][:, None]).reshape(-1, 3)
     owners = np.arange(len(points), dtype=np.int32)
     return SphereGrid(f"equiangular:{height}x{width}", points, None, (height, width), corners, owners)
 
@@ -372,10 +372,10 @@ def octahedral_directions(x: Floats, y: Floats) -> Floats:
     return normalised(np.stack(folded, axis=-1))
 
 
-def _directions(latitude: Floats, longitude: Floats) -> Floats:
-    latitude, longitude = np.broadcast_arrays(latitude, longitude)
-    ring = np.cos(latitude)
-    return np.stack([ring * np.cos(longitude), ring * np.sin(longitude), np.sin(latitude)], axis=-1)
+def direction_from_angles(longitude: ArrayLike, latitude: ArrayLike) -> Floats:
+    """Return the unit vectors, shape [..., 3], from longitude and latitude in radians."""
+    lon, lat = np.broadcast_arrays(np.asarray(longitude, dtype=np.float64), np.asarray(latitude, dtype=np.float64))
+    return np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
 
 
 def _within(value: int, low: int, high: int, name: str) -> int:

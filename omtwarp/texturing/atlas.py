@@ -30,6 +30,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files.limits import LONGEST_SIDE, MOST_TEXELS
 from omtwarp.mesh.arrays import TINY, Floats, Ints
 from omtwarp.options import AtlasName
+from omtwarp.spheres import direction_from_angles, octahedral_directions
 
 ATLASES = tuple(AtlasName)
 QUARTER = np.pi / 4.0
@@ -215,7 +216,7 @@ class Equirectangular(Atlas):
     def uv_directions(self, uv: Floats, chart: NDArray) -> Floats:
         lon = (uv[..., 0] - 0.5) * 2.0 * np.pi + (self.seam - np.pi)
         lat = (uv[..., 1] - 0.5) * np.pi
-        return np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
+        return direction_from_angles(lon, lat)
 
 
 class Cube(Atlas):
@@ -311,13 +312,7 @@ class Octahedral(Atlas):
     def uv_directions(self, uv: Floats, chart: NDArray) -> Floats:
         inner = (self.width - 2 * self.gutter) / self.width
         x, y = np.moveaxis((uv - 0.5) * (2.0 / inner), -1, 0)
-        z = 1.0 - np.abs(x) - np.abs(y)
-        fold = z < 0
-        sx, sy = np.where(x < 0, -1.0, 1.0), np.where(y < 0, -1.0, 1.0)
-        folded = np.stack(
-            [np.where(fold, (1.0 - np.abs(y)) * sx, x), np.where(fold, (1.0 - np.abs(x)) * sy, y), z], axis=-1
-        )
-        return normalised(folded)
+        return octahedral_directions(x, y)
 
 
 def make_atlas(name: str, size: int | tuple[int, int] | None = None, *, seam: float = np.pi) -> Atlas:

@@ -200,12 +200,6 @@ def longitude_latitude(directions: ArrayLike) -> tuple[Floats, Floats]:
     return np.arctan2(d[..., 1], d[..., 0]), np.arctan2(d[..., 2], np.hypot(d[..., 0], d[..., 1]))
 
 
-def direction_from_angles(longitude: ArrayLike, latitude: ArrayLike) -> Floats:
-    """Return the unit vectors, shape [..., 3], from longitude and latitude in radians."""
-    lon, lat = np.broadcast_arrays(np.asarray(longitude, dtype=np.float64), np.asarray(latitude, dtype=np.float64))
-    return np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
-
-
 def direction_to_image(directions: ArrayLike, projection: str = "equirectangular") -> Floats:
     """Return the image coordinates of directions.
 

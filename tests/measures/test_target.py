@@ -12,8 +12,8 @@ from omtwarp.measures import TargetDensity, mass_distortion
 from omtwarp.mesh.shapes import blob, icosphere
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.optimal.density import map_to_density
+from omtwarp.spheres import direction_from_angles
 from omtwarp.texturing.density import as_target, image_density, vertex_density
-from omtwarp.texturing.image import direction_from_angles
 
 AMOUNT = 0.5
 

@@ -10,8 +10,8 @@ from texturing_shapes import ellipsoid, rotation, texel_directions, unit
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.options import PatternName
+from omtwarp.spheres import direction_from_angles
 from omtwarp.texturing import pattern, patterns, rasterize
-from omtwarp.texturing.image import direction_from_angles
 from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.patterns.checker import Checker
 from omtwarp.texturing.patterns.circles import Circles
