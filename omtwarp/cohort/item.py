@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TypeAlias
 
-from omtwarp.files.output import digest_of, staged
+from omtwarp.files.output import digest_of, write_text
 from omtwarp.version import package_version
 
 Row: TypeAlias = dict[str, str | float | None]
@@ -160,8 +160,7 @@ def write_record(job: Job, status: str, message: str = "", **numbers: str | floa
     before = _any_record(job)
     if before is not None and _is_recorded(job.map_file, before):
         job.map_file.unlink(missing_ok=True)
-    with staged(job.record_file) as file:
-        file.write_text(json.dumps(record, indent=1), "utf-8")
+    write_text(job.record_file, json.dumps(record, indent=1))
     return record
 
 

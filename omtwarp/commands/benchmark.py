@@ -12,7 +12,7 @@ from omtwarp.commands._streams import input_file, output_file, say
 from omtwarp.commands._work import report_text, start_device
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.limits import MOST_FACES
-from omtwarp.files.output import check_output, staged
+from omtwarp.files.output import check_output, write_text
 from omtwarp.options import MapOptions, Refinement
 
 
@@ -115,10 +115,8 @@ def run_benchmark(
                 for stage in times["stages"]:
                     say(f"{mesh['name']}, {times['device']}: {stage['name']}: {stage['seconds']:.2f} s")
     if json_output is not None:
-        with staged(json_output) as file:
-            file.write_text(report_text(result), "utf-8")
+        write_text(json_output, report_text(result))
     if output is not None:
-        with staged(output) as file:
-            file.write_text(markdown(result), "utf-8")
+        write_text(output, markdown(result))
     else:
         print(markdown(result), end="")

@@ -27,7 +27,7 @@ from omtwarp.commands._work import (
 )
 from omtwarp.commands.texture import standing
 from omtwarp.errors import OmtwarpError
-from omtwarp.files.output import check_output, folder_of_results, make_folder, staged
+from omtwarp.files.output import check_output, folder_of_results, make_folder, staged, write_text
 from omtwarp.options import CutAlong, Device, Domain, FillArea, MapOptions, SurfaceKeywords, WeightsAt
 
 if TYPE_CHECKING:
@@ -221,8 +221,7 @@ def write_json_report(file: Path, result: AnyMap, mesh: Path, notes: list[str]) 
     """Write a map's report and history as JSON, with the mesh it is of and what was noted when that was read."""
 
     whole = {"input": {"path": str(mesh), "notes": notes}, **result.report, "history": result.history}
-    with staged(file) as place:
-        place.write_text(report_text(whole), "utf-8")
+    write_text(file, report_text(whole))
 
 
 def with_copies(result: AnyMap, sound: Input, to_sphere: bool) -> tuple[AnyMap, NDArray | None]:
@@ -373,8 +372,7 @@ def _make(output: Path, faces: int, device: str, printing: Printing) -> None:
     result = cast("omtwarp.MapResult", make_map(surface, MapOptions(device=device), quiet=printing.quiet))
     with staged(map_file) as file:
         save(result, file)
-    with staged(report_file) as file:
-        file.write_text(report_text({**result.report, "history": result.history}), "utf-8")
+    write_text(report_file, report_text({**result.report, "history": result.history}))
     if printing.verbose:
         say_stages(result)
     facts = facts_of(result, map_file, report_file)

@@ -374,6 +374,12 @@ def staged(path: str | os.PathLike[str], *, keep: Iterable[Path | None] = ()) ->
         raise _cannot_write(given, error) from error
 
 
+def write_text(path: str | os.PathLike[str], text: str, encoding: str = "utf-8") -> None:
+    """Write a file of text, whole or not at all."""
+    with staged(path) as file:
+        file.write_text(text, encoding)
+
+
 def write_table(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """Write a table of comma-separated values (.csv), empty where there is None."""
     with staged(path) as file, open(file, "w", encoding="utf-8", newline="") as stream:

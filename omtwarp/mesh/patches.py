@@ -35,6 +35,21 @@ def sides_of(faces: Ints) -> Ints:
     return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
 
 
+def _numbered_anew(corners: Ints, freed: NDArray[np.bool_]) -> tuple[NDArray[np.intp], Ints]:
+    """Return the freed vertices, then the others at corners of triangles, and the corners by their places among these.
+
+    Args:
+        corners: of the triangles, shape [T, 3].
+        freed: which vertices are, shape [V].
+    """
+    beside = np.zeros(len(freed), dtype=bool)
+    beside[corners.ravel()] = True
+    vertices = np.concatenate([np.flatnonzero(freed), np.flatnonzero(beside & ~freed)])
+    local = np.full(len(freed), -1, dtype=np.int32)
+    local[vertices] = np.arange(len(vertices), dtype=np.int32)
+    return vertices, np.ascontiguousarray(local[corners])
+
+
 @dataclass(frozen=True, eq=False)
 class Patches:
     """The freed vertices of a surface, in pieces that share no edge, and the triangles around them.
@@ -67,15 +82,8 @@ class Patches:
         """
         triangles = np.flatnonzero(touching(faces, freed))
         corners = faces[triangles]
-        beside = np.zeros(len(freed), dtype=bool)
-        beside[corners.ravel()] = True
-        beside &= ~freed
-        inside = np.flatnonzero(freed)
-        vertices = np.concatenate([inside, np.flatnonzero(beside)])
-        local = np.full(len(freed), -1, dtype=np.int32)
-        local[vertices] = np.arange(len(vertices), dtype=np.int32)
-        own = np.ascontiguousarray(local[corners])
-        free = len(inside)
+        vertices, own = _numbered_anew(corners, freed)
+        free = int(freed.sum())
         pairs = sides_of(own)
         pairs = pairs[(pairs[:, 0] < free) & (pairs[:, 1] < free)]
         count, label = components_of(free, pairs)
@@ -106,20 +114,15 @@ class Patches:
             kept: which, shape [count].
         """
         triangles = kept[self.face_patch]
-        corners = self.faces[triangles]
-        beside = np.zeros(len(self.vertices), dtype=bool)
-        beside[corners.ravel()] = True
-        beside[: self.free] = False
-        inside = np.flatnonzero(kept[self.vertex_patch])
-        places = np.concatenate([inside, np.flatnonzero(beside)])
-        local = np.full(len(self.vertices), -1, dtype=np.int32)
-        local[places] = np.arange(len(places), dtype=np.int32)
-        number = np.cumsum(kept) - 1
+        freed = np.zeros(len(self.vertices), dtype=bool)
+        freed[: self.free] = kept[self.vertex_patch]
+        places, own = _numbered_anew(self.faces[triangles], freed)
+        inside, number = np.flatnonzero(freed), np.cumsum(kept) - 1
         return Patches(
             self.vertices[places],
             len(inside),
             self.triangles[triangles],
-            np.ascontiguousarray(local[corners]),
+            own,
             number[self.vertex_patch[inside]],
             number[self.face_patch[triangles]],
             int(kept.sum()),

@@ -169,11 +169,7 @@ class Surface:
         Corner ``c`` is corner ``c % 3`` of face ``c // 3``. Kernels gather over these rows instead of scattering with
         atomics, so that sums at vertices have one order and the same bits on every run and every device.
         """
-        flat = self.faces.ravel()
-        corners = np.argsort(flat, kind="stable").astype(np.int32)
-        offsets = np.zeros(self.vertex_count + 1, dtype=np.int32)
-        np.cumsum(np.bincount(flat, minlength=self.vertex_count), out=offsets[1:])
-        return offsets, corners
+        return transposed_rows(self.faces, self.vertex_count)
 
     @cached_property
     def edges(self) -> Ints:
@@ -335,6 +331,15 @@ class SurfaceArrays:
 
     edge_corners = _on_device("side_corners", wp.vec2i)
     """The corners opposite to every edge, vec2i, shape [E]; -1 for the second of an edge with one triangle."""
+
+
+def transposed_rows(stencil: Ints, count: int) -> tuple[Ints, Ints]:
+    """Return, as compressed rows, the flat indices in ``stencil`` at which each of ``count`` nodes stands."""
+    flat = stencil.ravel()
+    entries = np.argsort(flat, kind="stable").astype(np.int32)
+    offsets = np.zeros(count + 1, dtype=np.int32)
+    np.cumsum(np.bincount(flat, minlength=count), out=offsets[1:])
+    return offsets, entries
 
 
 def sums_around(per_face: Floats, faces: NDArray[np.integer], count: int) -> Floats:

@@ -275,10 +275,9 @@ def _open_boundary(points: Floats, topology: Topology, two_sided: bool) -> Defec
     lone = topology.edge_face_count == 1
     if not lone.any():
         return None
-    holes = number(topology.hole_count, "hole")
-    edges = number(lone.sum(), "edge")
-    size, vertex = topology.first_hole
-    which = "the first " if topology.hole_count > 1 else ""
+    count, size, vertex = topology.holes
+    edges, holes = number(lone.sum(), "edge"), number(count, "hole")
+    which = "the first " if count > 1 else ""
     text = f"open boundary: {edges} with one face, in {holes}, {which}a loop of {size} edges at vertex {vertex}"
     ends = np.unique(topology.edges[lone])
     copies = len(ends) - len(np.unique(points[ends], axis=0))  # exactly where another one is
@@ -422,25 +421,20 @@ class Topology:
         return orientable, labels[:count] != labels[leader[piece]]
 
     @cached_property
-    def hole_count(self) -> int:
-        """Number of connected pieces of the boundary."""
-        boundary = self.edges[self.edge_face_count == 1]
-        ends, renumbered = np.unique(boundary, return_inverse=True)
-        return components_of(len(ends), renumbered.reshape(-1, 2))[0]
-
-    @property
-    def first_hole(self) -> tuple[int, int]:
-        """How many edges the first connected piece of the boundary has, and its smallest vertex."""
-        boundary = self.edges[self.edge_face_count == 1]
-        ends, renumbered = np.unique(boundary, return_inverse=True)
-        _, labels = components_of(len(ends), renumbered.reshape(-1, 2))
-        return int((labels[renumbered.reshape(-1, 2)[:, 0]] == labels[0]).sum()), int(ends[0])
+    def holes(self) -> tuple[int, int, int]:
+        """How many connected pieces the boundary has, how many edges the first of them, and its smallest vertex."""
+        ends, renumbered = np.unique(self.edges[self.edge_face_count == 1], return_inverse=True)
+        if not len(ends):
+            return 0, 0, -1
+        pairs = renumbered.reshape(-1, 2)
+        count, labels = components_of(len(ends), pairs)
+        return count, int((labels[pairs[:, 0]] == labels[0]).sum()), int(ends[0])
 
     @cached_property
     def genus(self) -> int:
         """Handles of all pieces together, holes counted as filled: Euler's V - E + F = 2 (pieces - genus)."""
         used = len(np.unique(self.faces))
-        euler = used - len(self.edges) + len(self.faces) + self.hole_count
+        euler = used - len(self.edges) + len(self.faces) + self.holes[0]
         return self.components[0] - euler // 2
 
     @cached_property

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
-from omtwarp.files.output import staged
+from omtwarp.files.output import write_text
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -127,8 +127,7 @@ def write_plain_page(path: Path, title: str, body: Sequence[str]) -> Path:
         STYLE,
         join([element("h1", title), *body]),
     )
-    with staged(path) as file:
-        file.write_text(str(page), "utf-8")
+    write_text(path, str(page))
     return path
 
 

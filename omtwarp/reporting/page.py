@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files.output import as_path, check_output, staged
+from omtwarp.files.output import as_path, check_output, write_text
 from omtwarp.maps.result import MapReport, MapResult, StageReport
 from omtwarp.maps.torus_map import TorusCertificate, TorusMap, ring_torus, tube_radius
 from omtwarp.mesh.arrays import Bytes
@@ -95,8 +95,7 @@ def write_report(
     page = report_page(
         result, title=title, image=image, pattern=pattern, up=up, picture_size=picture_size, device=device
     )
-    with staged(target) as file:
-        file.write_text(page, "utf-8")
+    write_text(target, page)
     return target
 
 

@@ -13,7 +13,7 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import read_bytes
-from omtwarp.files.output import as_path, staged
+from omtwarp.files.output import write_text
 from omtwarp.geometry.harmonics import check_degree, degree_of, power_per_degree, real_harmonics
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.shapes import icosphere
@@ -198,8 +198,7 @@ def write_coef(path: str | os.PathLike[str], expansion: Expansion) -> None:
     rows, factors = _order(expansion.degree)
     numbers = expansion.coefficients[rows] * factors[:, None]
     lines = ",\n".join("{" + ", ".join(repr(float(x)) for x in row) + "}" for row in numbers)
-    with staged(as_path(path)) as file:
-        file.write_text(f"{{ {len(numbers)},{lines}}}", "ascii")
+    write_text(path, f"{{ {len(numbers)},{lines}}}", "ascii")
 
 
 def read_coef(path: str | os.PathLike[str]) -> Expansion:

@@ -15,8 +15,8 @@ from omtwarp.device.threads import FIRST_THREAD, Each, each, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.sphere_hierarchy import SphereHierarchy
 from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.surface import transposed_rows
 from omtwarp.wavelets import kernels
-from omtwarp.wavelets.transform import transposed_rows
 
 
 class SphereSampler:

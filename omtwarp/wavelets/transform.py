@@ -30,17 +30,8 @@ from omtwarp.device.threads import GraphsByArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import cotangent_laplacian
 from omtwarp.geometry.sphere_hierarchy import SphereHierarchy
-from omtwarp.mesh.arrays import Floats, Ints
+from omtwarp.mesh.arrays import Floats
 from omtwarp.wavelets import kernels
-
-
-def transposed_rows(stencil: Ints, count: int) -> tuple[Ints, Ints]:
-    """Return, as compressed rows, the flat indices in ``stencil`` at which each of ``count`` nodes stands."""
-    flat = stencil.ravel()
-    entries = np.argsort(flat, kind="stable").astype(np.int32)
-    offsets = np.zeros(count + 1, dtype=np.int32)
-    np.cumsum(np.bincount(flat, minlength=count), out=offsets[1:])
-    return offsets, entries
 
 
 @dataclass(frozen=True)
