@@ -7,6 +7,7 @@ import queue
 import subprocess
 import threading
 from collections.abc import Generator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import Protocol
 
@@ -145,42 +146,29 @@ class LocalPool:
         self._workers = workers
 
     def records(self, jobs: Sequence[Job]) -> Generator[Row, None, None]:
-        waiting: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
-        done: queue.SimpleQueue[Row | BaseException] = queue.SimpleQueue()
-        for job in jobs:
-            waiting.put(job)
         hosts = [Host() for _ in range(min(self._workers, len(jobs)))]
-        for _ in hosts:
-            waiting.put(None)
+        idle: queue.SimpleQueue[Host] = queue.SimpleQueue()
+        for host in hosts:
+            idle.put(host)
 
-        def serve(host: Host) -> None:
+        def serve(job: Job) -> Row:
+            host = idle.get()
             try:
-                while (job := waiting.get()) is not None:
-                    done.put(host.run(job))
-            except BaseException as error:
-                done.put(error)
+                return host.run(job)
             finally:
-                host.close()
+                idle.put(host)
 
-        threads = [threading.Thread(target=serve, args=(host,), daemon=True) for host in hosts]
-        for thread in threads:
-            thread.start()
+        pool = ThreadPoolExecutor(self._workers)
         try:
-            for _ in jobs:
-                record = done.get()
-                if isinstance(record, BaseException):
-                    raise record
-                yield record
+            for record in as_completed([pool.submit(serve, job) for job in jobs]):
+                yield record.result()
         finally:
-            with contextlib.suppress(queue.Empty):
-                while True:
-                    waiting.get_nowait()
-            for _ in hosts:
-                waiting.put(None)
+            pool.shutdown(wait=False, cancel_futures=True)
             for host in hosts:
                 host.stop()
-            for thread in threads:
-                thread.join(5.0)
+            pool.shutdown()
+            for host in hosts:
+                host.close()
 
 
 _own = threading.local()

@@ -156,17 +156,13 @@ class BentLook(Look):
         part = np.where(part == NOBODY, claimed(corners, across, down, 1.0, where), part)
         hints = np.where(part == NOBODY, -1, cut.source_face[np.minimum(part, len(cut.source_face) - 1)])
         self._kernel = kernels.bent_sample_directions
-        self._tables = [hint_block, across]
-        self._tables += [
-            wp.array(np.ascontiguousarray(table), dtype=kind, device=where)
-            for table, kind in (
-                (hints, wp.int32),
-                (faces, wp.vec3i),
-                (face_neighbours(faces, len(given)), wp.vec3i),
-                (given, wp.vec3d),
-                (first, wp.int32),
-                (divided, wp.int32),
-                (grid, wp.int32),
-                (points @ rotation, wp.vec3d),
-            )
+        self._tables = [
+            hint_block,
+            across,
+            sent(hints, wp.int32, where),
+            sent(faces, wp.vec3i, where),
+            sent(face_neighbours(faces, len(given)), wp.vec3i, where),
+            sent(given, wp.vec3d, where),
+            *(sent(table, wp.int32, where) for table in (first, divided, grid)),
+            sent(points @ rotation, wp.vec3d, where),
         ]

@@ -17,6 +17,7 @@ from omtwarp.options import TextureFormat
 from omtwarp.texturing.export import Material, Part, corner_tangents, export, split_corners
 
 # Of the extent of the mesh: corners of two copies of a mesh that are farther apart are not the same corner.
+SAME_PLACE = 1e-5
 ELSEWHERE = "the map's vertices are not where the mesh's are: it is a map of another mesh"
 
 
@@ -147,7 +148,7 @@ class PaintedMesh:
         here, there = points[triangles[kept]], self.vertices[self.faces[origin[kept]]]
         apart = np.linalg.norm(here[:, :, None] - there[:, None, :], axis=3)
         corner = apart.argmin(axis=2)
-        if len(kept) and apart.min(axis=2).max() > (self._same_place if face_origin is None else WELD * self._extent):
+        if len(kept) and apart.min(axis=2).max() > (SAME_PLACE if face_origin is None else WELD) * self._extent:
             raise OmtwarpError(ELSEWHERE)
         materials = np.zeros(len(triangles), dtype=np.int32)
         materials[kept] = self.material_of[origin[kept]]
@@ -221,13 +222,6 @@ class PaintedMesh:
         return Part(material, rows, used[vertex], values[:, :2], turned, belongs)
 
     @property
-    def _same_place(self) -> float:
-        """Return the distance within which two vertices count as copies of each other."""
-        # Of the extent of the mesh: corners of two copies of a mesh that are farther apart are not the same corner.
-        same_place = 1e-5
-        return same_place * self._extent
-
-    @property
     def _extent(self) -> float:
         """Return the largest side of the box around the mesh."""
         return float(np.ptp(self.vertices, axis=0).max(initial=0.0))
@@ -240,14 +234,14 @@ class PaintedMesh:
         """
         if len(triangles) == len(self.faces):  # in the same order, mostly
             apart = np.abs(points[triangles] - self.vertices[self.faces]).max(initial=0.0)
-            if apart <= self._same_place:
+            if apart <= SAME_PLACE * self._extent:
                 return np.arange(len(triangles), dtype=np.int32)
         places, number = np.unique(points + 0.0, axis=0, return_inverse=True)
         from scipy.spatial import cKDTree
 
         distance, nearest = cKDTree(places).query(self.vertices)
         unused = len(places)  # index of vertices that are not in the copy
-        here = np.where(distance <= self._same_place, nearest, unused)[self.faces]
+        here = np.where(distance <= SAME_PLACE * self._extent, nearest, unused)[self.faces]
         if (here == unused).all():
             raise OmtwarpError(ELSEWHERE)
         keys, wanted = np.sort(here, axis=1), np.sort(number.reshape(-1)[triangles], axis=1)

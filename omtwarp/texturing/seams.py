@@ -223,19 +223,16 @@ class CutMesh:
                 sources.append(self.source_face[which])
 
         one = np.flatnonzero(number == 1)
-        if len(one):
-            v0, v1, v2, a, _, _ = corners(one, np.argmax(marks[one], axis=1))
-            emit(one, (v0, a, v2), (a, v1, v2))
-        two = np.flatnonzero(number == 2)
-        if len(two):  # turned so that the edge left whole is the last one
-            v0, v1, v2, a, b, _ = corners(two, (np.argmin(marks[two], axis=1) + 1) % 3)
-            p = self.points
-            short = np.linalg.norm(p[v0] - p[b], axis=1) <= np.linalg.norm(p[a] - p[v2], axis=1)
-            emit(two, (a, v1, b), (v0, a, np.where(short, b, v2)), (np.where(short, v0, a), b, v2))
+        v0, v1, v2, a, _, _ = corners(one, np.argmax(marks[one], axis=1))
+        emit(one, (v0, a, v2), (a, v1, v2))
+        two = np.flatnonzero(number == 2)  # turned so that the edge left whole is the last one
+        v0, v1, v2, a, b, _ = corners(two, (np.argmin(marks[two], axis=1) + 1) % 3)
+        p = self.points
+        short = np.linalg.norm(p[v0] - p[b], axis=1) <= np.linalg.norm(p[a] - p[v2], axis=1)
+        emit(two, (a, v1, b), (v0, a, np.where(short, b, v2)), (np.where(short, v0, a), b, v2))
         three = np.flatnonzero(number == 3)
-        if len(three):
-            v0, v1, v2, a, b, c = corners(three, np.zeros(len(three), dtype=np.int64))
-            emit(three, (v0, a, c), (a, v1, b), (c, b, v2), (a, b, c))
+        v0, v1, v2, a, b, c = corners(three, np.zeros(len(three), dtype=np.int64))
+        emit(three, (v0, a, c), (a, v1, b), (c, b, v2), (a, b, c))
 
         fresh = np.ones(sum(map(len, pieces)), dtype=bool)
         fresh[: len(pieces[0])] = False
@@ -274,6 +271,7 @@ class CutMesh:
                 break
         # Barycentric: a point nearer to an edge divides the edge, as parts of a triangle beside it would have no area.
         on_edge = inside & (bary.min(axis=1) < 1e-10)
+        edge_faces = self.faces[on_edge]
         interior = np.flatnonzero(inside & ~on_edge)
         if len(interior):
             count, size = len(interior), len(self.points)
@@ -286,21 +284,16 @@ class CutMesh:
             keep[interior] = False
             faces = np.concatenate([self.faces[keep], *fan])
             source = np.concatenate([self.source_face[keep], *([self.source_face[interior]] * 3)])
-            edge_faces = self.faces[on_edge]
             self._set_faces(faces, source, np.zeros(len(faces), dtype=bool))
-        else:
-            edge_faces = self.faces[on_edge]
         if len(edge_faces):  # the half-edges are found again by their vertices: the faces may have moved
             opposite = np.argmin(bary[on_edge], axis=1)
             rows = np.arange(len(edge_faces))
             tail, head = edge_faces[rows, (opposite + 1) % 3], edge_faces[rows, (opposite + 2) % 3]
             at = bary[on_edge][rows, (opposite + 2) % 3]
             fraction = at / (at + bary[on_edge][rows, (opposite + 1) % 3])
-            ring = np.roll(self.faces, -1, axis=1)
             for k in range(len(edge_faces)):  # one or two, more only where the map is folded
-                face, corner = np.nonzero((self.faces == tail[k]) & (ring == head[k]))
+                face, corner = np.nonzero((self.faces == tail[k]) & (np.roll(self.faces, -1, axis=1) == head[k]))
                 self.split_half_edges(face, corner, np.full(len(face), fraction[k]))
-                ring = np.roll(self.faces, -1, axis=1)
 
     def cut(self, arc: Arc) -> None:
         """Split every edge that crosses an arc, exactly where it does."""
