@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 import scipy.sparse as sparse
@@ -12,7 +12,7 @@ from scipy.sparse.linalg import splu
 from omtwarp.conformal.centring import centre_points
 from omtwarp.conformal.maps import dipole, most_regular_face, plane_to_sphere
 from omtwarp.device.policy import resolve_device
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, check_word
 from omtwarp.mesh.arrays import TINY, Floats
 from omtwarp.mesh.surface import MeshLike, Surface, as_surface, triangle_areas
 from omtwarp.options import Progress, tell
@@ -98,10 +98,8 @@ def barycentric_map(
         >>> bool(np.allclose(np.linalg.norm(sphere, axis=1), 1.0))
         True
     """
-    if weights not in ("tutte", "mean-value"):
-        raise OmtwarpError(f"unknown weights '{weights}': use tutte or mean-value")
-    if balance not in ("centroid", "free"):
-        raise OmtwarpError(f"unknown balance '{balance}': use centroid or free")
+    check_word("weights", weights, get_args(Weights))
+    check_word("balance", balance, get_args(Balance))
     surface = as_surface(surface)
     resolve_device(device)
     springs = _Springs(barycentric_weights(surface, weights))

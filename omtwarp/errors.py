@@ -1,6 +1,7 @@
 """The package's exception, the category of its warnings, their form in a terminal, and the choice of a known value."""
 
 import re
+from collections.abc import Iterable
 from enum import StrEnum
 from typing import TypeVar
 
@@ -91,12 +92,25 @@ def choose(kind: type[Kind], value: object, *, without: tuple[Kind, ...] = ()) -
     Raises:
         OmtwarpError: the option has no such value; the message lists those it has.
     """
-    offered = [member for member in kind if member not in without]
-    for member in offered:
-        if isinstance(value, str) and value == member.value:
-            return member
     name = re.sub(r"(?<!^)(?=[A-Z])", "_", kind.__name__).lower()
-    raise OmtwarpError(f"unknown {name} {shown(value)}: use {', '.join(offered)}")
+    check_word(name, value, [member for member in kind if member not in without])
+    return kind(str(value))
+
+
+def check_word(name: str, value: object, offered: Iterable[str]) -> None:
+    """Check that a text is among those that are offered.
+
+    Args:
+        name: what it is the name of, such as ``light``.
+        value: the text.
+        offered: all texts that it may be.
+
+    Raises:
+        OmtwarpError: it is none of them; the message lists them.
+    """
+    offered = list(offered)
+    if not isinstance(value, str) or value not in offered:
+        raise OmtwarpError(f"unknown {name} {shown(value)}: use {', '.join(offered)}")
 
 
 def shown(value: object) -> str:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.alignment import align
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.errors import OmtwarpError, OmtwarpWarning
+from omtwarp.errors import OmtwarpError, OmtwarpWarning, check_word
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.arrays import Floats
 from omtwarp.options import AtlasLike, CoordinatesLike
@@ -74,8 +74,7 @@ def transfer_texture(
         >>> same.materials[0].picture.shape
         (64, 96, 3)
     """
-    if uv not in ("own", "atlas"):
-        raise OmtwarpError(f"unknown texture coordinates '{uv}': use own or atlas")
+    check_word("texture coordinates", uv, ("own", "atlas"))
     where = resolve_device(device)
     vertices, faces, sphere = as_map(result)
     there, triangles, points = as_map(other)

@@ -12,7 +12,7 @@ from scipy import sparse
 from omtwarp.benchmark.measure import Clock, Facts, PeakMemory, first_use, kernel_table, machine, splu_reference
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, check_word
 from omtwarp.geometry import cotangent_laplacian
 from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mesh import shapes
@@ -31,14 +31,13 @@ def made(shape: str, face_count: int) -> Surface:
     Raises:
         OmtwarpError: an unknown shape.
     """
+    check_word("shape", shape, SHAPES)
     if shape == "blob":
         # Amplitude, of the blob's bumps, in radii: a plain convention, which all published times were taken with
         return shapes.blob(seed=1, amplitude=0.3, sphere=face_count)
     if shape == "creature":
         return shapes.demo_shape(face_count)
-    if shape == "sphere":
-        return shapes.icosphere_near(face_count)
-    raise OmtwarpError(f"unknown shape '{shape}': use {', '.join(SHAPES)}")
+    return shapes.icosphere_near(face_count)
 
 
 MeshSource: TypeAlias = str | os.PathLike[str] | MeshLike

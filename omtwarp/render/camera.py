@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, check_word
 from omtwarp.mesh.arrays import Floats
 
 # Azimuth and elevation in degrees.
@@ -55,8 +55,7 @@ class Camera:
             raise OmtwarpError(
                 "the camera needs finite angles, zoom > 0, a field of view in (0, 170) degrees and a margin in [0, 0.5)"
             )
-        if self.projection not in ("perspective", "orthographic"):
-            raise OmtwarpError(f"unknown projection '{self.projection}': use perspective or orthographic")
+        check_word("projection", self.projection, ("perspective", "orthographic"))
 
     def looking(self, azimuth: float, elevation: float) -> Camera:
         """Return this camera turned to another direction."""
@@ -288,6 +287,5 @@ def as_light(light: str | Light) -> Light:
     """
     if isinstance(light, Light):
         return light
-    if light not in LIGHTS:
-        raise OmtwarpError(f"unknown light '{light}': use one of {', '.join(LIGHTS)}")
+    check_word("light", light, LIGHTS)
     return LIGHTS[light]

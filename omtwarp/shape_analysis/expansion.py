@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, check_word
 from omtwarp.files.inputs import read_bytes
 from omtwarp.files.output import write_text
 from omtwarp.geometry.harmonics import check_degree, degree_of, power_per_degree, real_harmonics
@@ -129,8 +129,7 @@ def expand(
         if triangles is None:
             raise OmtwarpError("quadrature integrates over triangles: give faces")
         return Expansion(_integrals(points, data, triangles, degree))
-    if method != "least-squares":
-        raise OmtwarpError(f"unknown method '{method}': use {' or '.join(METHODS)}")
+    check_word("method", method, METHODS)
     weights: Floats = np.ones(len(points))
     if triangles is not None:
         weights = sums_around(triangle_areas(points, triangles.astype(np.int32)), triangles, len(points))

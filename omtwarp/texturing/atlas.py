@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, check_word
 from omtwarp.files.limits import LONGEST_SIDE, MOST_TEXELS
 from omtwarp.mesh.arrays import TINY, Floats, Ints
 from omtwarp.options import AtlasName
@@ -329,8 +329,7 @@ def make_atlas(name: str, size: int | tuple[int, int] | None = None, *, seam: fl
         OmtwarpError: an unknown name, a size that is not a whole number from 16 to 32768, or sides that the atlas has
             not.
     """
-    if not isinstance(name, str) or name not in ATLASES:
-        raise OmtwarpError(f"unknown atlas '{name}': use {', '.join(ATLASES[:-1])} or {ATLASES[-1]}")
+    check_word("atlas", name, ATLASES)
     pair = check_size(SIZE if size is None else size)
     if len(pair) == 2 and name == "octahedral":
         raise OmtwarpError(f"texture size {size!r}: the octahedral atlas takes a width only")

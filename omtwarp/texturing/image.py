@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, BinaryIO, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp.errors import OmtwarpError, brief
+from omtwarp.errors import OmtwarpError, brief, check_word
 from omtwarp.files.inputs import FORMATS, open_input, open_picture
 from omtwarp.files.limits import LARGEST_PICTURE_FILE, LONGEST_SIDE, MOST_TEXELS
 from omtwarp.mesh.arrays import Bytes, Floats
@@ -188,8 +188,7 @@ def webp_bytes(image: Bytes) -> bytes:
 
 def check_projection(projection: str) -> str:
     """Check the name of a projection; the error for an unknown one lists those that exist."""
-    if projection not in tuple(ProjectionName):
-        raise OmtwarpError(f"unknown projection '{projection}': use {' or '.join(ProjectionName)}")
+    check_word("projection", projection, ProjectionName)
     return projection
 
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.errors import OmtwarpError, OmtwarpWarning
+from omtwarp.errors import OmtwarpError, OmtwarpWarning, check_word
 from omtwarp.maps.result import StoredMap
 from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh.arrays import Bytes, Floats, Ints
@@ -152,10 +152,8 @@ def _check_options(uv: str, keep: str | None, opacity: float, mesh: PaintedMesh 
     Raises:
         OmtwarpError: an option cannot be taken.
     """
-    if uv not in ("own", "atlas"):
-        raise OmtwarpError(f"unknown texture coordinates '{uv}': use own or atlas")
-    if keep not in (None, "over", "under"):
-        raise OmtwarpError(f"unknown way to keep materials '{keep}': use over or under")
+    check_word("texture coordinates", uv, ("own", "atlas"))
+    check_word("way to keep materials", keep or "under", ("over", "under"))
     if not 0.0 <= opacity <= 1.0:
         raise OmtwarpError(f"the opacity is {opacity}: give a number from 0 to 1")
     if mesh is None and (uv == "own" or keep is not None):

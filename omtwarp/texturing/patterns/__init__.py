@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, wp
 from omtwarp.device.threads import Each, each, launch_parts
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, check_word
 from omtwarp.mesh.arrays import Floats, Ints
 from omtwarp.options import PatternLike, PatternName
 
@@ -170,9 +170,7 @@ def pattern(name: str | Pattern, **options: int | str) -> Pattern:
     """
     if isinstance(name, Pattern):
         return name
-    if name not in tuple(PatternName):
-        *most, last = tuple(PatternName)
-        raise OmtwarpError(f"unknown pattern '{name}': use {', '.join(most)} or {last}")
+    check_word("pattern", name, PatternName)
     try:
         return _made(name, **options)
     except TypeError as error:
