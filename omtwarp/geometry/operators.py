@@ -19,9 +19,8 @@ from scipy import sparse
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
-from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.spherical import TINY
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Floats, real_numbers, whole_numbers
 from omtwarp.mesh.surface import Surface
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -104,10 +103,8 @@ def interpolate_at_vertices(
 
 
 def _corner_points(vertices: ArrayLike, faces: ArrayLike) -> tuple[Floats, NDArray[np.int64], list[Floats]]:
-    points = np.asarray(vertices, dtype=np.float64)
-    triangles = np.asarray(faces, dtype=np.int64)
-    if points.ndim != 2 or points.shape[1] != 3 or triangles.ndim != 2 or triangles.shape[1] != 3:
-        raise OmtwarpError(f"expected vertices [V, 3] and faces [F, 3], got {points.shape} and {triangles.shape}")
+    points = real_numbers(vertices, "vertices", (None, 3), finite=False)
+    triangles = whole_numbers(faces, "faces", (None, 3))
     return points, triangles, [points[triangles[:, k]] for k in range(3)]
 
 

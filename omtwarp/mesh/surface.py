@@ -263,14 +263,7 @@ def scaled_areas(areas: ArrayLike, count: int) -> Floats:
     Raises:
         OmtwarpError: it is not one positive, finite number per triangle, or the sum overflows.
     """
-    try:
-        given = np.array(areas, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise OmtwarpError("the areas of triangles are not numbers") from None
-    if given.shape != (count,):
-        raise OmtwarpError(
-            f"the areas have shape {list(given.shape)}: expected one number for each of {count} triangles"
-        )
+    given = np.array(real_numbers(areas, "the areas of triangles", (count,), finite=False))
     wrong = ~(np.isfinite(given) & (given > 0.0))
     if wrong.any():
         first = int(np.argmax(wrong))

@@ -25,10 +25,10 @@ from omtwarp.device.policy import launch_parts_of, resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import Each, core_count, each, launch_parts, load, run_all
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints
+from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints, real_numbers, whole_numbers
 from omtwarp.texturing import kernels
 from omtwarp.texturing.atlas import Atlas, check_size, make_atlas
-from omtwarp.texturing.export import Material
+from omtwarp.texturing.export import Material, uv_of_corners
 from omtwarp.texturing.image import PictureLike, as_floats, check_projection, read_image, with_opacity
 from omtwarp.texturing.patterns import Pattern, is_name, pattern
 from omtwarp.texturing.seams import Unwrapped, shares_of_corners, unwrap
@@ -345,21 +345,6 @@ class Layout:
         return texels
 
 
-def _own_uv(uv: ArrayLike, faces: NDArray) -> Floats:
-    coordinates = np.asarray(uv, dtype=np.float64)
-    if coordinates.ndim == 3 and coordinates.shape == (len(faces), 3, 2):
-        corner = coordinates
-    elif coordinates.ndim == 2 and coordinates.shape[1] == 2:
-        if faces.max(initial=-1) >= len(coordinates) or faces.min(initial=0) < 0:
-            raise OmtwarpError(f"texture coordinates: a face refers to number {faces.max()} of {len(coordinates)}")
-        corner = coordinates[faces]
-    else:
-        raise OmtwarpError(f"texture coordinates of shape {list(coordinates.shape)}: give [V, 2] or [F, 3, 2]")
-    if not np.all(np.isfinite(corner)):
-        raise OmtwarpError(f"texture coordinates: {np.count_nonzero(~np.isfinite(corner))} are not finite")
-    return corner
-
-
 def bake_to_uv(
     source: Source | VertexValues,
     sphere: ArrayLike,
@@ -390,11 +375,11 @@ def bake_to_uv(
         number has the texel.
     """
     where = resolve_device(device)
-    faces = np.asarray(faces)
     s = np.asarray(sphere, dtype=np.float64)
+    faces = whole_numbers(faces, "faces", (None, 3), below=len(s))
     sides = check_size(size, least=1)
     width, height = sides[0], sides[-1]
-    layout = Layout(_own_uv(uv, faces), width, height, where, padding)
+    layout = Layout(real_numbers(uv_of_corners(uv, faces), "texture coordinates", None), width, height, where, padding)
     if isinstance(source, VertexValues):
         return _bake_linear(layout, source.corner_values(faces), supersample, padding)
     given = source_of(source, projection, where)

@@ -77,9 +77,7 @@ def vertex_density(
     points = real_numbers(sphere, "the target's sphere", (None, 3))
     points = points / np.linalg.norm(points, axis=1, keepdims=True)
     triangles = whole_numbers(faces, "the target's faces", (None, 3), below=len(points)).astype(np.int32)
-    numbers = real_numbers(values, "the target's values", None, finite=False)
-    if numbers.shape != (len(points),):
-        raise OmtwarpError(f"the target has {numbers.size} values: its sphere has {len(points)} vertices")
+    numbers = real_numbers(values, "the target's values", (len(points),), finite=False)
     locator = Locator(points, triangles, device=device)
 
     def density(queries: Floats) -> Floats:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.colors import to_linear
 from omtwarp.errors import OmtwarpError, choose
@@ -162,6 +162,20 @@ class Part:
     uv: Floats | None = None
     tangents: Floats | None = None
     belongs: Ints | None = None
+
+
+def uv_of_corners(uv: ArrayLike, faces: NDArray) -> Floats:
+    """Return texture coordinates of vertices, shape [V, 2], or of corners at the corners of faces, shape [F, 3, 2].
+
+    Raises:
+        OmtwarpError: neither shape, or fewer coordinates than vertices.
+    """
+    given = np.asarray(uv, dtype=np.float64)
+    if given.ndim == 2 and given.shape[1] == 2 and faces.max(initial=-1) < len(given):
+        return given[faces]
+    if given.shape != (len(faces), 3, 2):
+        raise OmtwarpError(f"texture coordinates of shape {list(given.shape)}: give [V, 2] or [F, 3, 2]")
+    return given
 
 
 def split_corners(faces: Ints, values: Floats, count: int) -> tuple[Ints, Ints, Floats]:

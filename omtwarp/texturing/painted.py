@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import WELD, Bytes, Floats, Ints, whole_numbers
+from omtwarp.mesh.arrays import WELD, Bytes, Floats, Ints, real_numbers, whole_numbers
 from omtwarp.mesh.read import compressed, seam_copies
 from omtwarp.mesh.surface import unit_normals, vertex_normals
 from omtwarp.options import TextureFormat
-from omtwarp.texturing.export import Material, Part, corner_tangents, export, split_corners
+from omtwarp.texturing.export import Material, Part, corner_tangents, export, split_corners, uv_of_corners
 
 # Of the extent of the mesh: corners of two copies of a mesh that are farther apart are not the same corner.
 SAME_PLACE = 1e-5
@@ -74,26 +74,13 @@ class PaintedMesh:
 
     def __post_init__(self) -> None:
         put = object.__setattr__
-        put(self, "vertices", np.ascontiguousarray(self.vertices, dtype=np.float64))
-        shape = np.shape(self.faces)
-        if self.vertices.ndim != 2 or self.vertices.shape[1] != 3 or len(shape) != 2 or shape[1] != 3:
-            raise OmtwarpError(
-                f"vertices of shape {list(self.vertices.shape)}, faces of shape {list(shape)}: give [V, 3] and [F, 3]"
-            )
+        put(self, "vertices", real_numbers(self.vertices, "vertices", (None, 3), finite=False))
         put(self, "faces", corners_of(self.faces, len(self.vertices)))
         count = len(self.faces)
         if self.uv is not None:
-            uv = np.asarray(self.uv, dtype=np.float64)
-            if uv.shape == (len(self.vertices), 2) and uv.shape != (count, 3, 2):
-                uv = uv[self.faces]
-            if uv.shape != (count, 3, 2):
-                raise OmtwarpError(f"texture coordinates of shape {list(uv.shape)}: give [V, 2] or [F, 3, 2]")
-            put(self, "uv", uv)
-        materials = np.zeros(count) if self.face_material is None else np.asarray(self.face_material)
-        if materials.shape != (count,):
-            raise OmtwarpError(f"materials of {len(materials)} triangles given for {count}")
-        if count and not (0 <= materials.min() and materials.max() < len(self.materials)):
-            raise OmtwarpError(f"a triangle refers to material {int(materials.max())} of {len(self.materials)}")
+            put(self, "uv", uv_of_corners(self.uv, self.faces))
+        given = np.zeros(count) if self.face_material is None else self.face_material
+        materials = whole_numbers(given, "materials of triangles", (count,), below=len(self.materials))
         put(self, "face_material", materials.astype(np.int32))
         if self.face_object is not None and np.shape(self.face_object) != (count,):
             raise OmtwarpError(f"objects of {len(self.face_object)} triangles given for {count}")
