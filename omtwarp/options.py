@@ -3,8 +3,6 @@
 The command line and Python take their options from here. Nothing heavy is imported, so that ``omtwarp --help`` is fast.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -319,7 +317,7 @@ class MapOptions:
             raise OmtwarpError("exact areas are those of the optimal map: leave method, scheme and refine as they are")
 
     @classmethod
-    def parse(cls, **given: Unpack[MapKeywords]) -> MapOptions:
+    def parse(cls, **given: Unpack[MapKeywords]) -> "MapOptions":
         """Read options as users write them; those that are left out have their defaults.
 
         Raises:

@@ -1,7 +1,5 @@
 """One item of a cohort: its job, record, lock and journal, without modules that load Warp."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import json
@@ -73,7 +71,7 @@ class Job:
         return json.dumps(asdict(self))
 
     @classmethod
-    def from_json(cls, line: str) -> Job:
+    def from_json(cls, line: str) -> "Job":
         """Read a job from its line: the inverse of :meth:`to_json`."""
         return cls(**json.loads(line))
 

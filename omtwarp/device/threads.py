@@ -9,8 +9,6 @@ the conditions are then read by the host, which on the CPU is free, and large la
 cores.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 from collections.abc import Callable, Iterator, Sequence
@@ -149,7 +147,7 @@ def blas_threads(count: int) -> Iterator[None]:
 
 
 @lru_cache(maxsize=1)
-def _controller() -> ThreadpoolController:
+def _controller() -> "ThreadpoolController":
     from scipy.linalg import cython_blas  # noqa: F401 (its library has to be loaded to be found)
     from threadpoolctl import ThreadpoolController
 

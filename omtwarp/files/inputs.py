@@ -5,8 +5,6 @@ device, or a file that inflates without end gives an error line and does not han
 their header, and only in formats that it decodes itself.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import math
@@ -293,7 +291,7 @@ FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "TGA")
 _pillow = threading.Lock()  # over Pillow's own limit, which is one number for the whole process
 
 
-def open_picture(stream: BinaryIO, formats: tuple[str, ...] = FORMATS) -> Image:
+def open_picture(stream: BinaryIO, formats: tuple[str, ...] = FORMATS) -> "Image":
     """Open a picture and read its header, without Pillow's own limit of size: the caller has one that fits.
 
     Raises:

@@ -1,7 +1,5 @@
 """Where the vertices and faces of a surface come from that was made from another, and data that follow them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -27,7 +25,7 @@ class Origins:
     split_edges: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64), kw_only=True)
     given: int | None = field(default=None, kw_only=True)
 
-    def compose(self, later: Origins) -> Origins:
+    def compose(self, later: "Origins") -> "Origins":
         """Return the origins, in the surface that this one was made from, of another that was made from this one."""
         return Origins(
             np.where(later.vertex_origin >= 0, self.vertex_origin[later.vertex_origin], -1),

@@ -1,7 +1,5 @@
 """Patches: pieces of a surface whose vertices may move while all others stay."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,7 +71,7 @@ class Patches:
     count: int
 
     @classmethod
-    def of_vertices(cls, faces: Ints, freed: NDArray[np.bool_]) -> Patches:
+    def of_vertices(cls, faces: Ints, freed: NDArray[np.bool_]) -> "Patches":
         """Return the patches of all freed vertices.
 
         Args:
@@ -107,7 +105,7 @@ class Patches:
         np.maximum.at(lengths, self.vertex_patch, np.linalg.norm(vectors, axis=1))
         return lengths
 
-    def only(self, kept: NDArray[np.bool_]) -> tuple[Patches, NDArray[np.intp]]:
+    def only(self, kept: NDArray[np.bool_]) -> "tuple[Patches, NDArray[np.intp]]":
         """Select some of the patches; return them, and the indices of their vertices among those of all patches.
 
         Args:

@@ -1,7 +1,5 @@
 """The warp of registration: features that move onto others, coarse to fine, on grids that no mesh determines."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -54,7 +52,7 @@ class Warp:
     energy: float = np.inf
     levels: list[Record] = field(default_factory=list)
 
-    def after(self, rotation: Floats) -> Warp:
+    def after(self, rotation: Floats) -> "Warp":
         """Return the same warp of a sphere that was rotated."""
         turned = Surface(self.grid.vertices @ rotation.T, self.grid.faces)
         return Warp(turned, self.points, self.energy, self.levels)

@@ -1,7 +1,5 @@
 """Pictures of surfaces, maps and fields without a display: pyrender through EGL, or a Warp ray caster."""
 
-from __future__ import annotations
-
 import importlib
 from typing import TYPE_CHECKING
 

@@ -1,7 +1,5 @@
 """Cameras: directions of view, framing that fills the picture, turntables."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -57,7 +55,7 @@ class Camera:
             )
         check_word("projection", self.projection, ("perspective", "orthographic"))
 
-    def looking(self, azimuth: float, elevation: float) -> Camera:
+    def looking(self, azimuth: float, elevation: float) -> "Camera":
         """Return this camera turned to another direction."""
         return replace(self, azimuth=float(azimuth), elevation=float(elevation))
 

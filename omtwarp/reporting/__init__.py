@@ -3,8 +3,6 @@
 Names are imported at their first use, so that importing the package does not start Warp.
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import TYPE_CHECKING
 

@@ -12,8 +12,6 @@ the same one for the surface and for the chord points; so neither the surface no
 split (never faces alone) both triangles of an edge always agree.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -108,11 +106,11 @@ def shares_of_corners(weights: sparse.csr_matrix, parts: Ints, source_face: Ints
     return shares.reshape(-1, 3, 3)
 
 
-def _face_charts(mesh: CutMesh, atlas: Atlas, which: NDArray | slice = slice(None)) -> Ints:
+def _face_charts(mesh: "CutMesh", atlas: Atlas, which: NDArray | slice = slice(None)) -> Ints:
     return atlas.charts(mesh.points[mesh.faces[which]].sum(axis=1))
 
 
-def _refine(mesh: CutMesh, atlas: Atlas) -> None:
+def _refine(mesh: "CutMesh", atlas: Atlas) -> None:
     """Divide triangles until texture coordinates are linear over each to within a third of a texel."""
     most_passes = 24
     # Faces that are added to four times the mesh's, at most: room for coarse meshes, while a folded or collapsed map is

@@ -19,8 +19,6 @@ that changes linearly from vertex to vertex.
 .. [3] G. Taubin, T. Zhang and G. Golub, "Optimal surface smoothing as filter design", ECCV (1996).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
@@ -119,7 +117,7 @@ def smooth_map(vertices: Floats, faces: Ints, sphere: Floats, parts: int, *, fil
     return smooth_curves(vertices, faces, sphere, filtered=filtered and parts > 1).divided(parts)
 
 
-def smooth_curves(vertices: Floats, faces: Ints, sphere: Floats, *, filtered: bool = True) -> SmoothCurves:
+def smooth_curves(vertices: Floats, faces: Ints, sphere: Floats, *, filtered: bool = True) -> "SmoothCurves":
     """Return the curves that the smooth map has over the edges of a mesh, from which it is known everywhere.
 
     Args:

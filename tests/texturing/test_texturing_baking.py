@@ -185,7 +185,7 @@ def test_rotating_the_texture_moves_it_as_the_matrix_says():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: bake("checker", "mercator"), "equirectangular, cube or octahedral"),
+        (lambda: bake("checker", "mercator"), "equirectangular, cube, octahedral"),
         (lambda: bake("checker", projection="mercator"), "equirectangular or sinusoidal"),
         (lambda: bake(lambda d: d[:5]), "directions"),
         (lambda: bake("nowhere.png"), "no such file"),

@@ -203,7 +203,7 @@ def test_supersampling_blends_across_an_edge():
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [
-        ("stripes", {}, "circles, puzzle, globe or checker"),
+        ("stripes", {}, "circles, puzzle, globe, checker"),
         ("checker", {"columns": 7}, "even"),
         ("checker", {"size": 7}, "size"),
         ("circles", {"count": 2}, "4 to 20000"),

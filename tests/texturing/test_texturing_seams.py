@@ -207,7 +207,7 @@ def test_a_cube_map_in_pictures_of_three_shapes(size, sides, columns):
 @pytest.mark.parametrize(
     ("name", "size", "message"),
     [
-        ("mercator", 512, "equirectangular, cube or octahedral"),
+        ("mercator", 512, "equirectangular, cube, octahedral"),
         ("cube", 5, "16 to 32768"),
         ("octahedral", (64, 64), "width only"),
         ("cube", (64, 48), "square of at least 32"),
