@@ -157,16 +157,9 @@ def face_weights(weights: ArrayLike, corners: NDArray, vertices: int, at: str = 
         OmtwarpError: another number of weights, one that is not positive and finite, or ``auto`` where there are as
             many vertices as triangles.
     """
-    given = np.array(real_numbers(weights, "the weights", None, finite=False))
-    faces = len(corners)
-    where = weights_belong_to(given.shape, vertices, faces, at)
-    wrong = ~(np.isfinite(given) & (given > 0.0))
-    if wrong.any():
-        first = int(np.argmax(wrong))
-        raise OmtwarpError(
-            f"{int(wrong.sum())} weights are not positive and finite, the first is weight {first}: {given[first]:g}"
-        )
-    given /= given.max()
+    given = real_numbers(weights, "the weights", None, positive=True)
+    where = weights_belong_to(given.shape, vertices, len(corners), at)
+    given = given / given.max()
     return given if where is WeightsAt.TRIANGLES else np.asarray(given[corners].mean(axis=1))
 
 

@@ -45,7 +45,9 @@ class HasTriangles(Protocol):
         """Vertex indices of the triangles, shape [F, 3]."""
 
 
-def real_numbers(values: object, name: str, shape: Shape | None, *, finite: bool = True) -> NDArray[np.float64]:
+def real_numbers(
+    values: object, name: str, shape: Shape | None, *, finite: bool = True, positive: bool = False
+) -> NDArray[np.float64]:
     """Convert an array of real numbers to float64, without changing a number.
 
     Args:
@@ -53,12 +55,14 @@ def real_numbers(values: object, name: str, shape: Shape | None, *, finite: bool
         name: what to call it in a message, such as ``vertices``.
         shape: the shape that it must have, with None for any length; None for any shape.
         finite: whether NaN and infinite numbers are refused.
+        positive: whether zero and negative numbers are refused too.
 
     Returns:
         float64, contiguous; the array itself where it is that already.
 
     Raises:
-        OmtwarpError: complex numbers, text, objects, masked entries, another shape, or numbers that are not finite.
+        OmtwarpError: complex numbers, text, objects, masked entries, another shape, or numbers that are not finite, or
+            not positive.
 
     Example:
         >>> real_numbers([[0, 1, 2]], "points", (None, 3))
@@ -69,13 +73,13 @@ def real_numbers(values: object, name: str, shape: Shape | None, *, finite: bool
         _require_shape(array, name, shape)
     out = np.ascontiguousarray(array, dtype=np.float64)
     if finite:
-        good = np.isfinite(out)
+        good = np.isfinite(out) & (out > 0.0) if positive else np.isfinite(out)
         if not good.all():
             first = int(np.argmin(good.reshape(len(out), -1).all(axis=1))) if out.ndim else 0
             count = int((~good).sum())
             raise OmtwarpError(
-                f"{name}: {count} number{'s' if count > 1 else ''} that {'are' if count > 1 else 'is'} not finite, "
-                f"first in row {first}"
+                f"{name}: {count} number{'s' if count > 1 else ''} that {'are' if count > 1 else 'is'} not "
+                f"{'positive and finite' if positive else 'finite'}, first in row {first}"
             )
     return out
 

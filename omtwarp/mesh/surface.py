@@ -261,12 +261,8 @@ def scaled_areas(areas: ArrayLike, count: int) -> Floats:
     Raises:
         OmtwarpError: it is not one positive, finite number per triangle, or the sum overflows.
     """
-    given = np.array(real_numbers(areas, "the areas of triangles", (count,), finite=False))
-    wrong = ~(np.isfinite(given) & (given > 0.0))
-    if wrong.any():
-        first = int(np.argmax(wrong))
-        raise OmtwarpError(f"the area of triangle {first} is {given[first]:g}: every area must be positive and finite")
-    given /= given.max()
+    given = real_numbers(areas, "the areas of triangles", (count,), positive=True)
+    given = given / given.max()
     return given * (SPHERE_AREA / math.fsum(given))  # the same in any order of the triangles
 
 

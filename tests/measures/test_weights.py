@@ -64,8 +64,11 @@ def test_weights_per_vertex_and_per_triangle():
     [
         (np.ones(5), "one for each of"),
         (np.ones((SURFACE.face_count, 1)), "one for each of"),
-        (np.r_[0.0, np.ones(SURFACE.face_count - 1)], "1 weights are not positive.*weight 0: 0"),
-        (np.r_[np.nan, -np.ones(SURFACE.vertex_count - 1)], "weight 0: nan"),
+        (
+            np.r_[0.0, np.ones(SURFACE.face_count - 1)],
+            "the weights: 1 number that is not positive and finite, first in row 0",
+        ),
+        (np.r_[np.nan, -np.ones(SURFACE.vertex_count - 1)], "are not positive and finite, first in row 0"),
         (["a"] * SURFACE.face_count, "must be real numbers"),
     ],
 )

@@ -85,5 +85,5 @@ def test_what_is_no_rotation_is_refused(bad):
 
 
 def test_unknown_projection_lists_the_known_ones():
-    with pytest.raises(OmtwarpError, match="equirectangular or sinusoidal"):
+    with pytest.raises(OmtwarpError, match="equirectangular, sinusoidal"):
         direction_to_image([1, 0, 0], "mercator")
