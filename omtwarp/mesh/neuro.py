@@ -3,8 +3,6 @@
 nibabel (``pip install 'omtwarp[neuro]'``) reads and writes GIFTI and FreeSurfer's files.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import zlib
@@ -73,7 +71,7 @@ def _structure_of_map(path: Path) -> str | None:
     return known if isinstance(known, str) and re.fullmatch(r"[\w .-]{1,80}", known) else None
 
 
-def gifti_image(path: Path) -> GiftiImage:
+def gifti_image(path: Path) -> "GiftiImage":
     """Read a GIFTI file, as nibabel's image.
 
     Raises:
@@ -83,7 +81,7 @@ def gifti_image(path: Path) -> GiftiImage:
         return load_gifti(path)
 
 
-def load_gifti(path: Path) -> GiftiImage:
+def load_gifti(path: Path) -> "GiftiImage":
     """Read a GIFTI file as :func:`gifti_image` does, whose errors name the file.
 
     Raises:

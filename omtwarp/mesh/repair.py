@@ -287,13 +287,10 @@ class _Work:
             self.actions.append(f"filled {number(filled, 'hole')} with {number(faces_added, 'face')}")
 
     def turn_outward(self) -> None:
-        if any(defect.kind == "inward-orientation" for defect in check(*self._compact())):
+        used, faces = np.unique(self.faces, return_inverse=True)
+        if any(defect.kind == "inward-orientation" for defect in check(self.points[used], faces.reshape(-1, 3))):
             self.faces = self.faces[:, ::-1].copy()
             self.actions.append("turned all faces outward")
-
-    def _compact(self) -> tuple[Floats, NDArray[np.int64]]:
-        used, faces = np.unique(self.faces, return_inverse=True)
-        return self.points[used], faces.reshape(-1, 3)
 
     def measure_loss(self, points: Floats, faces: NDArray[np.int64]) -> None:
         """Measure which share of the input's area is gone, and say it where it is not small.

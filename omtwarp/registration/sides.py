@@ -1,7 +1,5 @@
 """The two sides of a registration: points on the sphere and the features at them, and how well these agree."""
 
-from __future__ import annotations
-
 import functools
 import os
 from collections.abc import Mapping
@@ -38,7 +36,7 @@ class Side:
     points: SpherePoints
     features: dict[str, Floats]
 
-    def moved(self, sphere: Floats) -> Side:
+    def moved(self, sphere: Floats) -> "Side":
         """Return the same features at other places, unit vectors, shape [N, 3]."""
         return Side(self.points.moved(sphere), self.features)
 
@@ -59,7 +57,7 @@ class Side:
         values, known = self.at(_grid())
         return values, known.astype(np.float64)
 
-    def rotations(self, target: Side) -> tuple[list[Best], bool]:
+    def rotations(self, target: "Side") -> tuple[list[Best], bool]:
         """Return the rotations at which the features agree best with a target's, and whether the best is doubtful.
 
         There are several where it is. They are found on the feature grid, which is finer than the harmonics.
@@ -83,7 +81,7 @@ class Side:
         # rotation among its two best each time, degree 16 once.
         return found + feature_rotations(grid, grid, ours, theirs, 6, most=STARTS), True
 
-    def agreement(self, target: Side) -> dict[str, float]:
+    def agreement(self, target: "Side") -> dict[str, float]:
         """Return the correlation of every feature at the points of a target, weighted by their cells."""
         there = target.points
         values, known = self.at(there.grid)

@@ -89,23 +89,14 @@ def as_view(view: str | tuple[float, float] | Camera, base: Camera) -> Camera:
     """
     if isinstance(view, Camera):
         return view
-    if isinstance(view, str):
-        if view in VIEWS:
-            return base.looking(*VIEWS[view])
-        try:
-            azimuth, elevation = (float(part) for part in view.split(","))
-        except ValueError:
-            raise OmtwarpError(
-                f"unknown view '{view}': use {', '.join(VIEWS)}, or azimuth,elevation in degrees such as 30,20"
-            ) from None
-        return base.looking(azimuth, elevation)
+    given = VIEWS.get(view, view.split(",")) if isinstance(view, str) else view
     try:
-        azimuth, elevation = view
-        return base.looking(float(azimuth), float(elevation))
+        azimuth, elevation = (float(number) for number in given)
     except (TypeError, ValueError):
         raise OmtwarpError(
-            f"{view!r} is not a view: use a name, (azimuth, elevation) in degrees, or a Camera"
+            f"unknown view {view!r}: use {', '.join(VIEWS)}, azimuth,elevation in degrees such as 30,20, or a Camera"
         ) from None
+    return base.looking(azimuth, elevation)
 
 
 def as_views(views: object, base: Camera) -> list[Camera]:

@@ -61,11 +61,6 @@ def is_torus_map(subject: object) -> TypeGuard[TorusMap]:
     return _is_a(subject, "omtwarp.maps.torus_map", "TorusMap")
 
 
-def _is_painted(subject: object) -> TypeGuard[PaintedMesh]:
-    """Return whether a subject is a mesh with materials."""
-    return _is_a(subject, "omtwarp.texturing.painted", "PaintedMesh")
-
-
 def _is_a(subject: object, module: str, name: str) -> bool:
     """Return whether a subject is of a class, of which one exists only where its module is loaded."""
     return module in sys.modules and isinstance(subject, getattr(sys.modules[module], name))
@@ -99,8 +94,8 @@ def as_surface_view(subject: Subject, image: Picture | None = None) -> SurfaceVi
         return map_view(subject, image)
     elif hasattr(subject, "visual") and hasattr(subject, "faces"):
         view = _from_trimesh(cast("trimesh.Trimesh", subject))
-    elif _is_painted(subject):
-        view = painted_view(subject)
+    elif _is_a(subject, "omtwarp.texturing.painted", "PaintedMesh"):
+        view = painted_view(cast("PaintedMesh", subject))
     elif isinstance(subject, (tuple, list)) and len(subject) == 2:
         view = SurfaceView(*subject)
     elif isinstance(subject, _Textured):
