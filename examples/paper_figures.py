@@ -125,8 +125,8 @@ def wavelets(path: Path, meshes: Meshes, number: int) -> None:
 def longitude_lines(path: Path, meshes: Meshes, number: int) -> None:
     """Figure 8: the lines of longitude in a flat picture, before and after the correction by cos(latitude)."""
     pyplot = plotting()
+    from omtwarp.mesh.arrays import direction_from_angles
     from omtwarp.texturing import direction_to_image
-    from omtwarp.texturing.image import direction_from_angles
 
     figure, axes = pyplot.subplots(1, 2, figsize=(11, 3.2), layout="constrained")
     latitude = np.linspace(-np.pi / 2, np.pi / 2, 361)

@@ -29,7 +29,17 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import flipped_faces
 from omtwarp.geometry.sphere_hierarchy import sphere_hierarchy
-from omtwarp.mesh.arrays import TINY, Floats, Ints, in_range, normalised, real_numbers, whole_numbers
+from omtwarp.mesh.arrays import (
+    TINY,
+    Floats,
+    Ints,
+    direction_from_angles,
+    in_range,
+    normalised,
+    octahedral_directions,
+    real_numbers,
+    whole_numbers,
+)
 
 NAMES = "ico0 to ico8, fsaverage3 to fsaverage7, healpix:NSIDE, healpix-nested:NSIDE, equiangular:HxW, octahedral:N"
 
@@ -362,20 +372,6 @@ def octahedral(size: int) -> SphereGrid:
     corners = np.concatenate([square[~across], *halves])
     all_owners = np.concatenate([owners[~across], owners[across], owners[across]])
     return SphereGrid(f"octahedral:{size}", points, None, (size, size), corners, all_owners)
-
-
-def octahedral_directions(x: Floats, y: Floats) -> Floats:
-    """Return the unit vectors of points (x, y) of the octahedral square, each from -1 to 1."""
-    z = 1.0 - np.abs(x) - np.abs(y)
-    sx, sy = np.where(x < 0, -1.0, 1.0), np.where(y < 0, -1.0, 1.0)
-    folded = [np.where(z < 0, (1.0 - np.abs(y)) * sx, x), np.where(z < 0, (1.0 - np.abs(x)) * sy, y), z]
-    return normalised(np.stack(folded, axis=-1))
-
-
-def direction_from_angles(longitude: ArrayLike, latitude: ArrayLike) -> Floats:
-    """Return the unit vectors, shape [..., 3], from longitude and latitude in radians."""
-    lon, lat = np.broadcast_arrays(np.asarray(longitude, dtype=np.float64), np.asarray(latitude, dtype=np.float64))
-    return np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
 
 
 def _within(value: int, low: int, high: int, name: str) -> int:

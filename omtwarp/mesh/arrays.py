@@ -321,3 +321,17 @@ def normalised(points: ArrayLike) -> NDArray[np.float64]:
     """Scale vectors, none of them 0, to unit length, shape [..., 3]."""
     points = np.asarray(points, dtype=np.float64)
     return np.asarray(points / np.linalg.norm(points, axis=-1, keepdims=True))
+
+
+def octahedral_directions(x: Floats, y: Floats) -> Floats:
+    """Return the unit vectors of points (x, y) of the octahedral square, each from -1 to 1."""
+    z = 1.0 - np.abs(x) - np.abs(y)
+    sx, sy = np.where(x < 0, -1.0, 1.0), np.where(y < 0, -1.0, 1.0)
+    folded = [np.where(z < 0, (1.0 - np.abs(y)) * sx, x), np.where(z < 0, (1.0 - np.abs(x)) * sy, y), z]
+    return normalised(np.stack(folded, axis=-1))
+
+
+def direction_from_angles(longitude: ArrayLike, latitude: ArrayLike) -> Floats:
+    """Return the unit vectors, shape [..., 3], from longitude and latitude in radians."""
+    lon, lat = np.broadcast_arrays(np.asarray(longitude, dtype=np.float64), np.asarray(latitude, dtype=np.float64))
+    return np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)

@@ -28,9 +28,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError, check_word
 from omtwarp.files.limits import LONGEST_SIDE, MOST_TEXELS
-from omtwarp.mesh.arrays import TINY, Floats, Ints
+from omtwarp.mesh.arrays import TINY, Floats, Ints, direction_from_angles, octahedral_directions
 from omtwarp.options import AtlasName
-from omtwarp.spheres import direction_from_angles, octahedral_directions
 
 ATLASES = tuple(AtlasName)
 QUARTER = np.pi / 4.0

@@ -9,10 +9,10 @@ from sphere_truths import mean_edge, pushed_north, random_rotation, rms, turned,
 import omtwarp
 from omtwarp.errors import OmtwarpError
 from omtwarp.measures import TargetDensity, mass_distortion
+from omtwarp.mesh.arrays import direction_from_angles
 from omtwarp.mesh.shapes import blob, icosphere
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.optimal.density import map_to_density
-from omtwarp.spheres import direction_from_angles
 from omtwarp.texturing.density import as_target, image_density, vertex_density
 
 AMOUNT = 0.5

@@ -9,8 +9,8 @@ from scipy import ndimage
 from texturing_shapes import ellipsoid, rotation, texel_directions, unit
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import direction_from_angles
 from omtwarp.options import PatternName
-from omtwarp.spheres import direction_from_angles
 from omtwarp.texturing import pattern, patterns, rasterize
 from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.patterns.checker import Checker

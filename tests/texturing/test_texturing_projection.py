@@ -6,7 +6,7 @@ from hypothesis import given, strategies as st
 from texturing_shapes import texel_directions
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.spheres import direction_from_angles
+from omtwarp.mesh.arrays import direction_from_angles
 from omtwarp.texturing.image import (
     direction_to_image,
     longitude_latitude,
