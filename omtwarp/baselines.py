@@ -1,5 +1,7 @@
 """Maps that the paper compares with and that are not stages of its own method: spherical barycentric maps."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, get_args

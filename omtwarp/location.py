@@ -1,5 +1,7 @@
 """Where on a triangulated sphere a point lies: the triangle that holds it, and its barycentric coordinates there."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np

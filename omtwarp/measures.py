@@ -1,5 +1,7 @@
 """Measures other than area: weights on a surface, and a prescribed density on the sphere."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 
 import numpy as np

@@ -1,5 +1,7 @@
 """Transfer of a texture from one surface to another, point by point through their maps to the sphere."""
 
+from __future__ import annotations
+
 import warnings
 from dataclasses import replace
 

@@ -1,5 +1,7 @@
 """Alignment of one sphere: by its shape's axes, or to another map by features, functions on the sphere."""
 
+from __future__ import annotations
+
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace

@@ -1,5 +1,7 @@
 """Alignment of a group of maps, and the mean of their surfaces."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 

@@ -1,5 +1,7 @@
 """Measurement of maps of generated shapes and given meshes, stage by stage, and of one sparse factorisation of each."""
 
+from __future__ import annotations
+
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -1,5 +1,7 @@
 """Run a cohort: compute the items without a record, and write one table and one page."""
 
+from __future__ import annotations
+
 import contextlib
 import os
 from collections import Counter

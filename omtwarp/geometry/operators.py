@@ -13,6 +13,8 @@ Misprints of the paper's appendix B, none of which affects its result:
 * in (24), first line, cot(gamma) cot(alpha) should read cot(gamma) cos(alpha).
 """
 
+from __future__ import annotations
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse

@@ -1,5 +1,7 @@
 """Finished maps: their arrays and stages, the records of these, and their files."""
 
+from __future__ import annotations
+
 import copy
 import json
 import os
@@ -121,7 +123,7 @@ class MapReport(ChosenOptions, total=False):
     surface: SurfaceReport
     alignment: Mapping[str, object]
     registration: Mapping[str, object]
-    parts: "list[MapReport]"
+    parts: list[MapReport]
 
 
 @dataclass(frozen=True)
@@ -417,7 +419,7 @@ class MapResult(StoredMap):
             known.append("bijective")
         return f"MapResult({', '.join(known)})"
 
-    def turned(self, frame: Floats) -> "MapResult":
+    def turned(self, frame: Floats) -> MapResult:
         """Return the map and those of its stages turned by a rotation or reflection, ``points @ frame``."""
         known = {name: getattr(self, name) for name in ON_SPHERE}
         return self.with_arrays({name: points @ frame for name, points in known.items() if points is not None})
@@ -451,7 +453,7 @@ class MapResult(StoredMap):
         scale[self.faces] = np.sqrt(ratio[self.part])[:, None]
         return measure_triangles(self.vertices * scale[:, None], self.faces, points)
 
-    def closed(self) -> "MapResult":
+    def closed(self) -> MapResult:
         """Return the map of the surface with its holes filled, or with both sides of its cuts, which covers the sphere.
 
         Its first vertices and faces are those of this map. Its density is that of the filling's own area, also where

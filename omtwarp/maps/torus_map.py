@@ -1,5 +1,7 @@
 """A finished map of a surface of genus 1 to a flat torus, and its file."""
 
+from __future__ import annotations
+
 import os
 from dataclasses import dataclass, field
 from functools import cached_property

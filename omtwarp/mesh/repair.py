@@ -1,5 +1,7 @@
 """Repair a mesh without new vertices, and record what was done and where vertices and faces came from."""
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np

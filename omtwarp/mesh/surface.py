@@ -1,5 +1,7 @@
 """A closed triangle mesh with the quantities that stages need, computed once and cached."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable
 from functools import cached_property
@@ -74,7 +76,7 @@ class Surface:
         self._sent: dict[str, dict[str, wp.array]] = {}
         self._kept: dict[str, object] = {}
 
-    def with_areas(self, areas: ArrayLike) -> "Surface":
+    def with_areas(self, areas: ArrayLike) -> Surface:
         """Make the same surface with another measure; what depends on shape and connectivity alone is shared.
 
         Args:
@@ -227,7 +229,7 @@ class Surface:
         """Remove what is cached under a name; it is recomputed when it is needed."""
         self._kept.pop(name, None)
 
-    def on(self, device: str | wp.Device | None) -> "SurfaceArrays":
+    def on(self, device: str | wp.Device | None) -> SurfaceArrays:
         """Return the surface's arrays on a device, for kernels; each is copied there once."""
         where = resolve_device(device)
         return SurfaceArrays(self, where, self._sent.setdefault(str(where), {}))

@@ -1,5 +1,7 @@
 """Registration of a group: a template made from it, every map registered to that, and steps kept for a run to go on."""
 
+from __future__ import annotations
+
 import contextlib
 import csv
 import hashlib

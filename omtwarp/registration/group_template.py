@@ -1,5 +1,7 @@
 """Templates of groups: features on a sphere, which maps are registered to, and their files."""
 
+from __future__ import annotations
+
 import os
 from dataclasses import dataclass
 
@@ -61,7 +63,7 @@ class Template:
         write_arrays(path, {**dict(zip(ARRAYS, arrays, strict=True)), "origin": np.array(self.origin)})
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> "Template":
+    def load(cls, path: str | os.PathLike[str]) -> Template:
         """Read a template that :meth:`save` wrote.
 
         Raises:

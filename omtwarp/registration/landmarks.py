@@ -1,5 +1,7 @@
 """Landmarks: points and curves that are known to correspond, as a term of the energy of registration."""
 
+from __future__ import annotations
+
 import csv
 import io
 import os
@@ -66,7 +68,7 @@ class Pairs:
         """Which are to meet, shape [P]."""
         return np.isinf(self.weights)
 
-    def turned(self, rotation: Floats) -> "Pairs":
+    def turned(self, rotation: Floats) -> Pairs:
         """Return the same landmarks with the moving points rotated."""
         return Pairs(self.labels, self.owners, self.points @ rotation.T, self.places, self.weights)
 

@@ -1,5 +1,7 @@
 """Registration of one subject's surfaces in the order of time: correspondences that do not drift, and growth."""
 
+from __future__ import annotations
+
 import os
 import warnings
 from collections.abc import Mapping, Sequence

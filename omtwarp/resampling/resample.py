@@ -1,5 +1,7 @@
 """Resampling from one map or sphere to another: areas of overlap, the matrix, its two ends, and its application."""
 
+from __future__ import annotations
+
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -198,11 +200,11 @@ class SpherePoints:
         faces = self.grid.own_triangles
         return sums_around(triangle_areas(self.vertices, faces) / 3.0, faces, len(self.vertices))
 
-    def closed(self) -> "SpherePoints":
+    def closed(self) -> SpherePoints:
         """Return the same points, those that fill holes counted as the surface's."""
         return replace(self, grid=replace(self.grid, own=None))
 
-    def moved(self, sphere: Floats) -> "SpherePoints":
+    def moved(self, sphere: Floats) -> SpherePoints:
         """Return the same surface with other points on the sphere, unit vectors, shape [N, 3]."""
         return replace(self, grid=replace(self.grid, points=sphere))
 

@@ -1,5 +1,7 @@
 """A surface, or any data on a sphere, as a sum of real orthonormal spherical harmonics (SPHARM)."""
 
+from __future__ import annotations
+
 import os
 import re
 from collections.abc import Iterator
@@ -55,7 +57,7 @@ class Expansion:
             out[part] = basis @ self.coefficients
         return out
 
-    def truncated(self, degree: int) -> "Expansion":
+    def truncated(self, degree: int) -> Expansion:
         """Drop all coefficients above a degree.
 
         Raises:

@@ -3,6 +3,8 @@
 Differences are those of a linear model at every point, tested by permutations.
 """
 
+from __future__ import annotations
+
 import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass

@@ -10,6 +10,8 @@ an atlas continue past its borders, pictures for a mesh's own texture coordinate
 charts.
 """
 
+from __future__ import annotations
+
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import reduce
@@ -344,7 +346,7 @@ class Layout:
 
 
 def bake_to_uv(
-    source: "Source | VertexValues",
+    source: Source | VertexValues,
     sphere: ArrayLike,
     faces: ArrayLike,
     uv: ArrayLike,

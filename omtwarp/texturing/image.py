@@ -5,6 +5,8 @@ texture coordinates do: (0, 0) is the bottom left corner of the picture, and row
 Longitude is ``atan2(y, x)`` in (-π, π], latitude is ``asin(z)``.
 """
 
+from __future__ import annotations
+
 import io
 import os
 import warnings
@@ -77,7 +79,7 @@ def decoded(stream: BinaryIO, name: str) -> NDArray[np.generic]:
         raise OmtwarpError(f"{name}: cannot be read as a picture: {brief(error)}") from None
 
 
-def _from_pil(image: "Image", name: str) -> NDArray[np.generic]:
+def _from_pil(image: Image, name: str) -> NDArray[np.generic]:
     from PIL import ImageOps
 
     if max(image.size) > LONGEST_SIDE:

@@ -1,5 +1,7 @@
 """A mesh with materials, and texture coordinates at the corners of its triangles."""
 
+from __future__ import annotations
+
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace

@@ -1,5 +1,7 @@
 """Texture coordinates for a mesh's own triangles, without a cut through any of them."""
 
+from __future__ import annotations
+
 from typing import TypeAlias
 
 import numpy as np

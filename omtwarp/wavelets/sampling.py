@@ -5,6 +5,8 @@ other (section 4.3). Here every point is located once, and both directions are t
 at points, and its adjoint, which divided by the mass each node receives is a mean.
 """
 
+from __future__ import annotations
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

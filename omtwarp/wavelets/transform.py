@@ -15,6 +15,8 @@ but carried down from the node areas of the finest level by the refinement relat
 I(j, k) = I(j + 1, k) + sum over m of h(k, m) I(j + 1, m).
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from weakref import WeakKeyDictionary

@@ -10,6 +10,8 @@ an edge. It is never too large; beyond some angle, which is small beside a patte
 A new pattern is a file here with a class, and its name in :class:`omtwarp.options.PatternName`.
 """
 
+from __future__ import annotations
+
 import heapq
 from abc import ABC, abstractmethod
 from functools import lru_cache
