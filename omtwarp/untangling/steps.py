@@ -12,16 +12,10 @@ from omtwarp.flips.exact import flipped_faces
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import Surface
 from omtwarp.solvers.motion_kernels import hold_back, retract_to_sphere, triangle_trouble
-from omtwarp.untangling.untangle import STEP_WORK, Attempt, RepairBudget, untangle_patches
+from omtwarp.untangling.untangle import Attempt, RepairBudget, untangle_patches
 
 # Of the few triangles that a step flips, before the step is shortened.
 REPAIR = Attempt(2)
-
-# Where untangling after steps fails, later ones mostly fail too, at as much work: after so much without a success, in
-# vertices times Newton steps per vertex, and twice as much once a few succeeded, steps only hold vertices back. On
-# triangles of 0.001 degrees nearly all fail, at 10 to 16 each; where steps need untangling, the second chance lowers
-# area distortion by 0.01.
-WASTED_PER_VERTEX, FEW_SUCCESSES = 10.0, 3
 
 
 class FlipFreeSteps:
@@ -41,8 +35,7 @@ class FlipFreeSteps:
         # Of the budget of one repair, for all steps of a minimisation: a body with eight thin arms takes four fifths of
         # it.
         self.budget = RepairBudget(surface, 3.0)
-        self._successes, self._refused = 0, False
-        self._useful = 0  # what of the budget was spent at the last success
+        self._refused = False
 
     def tried(
         self, points: wp.array, direction: wp.array, volume: wp.array, length: float, reading: Reading
@@ -80,38 +73,21 @@ class FlipFreeSteps:
         # Most trouble, of the triangles: with more than that the step itself is too long
         if seeds.mean() > 0.05:
             return None
-        if self.hopeless:
+        if self.budget.exhausted:
             self._refused = True
             return None
-        # Of scans and made shapes none that succeeds takes more.
-        budget = RepairBudget(self._surface)
-        budget.granted = min(self._chance, self.budget.granted - self.budget.spent)
         sphere, count = untangle_patches(
-            self._surface, moved.numpy(), seeds, REPAIR, self._device, budget, weight=weight
+            self._surface, moved.numpy(), seeds, REPAIR, self._device, self.budget, weight=weight
         )
-        self.budget.spent += budget.spent
         sphere = self._admitted(sphere)
         if self._counted(flipped_faces(sphere, self._surface.faces)).any():
             return None
-        self._successes += 1
-        self._useful = self.budget.spent
         return vectors(sphere, self._device), count
 
     @property
     def gave_up(self) -> str:
         """Say that untangling was wanted after it had taken what it may take; empty where it was not."""
         return "untangling after steps, which had taken what it may take" if self._refused else ""
-
-    @property
-    def _chance(self) -> float:
-        """Return the most that one untangling may take, and that may be wasted, in vertices times Newton steps."""
-        return WASTED_PER_VERTEX * (self._surface.vertex_count + STEP_WORK)
-
-    @property
-    def hopeless(self) -> bool:
-        """Whether untangling has taken all that it may take, or what it may take without a success."""
-        wasted, chances = self.budget.spent - self._useful, 2 if self._successes >= FEW_SUCCESSES else 1
-        return self.budget.exhausted or wasted >= chances * self._chance
 
     def held_back(
         self, points: wp.array, direction: wp.array, volume: wp.array, length: float
