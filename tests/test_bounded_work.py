@@ -8,7 +8,6 @@ import pytest
 
 import omtwarp
 from omtwarp import map_to_sphere
-from omtwarp.mapping import pipeline
 from omtwarp.untangling import steps
 from omtwarp.untangling.untangle import STEP_WORK, WORK_PER_VERTEX, RepairBudget
 from tests.hostile.hostile_meshes import bipyramid, large_face, urchin
@@ -60,15 +59,6 @@ def test_the_report_says_when_untangling_after_steps_was_given_up(monkeypatch):
     result = map_to_sphere(urchin(30, 5.0, 6), device="cpu", optimality=False)
     stages = {stage["name"]: stage for stage in result.report["stages"]}
     assert "untangling after steps" in stages["omt"]["gave_up"]
-
-
-@pytest.mark.filterwarnings("ignore::omtwarp.errors.OmtwarpWarning")
-def test_many_flipped_triangles_are_held_back_without_repair(monkeypatch):
-    monkeypatch.setattr(pipeline, "MOST_FLIPPED", 0.0)
-    monkeypatch.setattr(pipeline, "MANY_FLIPS", 0)
-    result = map_to_sphere(urchin(30, 5.0, 6), until="moser", device="cpu", optimality=False)
-    stages = {stage["name"]: stage for stage in result.report["stages"]}
-    assert result.bijective and "too many to repair" in stages["moser"]["gave_up"]
 
 
 @pytest.mark.filterwarnings("ignore::omtwarp.errors.OmtwarpWarning")

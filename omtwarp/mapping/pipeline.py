@@ -72,10 +72,6 @@ OPTIMALITY = "optimality"
 EXACT = "exact"
 # The road of a minimisation that begins at a map of the user's.
 GIVEN = "given"
-# Of a stage's triangles: maps with a larger share flipped, and more than so many in number, are not repaired. Of twelve
-# scans and made shapes at most 3 % are flipped by Moser's flow and all are repaired, except an octopus with 7.5 % and a
-# box with triangles of 0.001 degrees with 26 %, where repair fails after all the work that it may take.
-MOST_FLIPPED, MANY_FLIPS = 0.05, 300
 # A map above all of these, the last a mean squared distance in radians², is not said to be optimal, whatever the
 # minimisation reached. Where points move less, gap and curl are the mesh's own error. Smaller ones warn of more maps.
 FAR_GAP, FAR_CURL, FAR_COST = 0.01, 0.05, 0.02
@@ -797,9 +793,6 @@ class MapComputation:
         if self.examine(after).bijective:
             return after, 0
         flips = self.examine(after).flips
-        if flips > MANY_FLIPS and flips > MOST_FLIPPED * self.surface.face_count:
-            self.give_up(f"{flips} flipped triangles were held back towards the map before: too many to repair")
-            return hold_back(self.surface, before, after, device=self.device), flips
         # Where one repair of a map took all that it may take and failed, later ones mostly fail too, and may take a
         # tenth of it. Repairs of scans stay far below that.
         budget = RepairBudget(self.surface, 0.1 if self.repair_given_up else 1.0)

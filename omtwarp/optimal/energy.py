@@ -48,6 +48,7 @@ from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.solvers.cholesky.saddle import COORDINATES, SaddleMatrix
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
 from omtwarp.solvers.newton import gather_edge_blocks
+from omtwarp.solvers.triangle import AREA_WEIGHT
 from omtwarp.untangling.steps import FlipFreeSteps
 
 Numbers = NDArray[np.float64]
@@ -126,9 +127,6 @@ class Shape(Protocol):
 
 
 SHAPE_WEIGHT = 0.01  # β: on scans the optimal cost rises by some 0.04 %, and the map is smooth
-# λ of the shape term: weight of the area distortion of triangles against angle distortion, large enough that no
-# slivers arise.
-AREA_WEIGHT = 10.0
 # Least eigenvalue kept of the inverse map's derivative: see omtwarp.optimal.kernels.cost_metric. Where x has shrunk
 # a limb the cost hardly depends on the image.
 LEAST_EIGENVALUE = 1e-3

@@ -34,6 +34,7 @@ from omtwarp.optimal.sphere import ShapeEnergy
 from omtwarp.options import AreaMatch, Progress, Record, Refinement, parse_refinement
 from omtwarp.refine.energy import DistortionEnergy
 from omtwarp.refine.further import VertexTerm
+from omtwarp.solvers.triangle import AREA_WEIGHT
 
 LEAST_WEIGHT, MOST_WEIGHT = 1e-3, 1000.0  # between which the weight is looked for, by bisection of its logarithm
 
@@ -107,12 +108,9 @@ def not_matched(area: float, reached: float) -> tuple[str, str] | None:
 # λ, the weight of area against angle, of each named refinement
 WEIGHTS = {
     Refinement.AREA: 1000.0,
-    Refinement.BALANCED: 10.0,
+    Refinement.BALANCED: AREA_WEIGHT,
     Refinement.ANGLE: 2.0,
 }
-# The largest weight of the areas of triangles. On a scan of 20,000 triangles the metric jumps from one to the next by
-# 0.054 at weights 2 and 10, 0.060 at 30 and 0.071 at 100.
-TRIANGLE_WEIGHT = 10.0
 # Where ``area`` leaves more than the first times the area distortion above 2 of the map given, as on limbs of few
 # vertices, the areas of triangles count more, up to the first of the others that does not. An octopus goes from 2.038
 # to 2.26 with 10 and to 2.020 with 100, at six tenths of the angle distortion of the map given; a person from 2.031 to
@@ -270,7 +268,7 @@ class _Refinement:
         )
         self.distortion = DistortionEnergy(surface, self.device)
 
-    def run(self, sphere: NDArray[np.float64], weight: float, of_triangles: float = TRIANGLE_WEIGHT) -> RefineResult:
+    def run(self, sphere: NDArray[np.float64], weight: float, of_triangles: float = AREA_WEIGHT) -> RefineResult:
         """Minimise the distortion at a weight, beginning with a flip-free map, shape [V, 3].
 
         Up to ``of_triangles`` the weight is that of the areas of triangles, the rest that of those around vertices.
@@ -301,7 +299,7 @@ class _Refinement:
         least = LEAST_WEIGHT
         best = refine(sphere, MOST_WEIGHT)
         if self.area(best) > area:
-            refine, least = self.by_triangles, TRIANGLE_WEIGHT
+            refine, least = self.by_triangles, AREA_WEIGHT
             best = refine(best.sphere, MOST_WEIGHT)
             if self.area(best) > area:
                 return replace(best, converged=False)

@@ -27,13 +27,14 @@ from omtwarp.errors import OmtwarpError, choose
 from omtwarp.mesh.arrays import real_number, real_numbers, whole_number
 from omtwarp.mesh.patches import Patches
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, as_surface, as_unit_vectors
-from omtwarp.optimal.energy import AREA_WEIGHT, SHAPE_WEIGHT, MapTerms, TransportEnergy
+from omtwarp.optimal.energy import SHAPE_WEIGHT, MapTerms, TransportEnergy
 from omtwarp.optimal.kernels import single_gains
 from omtwarp.optimal.local import LocalSteps, freed_vertices
 from omtwarp.optimal.sphere import Sphere, energy_on_sphere
 from omtwarp.options import Cost, Progress, Record
 from omtwarp.solvers.cholesky.saddle import COORDINATES
 from omtwarp.solvers.newton import SUFFICIENT_DECREASE
+from omtwarp.solvers.triangle import AREA_WEIGHT
 
 Numbers = NDArray[np.float64]
 

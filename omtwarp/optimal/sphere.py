@@ -13,12 +13,13 @@ from omtwarp.flips.exact import flipped_faces
 from omtwarp.mesh.arrays import normalised, real_number, real_numbers
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_surface, as_unit_vectors
 from omtwarp.optimal.cells import Cells, MeasuredRings, RingCells
-from omtwarp.optimal.energy import AREA_WEIGHT, SHAPE_WEIGHT, MapTerms, TransportEnergy
+from omtwarp.optimal.energy import SHAPE_WEIGHT, MapTerms, TransportEnergy
 from omtwarp.optimal.kernels import area_slopes, cost_metric, transport_gradient, vertex_costs
 from omtwarp.refine.energy import DistortionEnergy, Terms
 from omtwarp.refine.further import VertexTerm
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
 from omtwarp.solvers.motion_kernels import from_tangent, to_tangent
+from omtwarp.solvers.triangle import AREA_WEIGHT
 from omtwarp.untangling.kernels import solid_angles
 from omtwarp.untangling.steps import FlipFreeSteps
 

@@ -28,6 +28,7 @@ from omtwarp.geometry.axes import order_by_place
 from omtwarp.mesh.arrays import TINY, Floats, Ints, real_number
 from omtwarp.mesh.surface import MeshLike, Surface, as_surface, triangle_areas
 from omtwarp.options import Progress, tell
+from omtwarp.solvers.triangle import AREA_WEIGHT
 from omtwarp.start.decimation import MAX_VALENCE, Hierarchy, Level, Removal, Vertex, integers, simplify
 from omtwarp.start.hierarchical_kernels import (
     insert_on_equator,
@@ -40,8 +41,12 @@ from omtwarp.topology.kind import boundary_half_edges
 # mean with 8 to 30; more take longer.
 SWEEPS = 12
 # The same where a boundary slides along the equator, which takes longer to settle: the part of a long tube ends at an
-# area distortion of 2.036 with 12, 2.028 with 30 and 2.001 with 60.
-HEMISPHERE_SWEEPS = 60
+# area distortion of 2.036 with 12, 2.028 with 30 and 2.001 with 60 or 100.
+HEMISPHERE_SWEEPS = 100
+# The weight of area is at least this number over n on a level of n vertices, a quarter of all or fewer, whose areas are
+# exact and whose shapes only approximate: more trades shapes for areas. It lowers the area distortion of long tubes
+# (5.6 in place of 7.1 at 30 girths) and does not change that of compact shapes.
+COARSE_WEIGHT = 1e4
 # A determinant below this after an insertion is not safely positive in float64.
 _LEAST_DETERMINANT = 1e-15
 
@@ -65,7 +70,7 @@ class HierarchicalEmbedding:
 def hierarchical_embedding(
     surface: MeshLike,
     *,
-    area_weight: float = 10.0,
+    area_weight: float = AREA_WEIGHT,
     device: str | None = "auto",
     progress: Progress | None = None,
 ) -> HierarchicalEmbedding:
@@ -251,10 +256,7 @@ class Embedding:
         """Return a recorded launch of the kernel that moves vertices, anywhere or along the equator."""
         area_weight, count = self.area_weight, len(self.level.vertices)
         if 4 * count <= len(self.sphere):
-            # The areas of coarse triangles are exact, their shapes only approximate: on a level of n vertices, a
-            # quarter of all or fewer, the weight of area is at least this number over n. This lowers the area
-            # distortion of long tubes (5.6 instead of 7.1 at 30 girths) and does not change that of compact shapes.
-            area_weight = max(area_weight, 1e4 / count)
+            area_weight = max(area_weight, COARSE_WEIGHT / count)
         mesh = [self.vertices, self.offsets, self.heads, self.thirds, self.coefficients]
         move = wp.launch(
             relax_vertices,
@@ -266,9 +268,6 @@ class Embedding:
         )
         assert move is not None
         return move
-
-
-AREA_WEIGHT = 10.0  # of area distortion against angle distortion, as by default on the whole sphere
 
 
 def hemispherical_embedding(

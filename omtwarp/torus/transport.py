@@ -16,7 +16,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.cells import Cells, MeasuredRings, RingCells, TriangleCells
-from omtwarp.optimal.energy import AREA_WEIGHT, TransportEnergy
+from omtwarp.optimal.energy import TransportEnergy
 from omtwarp.optimal.exact import CELL_GAIN, ITERATIONS, minimise_cells, restore_areas
 from omtwarp.optimal.nested import shape_term_by_law
 from omtwarp.optimal.plane import Plane, PlaneCost, PlaneShape
@@ -24,12 +24,12 @@ from omtwarp.optimal.refinement import (
     MATCH_TOLERANCE,
     MATCH_TRIALS,
     MOST_WEIGHT,
-    TRIANGLE_WEIGHT,
     match_area,
     refinement_weight,
 )
 from omtwarp.optimal.solver import GAIN, OptimalMap, minimise
 from omtwarp.options import AreaMatch, Progress, Record, parse_refinement
+from omtwarp.solvers.triangle import AREA_WEIGHT
 from omtwarp.torus.harmonic import FlatTorus
 
 Floats = NDArray[np.float64]
@@ -181,13 +181,13 @@ def refine_on_torus(
     """
 
     def energy_of(value: float) -> TransportEnergy:
-        start, weight = torus.coordinates @ torus.lattice, min(value, TRIANGLE_WEIGHT)
-        cells = None if value > TRIANGLE_WEIGHT else MeasuredRings(surface, resolve_device(device))
+        start, weight = torus.coordinates @ torus.lattice, min(value, AREA_WEIGHT)
+        cells = None if value > AREA_WEIGHT else MeasuredRings(surface, resolve_device(device))
         weights = {"cost_weight": 0.0, "area_weight": weight}
         return energy_on_torus(surface, torus, start, 1.0, cells=cells, **weights, device=device)
 
     def run(at: Floats, value: float) -> OptimalMap:
-        penalty = 2.0 * max(value - TRIANGLE_WEIGHT, 0.0)
+        penalty = 2.0 * max(value - AREA_WEIGHT, 0.0)
         shown = _shown(progress)
         return minimise(energy_of(value), at, gain=REFINED, iterations=STEPS, penalty=penalty, progress=shown)
 

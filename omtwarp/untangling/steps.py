@@ -14,9 +14,11 @@ from omtwarp.mesh.surface import Surface
 from omtwarp.solvers.motion_kernels import hold_back, retract_to_sphere, triangle_trouble
 from omtwarp.untangling.untangle import Attempt, RepairBudget, untangle_patches
 
-# Of the few triangles that a step flips, before the step is shortened: with an ε of 0.1 to begin with they move less
-# far from where it took them. Of five hemispheres with long limbs all end within 20 steps, with 1 three of them in 40.
-REPAIR = Attempt(2, largest=0.1)
+# Rings of vertices freed around the few triangles that a step flips, and the first ε of their repair, before the step
+# is shortened: with smaller ones they move less far from where it took them. Of five hemispheres with long limbs all
+# end within 20 steps, with an ε of 1 three of them in 40.
+REPAIR_RINGS, REPAIR_EPSILON = 2, 0.1
+REPAIR = Attempt(REPAIR_RINGS, largest=REPAIR_EPSILON)
 
 
 class FlipFreeSteps:

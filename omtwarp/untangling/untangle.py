@@ -29,7 +29,7 @@ from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_sphere, as_s
 from omtwarp.options import Progress, tell
 from omtwarp.solvers.newton import PatchMatrix, search_patches
 from omtwarp.solvers.patches import SmallPatches
-from omtwarp.solvers.triangle import triangle_frames
+from omtwarp.solvers.triangle import AREA_WEIGHT, triangle_frames
 from omtwarp.untangling.kernels import (
     Untangling,
     move_in_tangent,
@@ -38,6 +38,13 @@ from omtwarp.untangling.kernels import (
     untangle_small_patches,
     untangle_value,
 )
+
+# Rings of vertices that the first attempt frees, the next two twice and four times as many: fewer move fewer vertices,
+# and tangle limbs more. Areas and angles of 40 made surfaces are the same in the mean with 2 and 4; a person's area
+# distortion is 2.034 with 2 and 3, and 2.029 with 4 and 5.
+RINGS = 4
+# What ε is multiplied by from one round to the next, and Newton steps in a round, at most.
+LOWERED, ROUND_STEPS = 0.7, 4
 
 
 @dataclass(frozen=True)
@@ -53,17 +60,12 @@ class Attempt:
 
     rings: int
     largest: float = 1.0
-    lowered: float = 0.7
-    steps: int = 4
+    lowered: float = LOWERED
+    steps: int = ROUND_STEPS
 
 
-# Each frees more rings, the last the whole sphere. Fewer at first move fewer vertices, and tangle limbs more: areas and
-# angles of 40 made surfaces are the same in the mean with 2 and 4; a person's area distortion is 2.034 with 2 and 3,
-# and 2.029 with 4 and 5.
-ATTEMPTS = tuple(Attempt(rings) for rings in (4, 8, 16, 10**9))
+ATTEMPTS = tuple(Attempt(rings) for rings in (RINGS, 2 * RINGS, 4 * RINGS, 10**9))  # the last frees the whole sphere
 FATTENED = 0.1  # see :func:`omtwarp.solvers.triangle.triangle_frames`: needles of the mesh stop no attempt
-# Of area against angle distortion, as in the energy of maps; 5 or 10 ends with the same areas to 0.003.
-AREA_WEIGHT = 10.0
 SMALLEST_EPSILON = 1e-4  # of the area ratio D: with an ε this small the energy is a barrier, and remaining flips stay
 # A Newton step of few vertices takes as long as one over this many more: its fixed cost.
 STEP_WORK = 1000
