@@ -33,14 +33,17 @@ from omtwarp.solvers.patches import lanes_on, launch_patches
 
 Numbers = NDArray[np.float64]
 
-# The chosen vertices are the fewest that together have this share of the gains that single vertices could make.
+# The chosen vertices are the fewest that together have this share of the gains that single vertices could make. Of 60
+# made surfaces areas, angles and time are the same in the mean with 0.6 and 0.95: more are chosen, and move longer.
 GAIN_SHARE = 0.8
 # No vertex counts for more than this share of what the last step of the whole map was expected to gain. Beside a
 # triangle that was flipped a moment ago the gain expected from moving one vertex alone is far too large, and noise in
 # the last digits of a mesh would choose the vertices.
 MAX_GAIN_SHARE = 0.1
 MAX_CHOSEN_SHARE = 0.08  # of all vertices: with more, local steps take longer than they save steps of the whole map
-FREED_RINGS = 4  # of vertices around those chosen, which move with them
+# Of vertices around those chosen, which move with them. Areas and angles of 60 made surfaces are the same in the mean
+# with 2 and 6: more leave the steps more room, and take longer.
+FREED_RINGS = 4
 # Multiplications of the largest patch's factorisation; beyond some 1,800 vertices one thread takes too long.
 MAX_OPERATIONS = 2e8
 MAX_STEPS = 8  # Newton steps of the patches after each step of the whole map

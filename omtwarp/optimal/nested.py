@@ -44,9 +44,12 @@ LEAST_COST, LEAST_BEND = 1e-4, 1e-3
 VERTICES_PER_COARSE = 8
 LEAST_COARSE, MOST_COARSE = 200, 20_000  # vertices of the coarse triangulation
 STEPS = 40  # most of a minimisation
-MOSER_PASSES = 2  # from an embedding: a second halves the area error that the first leaves, and takes as long
+# Of Moser's flow from an embedding: a second halves the area error that the first leaves, and takes as long. With one
+# 120 made surfaces end with the same areas and angles, and four more with a warning.
+MOSER_PASSES = 2
 # Weight of area against angle, and tolerance and most steps, of smoothing a map with repaired triangles: slivers that
-# repair leaves stop the minimisation; more smoothing costs time and gains nothing.
+# repair leaves stop the minimisation; more smoothing costs time and gains nothing. With a weight of 10 four more of 120
+# made surfaces end with a warning.
 SMOOTHING_WEIGHT, SMOOTHING_TOLERANCE, SMOOTHING_STEPS = 30.0, 0.02, 6
 
 

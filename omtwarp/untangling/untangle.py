@@ -43,7 +43,9 @@ from omtwarp.untangling.kernels import (
 # and tangle limbs more. Areas and angles of 40 made surfaces are the same in the mean with 2 and 4; a person's area
 # distortion is 2.034 with 2 and 3, and 2.029 with 4 and 5.
 RINGS = 4
-# What ε is multiplied by from one round to the next, and Newton steps in a round, at most.
+# What ε is multiplied by from one round to the next, and Newton steps in a round, at most. 60 made surfaces end with
+# the same areas and angles with 0.5, 0.7 and 0.85; the smaller, the more of their conformal maps are repaired (50, 48
+# and 45). With 2 and 8 steps they are the same.
 LOWERED, ROUND_STEPS = 0.7, 4
 
 
