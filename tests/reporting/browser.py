@@ -110,6 +110,9 @@ class Browser:
         """Return a picture of an element, colours from 0 to 1, shape [H, W, 3]."""
         frames = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(1))))"
         self.run(frames)
+        # A frame asked for is not yet one drawn: wait for the drawing, then for its showing.
+        self.run("document.querySelectorAll('canvas').forEach(c => c.getContext('webgl2')?.finish())")
+        self.run(frames)
         clip = self.run(
             f"(r => ({{x: r.x + scrollX, y: r.y + scrollY, width: r.width, height: r.height, scale: 1}}))"
             f"(document.querySelector({json.dumps(selector)}).getBoundingClientRect())"
