@@ -403,7 +403,7 @@
     canvas.addEventListener('webglcontextlost', () => giveUp('the graphics context was lost'));
 
     let seen = true;
-    new IntersectionObserver((entries) => { seen = entries[0].isIntersecting; }).observe(stage);
+    new IntersectionObserver((entries) => { seen = entries.at(-1).isIntersecting; }).observe(stage);
     let before = performance.now();
     const frame = (now) => {
       const seconds = Math.min((now - before) / 1000, 0.1);
