@@ -6,6 +6,7 @@ error, from filling memory or running for ever.
 
 import contextlib
 import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -35,6 +36,8 @@ def amount(bytes_: int) -> str:
     return f"{bytes_} bytes"
 
 
+# The limit belongs to the process: two threads that parse at once would each restore what the other one had set.
+_parsing = threading.RLock()
 ROOM, TIMES = 2**32, 64  # bytes that any file may take to parse, and those for each of its bytes: OBJ takes about 30
 
 
@@ -60,15 +63,17 @@ def memory_for_file(size: int) -> Iterator[None]:
         return
     import resource
 
-    before, hard = resource.getrlimit(resource.RLIMIT_AS)
-    most = ROOM + TIMES * size
-    limits = [limit for limit in (before, hard, address_space() + most) if limit != resource.RLIM_INFINITY]
-    resource.setrlimit(resource.RLIMIT_AS, (min(limits), hard))
-    try:
-        yield
-    except MemoryError:
-        if min(limits) == before:  # of the caller's
-            raise
-        raise OmtwarpError(f"damaged: asks for more than {amount(most)} of memory, with {amount(size)} there") from None
-    finally:
-        resource.setrlimit(resource.RLIMIT_AS, (before, hard))
+    with _parsing:
+        before, hard = resource.getrlimit(resource.RLIMIT_AS)
+        most = ROOM + TIMES * size
+        limits = [limit for limit in (before, hard, address_space() + most) if limit != resource.RLIM_INFINITY]
+        resource.setrlimit(resource.RLIMIT_AS, (min(limits), hard))
+        try:
+            yield
+        except MemoryError:
+            if min(limits) == before:  # of the caller's
+                raise
+            asked = f"damaged: asks for more than {amount(most)} of memory, with {amount(size)} there"
+            raise OmtwarpError(asked) from None
+        finally:
+            resource.setrlimit(resource.RLIMIT_AS, (before, hard))

@@ -9,6 +9,7 @@ import json
 import re
 import struct
 import sys
+import threading
 import time
 import zipfile
 from pathlib import Path
@@ -190,6 +191,31 @@ def test_a_small_file_takes_little_room(tmp_path, name):
         assert len(read_mesh(tmp_path / name).faces) == len(ball.faces)
     with pytest.raises(OmtwarpError, match=r"damaged: asks for more than"), memory_for_file(100):
         np.ones(ROOM)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the limit is Linux's")
+def test_threads_that_parse_at_once_leave_the_process_its_memory():
+    import resource
+
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    begun, over = threading.Event(), threading.Event()
+
+    def parse_first():
+        with memory_for_file(100):
+            begun.set()
+            over.wait(0.2)
+
+    def parse_second():
+        begun.wait()
+        with memory_for_file(100):
+            over.set()
+            first.join()  # ends while this one parses, if it may
+
+    first, second = threading.Thread(target=parse_first), threading.Thread(target=parse_second)
+    first.start()
+    second.start()
+    second.join()
+    assert resource.getrlimit(resource.RLIMIT_AS) == before
 
 
 def test_pictures_beside_a_mesh_are_no_part_of_its_bound(tmp_path, monkeypatch):

@@ -27,6 +27,7 @@ FLAGS = (
     "--host-resolver-rules=MAP * ~NOTFOUND", "--remote-debugging-pipe",
 )  # fmt: skip
 PATIENCE = 60.0
+STARTS = 3
 
 
 class Browser:
@@ -38,6 +39,23 @@ class Browser:
     """
 
     def __init__(self, profile: Path, *flags: str):
+        self._flags = flags
+        for attempt in range(STARTS):  # a browser now and then ends before it answers, on a busy machine
+            self._start(profile.with_name(f"{profile.name}-{attempt}"))
+            try:
+                pages = [t for t in self.ask("Target.getTargets")["targetInfos"] if t["type"] == "page"]
+                break
+            except OSError as error:
+                self.close()
+                said = self._log.read_text("utf-8", "replace")[-2000:]
+                ended = OSError(f"{error}, with status {self._process.returncode}, and said: {said}")
+                if attempt + 1 == STARTS:
+                    raise ended from error
+        self._session = self.ask("Target.attachToTarget", targetId=pages[0]["targetId"], flatten=True)["sessionId"]
+        for domain in ("Page", "Runtime", "Network", "Log"):
+            self.ask(f"{domain}.enable")
+
+    def _start(self, profile: Path) -> None:
         assert PROGRAM is not None
         to_browser, self._to = os.pipe()
         self._from, from_browser = os.pipe()
@@ -46,24 +64,22 @@ class Browser:
         become = (
             f"import os, sys; os.dup2({theirs[0]}, 3); os.dup2({theirs[1]}, 4); os.execv(sys.argv[1], sys.argv[1:])"
         )
-        browser = [PROGRAM, *FLAGS, f"--user-data-dir={profile}", *flags, "about:blank"]
-        self._process = subprocess.Popen(
-            [sys.executable, "-c", become, *browser],
-            pass_fds=theirs,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
+        browser = [PROGRAM, *FLAGS, f"--user-data-dir={profile}", *self._flags, "about:blank"]
+        self._log = profile.with_name(f"{profile.name}.log")
+        with self._log.open("wb") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", become, *browser],
+                pass_fds=theirs,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=log,
+            )
         for end in (to_browser, from_browser, *theirs):
             os.close(end)
         self._rest, self._last = b"", 0
         self._session: str | None = None
         self.requests: list[str] = []
         self.complaints: list[str] = []
-        pages = [t for t in self.ask("Target.getTargets")["targetInfos"] if t["type"] == "page"]
-        self._session = self.ask("Target.attachToTarget", targetId=pages[0]["targetId"], flatten=True)["sessionId"]
-        for domain in ("Page", "Runtime", "Network", "Log"):
-            self.ask(f"{domain}.enable")
 
     def ask(self, method: str, **parameters: Any) -> dict[str, Any]:
         """Send a command and wait for its answer."""
