@@ -14,6 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from omtwarp.device.arrays import sent
 from omtwarp.device.start import wp
+from omtwarp.device.threads import core_count, load, run_all
 from omtwarp.mesh.patches import Patches, grow, sides_of
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.optimal.energy import LEAST_EIGENVALUE, MapTerms, TransportEnergy
@@ -28,8 +29,6 @@ from omtwarp.optimal.patch_kernels import (
 from omtwarp.optimal.sphere import GeodesicCost
 from omtwarp.refine.energy import DistortionEnergy, Terms
 from omtwarp.solvers.cholesky.envelope import Envelopes
-from omtwarp.solvers.cholesky.saddle import UNKNOWNS
-from omtwarp.solvers.patches import lanes_on, launch_patches
 
 Numbers = NDArray[np.float64]
 
@@ -46,6 +45,8 @@ MAX_CHOSEN_SHARE = 0.08  # of all vertices: with more, local steps take longer t
 FREED_RINGS = 4
 # Multiplications of the largest patch's factorisation; beyond some 1,800 vertices one thread takes too long.
 MAX_OPERATIONS = 2e8
+MIN_SHARED_TRIANGLES = 500  # with fewer a second thread costs more than it saves
+BLOCK = 256  # threads of a block: Warp's own number, for which modules are compiled
 MAX_STEPS = 8  # Newton steps of the patches after each step of the whole map
 MAX_HALVINGS = 12  # of a patch's step before the patch stays where it is
 REGULARISATION = 1e-6  # added to the diagonal, relative to each entry, as the second derivative is only semidefinite
@@ -106,8 +107,7 @@ class LocalSteps:
     @property
     def worthwhile(self) -> bool:
         """Whether no patch is too large for the threads that share it."""
-        # Operations are counted for blocks of two unknowns.
-        return float(self._envelopes.operations.max()) * (UNKNOWNS / 2.0) ** 3 <= MAX_OPERATIONS
+        return float(self._envelopes.operations.max()) <= MAX_OPERATIONS
 
     def run(
         self, points: wp.array, terms: MapTerms, multipliers: wp.array, enough: float, most: int = MAX_STEPS
@@ -153,7 +153,7 @@ class LocalSteps:
         np.cumsum(np.bincount(self._faces.ravel(), minlength=len(vertices)), out=offsets[1:])
         corners = np.argsort(self._faces.ravel(), kind="stable").astype(np.int32)
         patches = SaddlePatches()
-        patches.matrix = self._envelopes.upload(UNKNOWNS, device)
+        patches.matrix = self._envelopes.upload(device)
         patches.face_starts, patches.faces = sent(face_starts, wp.int32, device), sent(self._faces, wp.vec3i, device)
         patches.offsets, patches.corners = sent(offsets, wp.int32, device), sent(corners, wp.int32, device)
         patches.frames = sent(self._distortion.frames[triangles], wp.vec3d, device)
@@ -181,6 +181,46 @@ class LocalSteps:
         scratch.right, scratch.step = (wp.empty(count, dtype=wp.vec3d, device=device) for _ in range(2))
         scratch.diagonal = wp.empty(count, dtype=wp.mat33d, device=device)
         return scratch
+
+
+def lanes_on(device: wp.Device) -> int:
+    """Return how many threads share a patch: a block of a GPU, one thread of the host."""
+    return BLOCK if device.is_cuda else 1
+
+
+def launch_patches(
+    kernel: wp.Kernel,
+    sizes: NDArray[np.int32],
+    inputs: list[object],
+    outputs: list[object],
+    device: wp.Device | str = "cpu",
+) -> None:
+    """Launch a kernel over all patches: a block of a GPU for each, or a thread, on all cores of the host.
+
+    Args:
+        kernel: takes a list of patches, the inputs and the outputs; its first index is a place in the list, its second
+            the lane.
+        sizes: triangles of each patch, shape [count]: every core gets about as many.
+        inputs, outputs: further arguments.
+        device: where these are.
+    """
+    where = wp.get_device(device)
+    lanes = lanes_on(where)
+    order = np.argsort(-sizes, kind="stable").astype(np.int32)
+    cores = 1 if lanes > 1 or sizes.sum() < MIN_SHARED_TRIANGLES else min(core_count(), len(sizes))
+    work = np.zeros(cores)
+    core_of = np.zeros(len(sizes), dtype=np.intp)
+    for patch in order:
+        core_of[patch] = int(work.argmin())
+        work[core_of[patch]] += sizes[patch]
+    load(kernel, where)
+
+    def run(group: NDArray[np.int32]) -> None:
+        arguments = [sent(group, wp.int32, where), *inputs]
+        grid = (len(group), lanes)
+        wp.launch(kernel, dim=grid, inputs=arguments, outputs=outputs, device=where, block_dim=BLOCK)
+
+    run_all(run, [order[core_of[order] == k] for k in range(cores)])
 
 
 __all__ = ["LocalSteps", "freed_vertices"]

@@ -13,23 +13,24 @@ from omtwarp.geometry.spherical import corners_of, logarithm, oriented_volume
 from omtwarp.mesh import surface
 from omtwarp.optimal.kernels import Fit, area_gradient, cost_slope, moving_cost, neighbour_fit, raised_fit
 from omtwarp.refine.kernels import distortion_gradient, distortion_hessian, distortion_terms
+from omtwarp.solvers import newton
 from omtwarp.solvers.cholesky.envelope import (
     Envelope,
-    add_saddle_block,
+    add_block,
     clear_row,
-    factorise_saddle_envelope,
+    factorise_envelope,
     meet,
-    solve_saddle_envelope,
+    solve_envelope,
 )
 from omtwarp.solvers.motion_kernels import keeps_volume
 from omtwarp.solvers.newton import packed
-from omtwarp.solvers.patches import SUFFICIENT_DECREASE
 from omtwarp.solvers.triangle import first_tangent, in_tangent
 from omtwarp.untangling.kernels import solid_angle
 
 wp.set_module_options(KERNEL_OPTIONS)
 
 SPHERE_AREA = wp.constant(wp.float64(surface.SPHERE_AREA))
+SUFFICIENT_DECREASE = wp.constant(wp.float64(newton.SUFFICIENT_DECREASE))
 # Places in the numbers of a patch: whether its matrix has a factor, the merit, the expected gain, and a step's length.
 DEFINITE, MERIT, EXPECTED, LENGTH = wp.constant(0), wp.constant(1), wp.constant(2), wp.constant(3)
 
@@ -226,7 +227,7 @@ def corner_block(t: int, m: int, n: int, patches: SaddlePatches, scratch: LocalS
 @wp.func
 def assemble_row(i: int, patches: SaddlePatches, given: LocalEnergy, points: wp.array[wp.vec3d], scratch: LocalScratch):
     """Sum the blocks of a vertex with itself and those eliminated before it, and its right-hand side."""
-    clear_row(i, 3, patches.matrix)
+    clear_row(i, patches.matrix)
     y = points[i]
     x = patches.start[i]
     pull, distance = logarithm(y, x)
@@ -245,7 +246,7 @@ def assemble_row(i: int, patches: SaddlePatches, given: LocalEnergy, points: wp.
                 beside = corner_block(t, wp.min(m, n), wp.max(m, n), patches, scratch)
                 if n < m:
                     beside = wp.transpose(beside)
-                add_saddle_block(i, face[n], beside, patches.matrix)
+                add_block(i, face[n], beside, patches.matrix)
         if patches.free[i]:
             j = face[(m + 1) % 3]
             slope = slope + scratch.pulls[t, m]
@@ -326,11 +327,11 @@ def settle_small_patches(
             assemble_row(i, patches, given, points, scratch)
         meet(p, lane, lanes, scratch.gates)
         matrix = patches.matrix
-        factorise_saddle_envelope(p, lane, lanes, matrix, scratch.gates, scratch.diagonal, scratch.numbers)
+        factorise_envelope(p, lane, lanes, matrix, scratch.gates, scratch.diagonal, scratch.numbers)
         length = ZERO
         expected = ZERO
         if scratch.numbers[p, DEFINITE] > ZERO:
-            solve_saddle_envelope(p, lane, lanes, matrix, scratch.gates, scratch.diagonal, scratch.step)
+            solve_envelope(p, lane, lanes, matrix, scratch.gates, scratch.diagonal, scratch.step)
             if lane == 0:
                 expect(p, patches, scratch)
             meet(p, lane, lanes, scratch.gates)

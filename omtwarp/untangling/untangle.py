@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp.device.arrays import empty, sent, triangles, vectors
+from omtwarp.device.arrays import empty, triangles, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
@@ -28,16 +28,8 @@ from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_sphere, as_surface
 from omtwarp.options import Progress, tell
 from omtwarp.solvers.newton import PatchMatrix, search_patches
-from omtwarp.solvers.patches import SmallPatches
 from omtwarp.solvers.triangle import AREA_WEIGHT, triangle_frames
-from omtwarp.untangling.kernels import (
-    Untangling,
-    move_in_tangent,
-    solid_angles,
-    untangle_newton,
-    untangle_small_patches,
-    untangle_value,
-)
+from omtwarp.untangling.kernels import move_in_tangent, solid_angles, untangle_newton, untangle_value
 
 # Rings of vertices that the first attempt frees, the next two twice and four times as many: fewer move fewer vertices,
 # and tangle limbs more. Areas and angles of 40 made surfaces are the same in the mean with 2 and 4; a person's area
@@ -300,30 +292,6 @@ class _Untangling:
 
     def solve(self, budget: RepairBudget) -> tuple[Floats, int]:
         """Lower ε to its smallest, or until no patch has a flip; return the map and the number of rounds."""
-        small = SmallPatches.of(self.whole)
-        rounds = self._solve_together(budget) if small is None else self._solve_alone(small, budget)
-        self._take_back()
-        return self.result, rounds
-
-    def _solve_alone(self, small: SmallPatches, budget: RepairBudget) -> int:
-        """Solve each patch by a thread of its own, and return the largest number of rounds."""
-        whole, attempt = self.whole, self.attempt
-        given = Untangling()
-        given.factor, given.largest, given.smallest = attempt.lowered, attempt.largest, SMALLEST_EPSILON
-        given.weight, given.damping, given.settled_gain = self.weight, DAMPING, SETTLED_GAIN
-        given.steps, given.halvings = attempt.steps, MAX_HALVINGS
-        given.most = max(int(np.ceil((budget.granted - budget.spent) / (whole.free + STEP_WORK))), 1)
-        meshes = small.meshes(self.frames, self.surface.face_areas[whole.triangles])
-        steps, rounds = (np.empty(whole.count, dtype=np.int32) for _ in range(2))
-        inputs = [meshes, sent(self.share, wp.float64), given]
-        outputs = [small.scratch(), sent(steps, wp.int32), sent(rounds, wp.int32)]
-        points = small.launch(untangle_small_patches, self.sphere[whole.vertices], inputs, outputs)
-        self.result[whole.vertices[: whole.free]] = points
-        budget.spent += int(steps @ small.sizes) + STEP_WORK * int(steps.max())
-        return int(rounds.max())
-
-    def _solve_together(self, budget: RepairBudget) -> int:
-        """Solve all patches by steps with one sparse matrix, and return the number of rounds."""
         self._take(self.whole)
         points = wp.array(self.sphere[self.patches.vertices], dtype=wp.vec3d, device=self.device)
         epsilon = np.full(self.whole.count, self.attempt.largest)
@@ -331,10 +299,12 @@ class _Untangling:
         rounds = 0
         while True:
             rounds += 1
+            moving = active.copy()
             for _ in range(self.attempt.steps):
-                points, settled = self._newton_step(points, epsilon, active)
+                points, settled = self._newton_step(points, epsilon, moving)
                 budget.spend(self.patches.free)
-                if settled:
+                moving &= ~settled
+                if not moving.any() or budget.exhausted:
                     break
             flipped = flipped_faces(points.numpy(), self.patches.faces)
             tangled = np.bincount(self.patches.face_patch[flipped], minlength=self.patches.count) > 0
@@ -348,7 +318,8 @@ class _Untangling:
                 points = wp.array(self._narrow(active, points.numpy()), dtype=wp.vec3d, device=self.device)
                 epsilon, active = epsilon[active], active[active]
         self._keep(points.numpy())
-        return rounds
+        self._take_back()
+        return self.result, rounds
 
     def _take_back(self) -> None:
         """Restore patches that ended with no fewer flips, or with any; the next attempt frees more around them.
@@ -369,8 +340,8 @@ class _Untangling:
         back = whole.vertices[: whole.free][(unsolved | twice)[whole.vertex_patch]]
         self.result[back] = self.sphere[back]
 
-    def _newton_step(self, points, epsilon, active) -> tuple[wp.array, bool]:
-        """Take a step of the active patches; return the points, and whether all expected gains are small."""
+    def _newton_step(self, points, epsilon, active) -> tuple[wp.array, NDArray[np.bool_]]:
+        """Take a step of the active patches; return the points, and of which patches the expected gain is small."""
         patches = self.patches
         face_epsilon = wp.array(epsilon[patches.face_patch], dtype=wp.float64, device=self.device, copy=False)
         energy = self._energy(points, face_epsilon)
@@ -394,7 +365,7 @@ class _Untangling:
             with np.errstate(all="ignore"):
                 direction = np.nan_to_num(-gradient / self.matrix.diagonal, posinf=0.0, neginf=0.0)
         slope = patches.sum_of_vertices((direction * gradient).sum(axis=1))
-        settled = bool((-slope <= SETTLED_GAIN * energy)[active].all())
+        settled: NDArray[np.bool_] = -slope <= SETTLED_GAIN * energy
         # No vertex moves farther than a radian: beyond that its tangent plane does not approximate the sphere.
         longest = np.where(active & (slope < 0.0), 1.0, 0.0) / np.maximum(patches.longest(direction), 1.0)
         moved, _ = search_patches(

@@ -1,11 +1,11 @@
-"""Cholesky factors of many small matrices at once within their envelopes: order, storage, and Warp functions.
+"""Factors of many small saddle-point matrices at once within their envelopes: order, storage, and Warp functions.
 
-One thread factorises one matrix; a saddle-point matrix is shared by lanes, which are the threads of a block on a GPU,
-or one thread. Lanes divide the rows of every column, so that the bits do not depend on their number.
+A matrix is shared by lanes, which are the threads of a block on a GPU, or one thread. Lanes divide the rows of every
+column, so that the bits do not depend on their number.
 
-A matrix has two unknowns for every vertex, or three with its multiplier. Row by row, all entries from the first that is
-not zero to the diagonal are kept, which are the ones that elimination can fill (George and Liu, "Computer Solution of
-Large Sparse Positive Definite Systems", 1981, chapter 4). The blocks of vertex i with itself are ``diagonal[i]``; those
+A vertex has three unknowns: two coordinates and its multiplier. Row by row, all entries from the first that is not
+zero to the diagonal are kept, which are the ones that elimination can fill (George and Liu, "Computer Solution of Large
+Sparse Positive Definite Systems", 1981, chapter 4). The blocks of vertex i with itself are ``diagonal[i]``; those
 with the vertices before it are in ``left``, by groups of four columns j that share j // 4: the groups from that of
 first[i] on follow one another from rows[i] on. A group holds the first entry of its four blocks, then the second, and
 so on, so that four products are summed in one instruction; what it holds besides is zero. Sums are assigned, as Warp
@@ -42,7 +42,7 @@ class Envelope:
 
 @dataclass(frozen=True, eq=False)
 class Envelopes:
-    """Independent matrices whose patterns are the edges between vertices, some unknowns to a vertex.
+    """Independent matrices whose patterns are the edges between vertices, three unknowns to a vertex.
 
     Attributes:
         order: the vertices in the order of elimination, those of each matrix together, shape [N].
@@ -51,7 +51,7 @@ class Envelopes:
         last: the last place whose row, from its first on, reaches each place, int32, shape [N].
         rows: where the groups of blocks of each place begin among all groups, int64, shape [N].
         size: number of groups of all matrices.
-        operations: multiplications of a factorisation of each matrix with two unknowns to a vertex, shape [count].
+        operations: multiplications of a factorisation of each matrix, shape [count].
     """
 
     order: NDArray[np.intp]
@@ -88,18 +88,18 @@ class Envelopes:
         np.maximum.at(last, first, places)
         last = np.maximum.accumulate(last)
         widths = places - first + 1
-        operations = np.bincount(matrix[order], 4.0 * widths**2, count).astype(np.float64, copy=False)
+        operations = np.bincount(matrix[order], 13.5 * widths**2, count).astype(np.float64, copy=False)
         groups = (places + COLUMNS - 1) // COLUMNS - first // COLUMNS
         return cls(order, starts, first, last, np.cumsum(groups) - groups, int(groups.sum()), operations)
 
-    def upload(self, unknowns: int, device: wp.Device | str = "cpu") -> Envelope:
-        """Return what kernels on a device read of the matrices, with memory for so many unknowns to a vertex."""
+    def upload(self, device: wp.Device | str = "cpu") -> Envelope:
+        """Return what kernels on a device read of the matrices, with memory for their blocks."""
         matrices = Envelope()
         matrices.starts, matrices.first, matrices.last = (
             sent(values, wp.int32, device) for values in (self.starts, self.first, self.last)
         )
         matrices.rows = sent(self.rows, wp.int64, device)
-        matrices.left = wp.empty(self.size * COLUMNS * unknowns**2, dtype=wp.float64, device=device)
+        matrices.left = wp.empty(9 * COLUMNS * self.size, dtype=wp.float64, device=device)
         return matrices
 
 
@@ -112,23 +112,23 @@ PRODUCT = """
     typedef double Columns __attribute__((vector_size(32), aligned(8)));
 #endif
     const int in_one = sizeof(Columns) / sizeof(double), parts = 4 / in_one;
-    Columns sums[SIZE][SIZE] = {};
-    const Columns* x = (const Columns*)left.data + (long long)SIZE * SIZE * parts * u;
-    const Columns* y = (const Columns*)left.data + (long long)SIZE * SIZE * parts * v;
+    Columns sums[3][3] = {};
+    const Columns* x = (const Columns*)left.data + (long long)9 * parts * u;
+    const Columns* y = (const Columns*)left.data + (long long)9 * parts * v;
     for (int k = 0; k < count * parts; ++k) {
-        const Columns* one = x + k / parts * SIZE * SIZE * parts + k % parts;
-        const Columns* other = y + k / parts * SIZE * SIZE * parts + k % parts;
-        for (int c = 0; c < SIZE; ++c)
-            for (int a = 0; a < SIZE; ++a)
-                for (int b = 0; b < SIZE; ++b) {
-                    const Columns product = one[(SIZE * a + c) * parts] * other[(SIZE * b + c) * parts];
+        const Columns* one = x + k / parts * 9 * parts + k % parts;
+        const Columns* other = y + k / parts * 9 * parts + k % parts;
+        for (int c = 0; c < 3; ++c)
+            for (int a = 0; a < 3; ++a)
+                for (int b = 0; b < 3; ++b) {
+                    const Columns product = one[(3 * a + c) * parts] * other[(3 * b + c) * parts];
                     if (c < 2) sums[a][b] += product;
                     else sums[a][b] -= product;
                 }
     }
-    wp::mat_t<SIZE, SIZE, wp::float64> out;
-    for (int a = 0; a < SIZE; ++a)
-        for (int b = 0; b < SIZE; ++b) {
+    wp::mat_t<3, 3, wp::float64> out;
+    for (int a = 0; a < 3; ++a)
+        for (int b = 0; b < 3; ++b) {
             const double* sum = (const double*)&sums[a][b];
             double total = 0.0;
             for (int n = 0; n < in_one; ++n) total += sum[n];
@@ -156,47 +156,47 @@ MEET = """
 # Pointers, because the compiler computes the place of every entry of Warp's arrays anew: 2.5 times as fast. Every lane
 # computes the unknowns of column j from what it reads; the first writes them when all have read.
 SUBSTITUTE = """
-    const int width = 4 * SIZE * SIZE;
+    const int width = 36;
     double* y = (double*)x.data;
-    double s[SIZE];
+    double s[3];
     for (int j = begin; j < end; ++j) {
         const double* own = (const double*)(diagonal.data + j);
-        for (int a = 0; a < SIZE; ++a) {
-            s[a] = y[SIZE * j + a];
-            for (int b = 0; b < a; ++b) s[a] -= own[SIZE * a + b] * s[b];
-            s[a] *= own[SIZE * a + a];
+        for (int a = 0; a < 3; ++a) {
+            s[a] = y[3 * j + a];
+            for (int b = 0; b < a; ++b) s[a] -= own[3 * a + b] * s[b];
+            s[a] *= own[3 * a + a];
         }
         for (int i = j + 1 + lane; i <= m.last.data[j]; i += lanes) {
             if (m.first.data[i] > j) continue;
             const long long group = m.rows.data[i] - m.first.data[i] / 4 + j / 4;
             const double* block = m.left.data + width * group + j % 4;
-            for (int a = 0; a < SIZE; ++a)
-                for (int b = 0; b < SIZE; ++b) y[SIZE * i + a] -= block[4 * (SIZE * a + b)] * s[b];
+            for (int a = 0; a < 3; ++a)
+                for (int b = 0; b < 3; ++b) y[3 * i + a] -= block[4 * (3 * a + b)] * s[b];
         }
         MEET
         if (lane == 0)
-            for (int a = 0; a < SIZE; ++a) y[SIZE * j + a] = a < 2 ? s[a] : -s[a];
+            for (int a = 0; a < 3; ++a) y[3 * j + a] = a < 2 ? s[a] : -s[a];
     }
     MEET
     for (int i = end - 1; i >= begin; --i) {
         const double* own = (const double*)(diagonal.data + i);
         const double* row = m.left.data + (long long)width * (m.rows.data[i] - m.first.data[i] / 4);
-        for (int a = SIZE - 1; a >= 0; --a) {
-            s[a] = y[SIZE * i + a];
-            for (int b = a + 1; b < SIZE; ++b) s[a] -= own[SIZE * b + a] * s[b];
-            s[a] *= own[SIZE * a + a];
+        for (int a = 3 - 1; a >= 0; --a) {
+            s[a] = y[3 * i + a];
+            for (int b = a + 1; b < 3; ++b) s[a] -= own[3 * b + a] * s[b];
+            s[a] *= own[3 * a + a];
         }
         for (int j = m.first.data[i] + lane; j < i; j += lanes) {
             const double* block = row + (long long)width * (j / 4) + j % 4;
-            for (int b = 0; b < SIZE; ++b) {
+            for (int b = 0; b < 3; ++b) {
                 double sum = 0.0;
-                for (int a = 0; a < SIZE; ++a) sum += block[4 * (SIZE * a + b)] * s[a];
-                y[SIZE * j + b] -= sum;
+                for (int a = 0; a < 3; ++a) sum += block[4 * (3 * a + b)] * s[a];
+                y[3 * j + b] -= sum;
             }
         }
         MEET
         if (lane == 0)
-            for (int a = 0; a < SIZE; ++a) y[SIZE * i + a] = s[a];
+            for (int a = 0; a < 3; ++a) y[3 * i + a] = s[a];
     }
     MEET
 """
@@ -207,16 +207,9 @@ def meet(p: int, lane: int, lanes: int, gates: wp.array[wp.int32]):
     """Wait for the other lanes of matrix p; ``gates`` hold a number for each on the host, [count * lanes], zeros."""
 
 
-@wp.func_native(PRODUCT.replace("SIZE", "2"))
-def product_of_rows(u: int, v: int, count: int, left: wp.array[wp.float64]) -> wp.mat22d:  # type: ignore[empty-body]
-    """Return the sum of X Yᵀ over the 2x2 blocks X of ``count`` groups from u on and the blocks Y from v on."""
-
-
-@wp.func_native(PRODUCT.replace("SIZE", "3"))
-def saddle_product_of_rows(  # type: ignore[empty-body]
-    u: int, v: int, count: int, left: wp.array[wp.float64]
-) -> wp.mat33d:
-    """Return the sum of X S Yᵀ, S = diag(1, 1, -1), over the 3x3 blocks as :func:`product_of_rows` does."""
+@wp.func_native(PRODUCT)
+def product_of_rows(u: int, v: int, count: int, left: wp.array[wp.float64]) -> wp.mat33d:  # type: ignore[empty-body]
+    """Return the sum of X S Yᵀ, S = diag(1, 1, -1), over the blocks X of ``count`` groups from u on and Y from v on."""
 
 
 @wp.func
@@ -232,76 +225,20 @@ def groups_before(i: int, m: Envelope) -> int:
 
 
 @wp.func
-def clear_row(i: int, size: int, m: Envelope):
-    """Set the blocks of vertex i with those before it, of ``size`` rows each, to zero."""
-    numbers = size * size * COLUMNS
-    for k in range(numbers * int(m.rows[i]), numbers * (int(m.rows[i]) + groups_before(i, m))):
+def clear_row(i: int, m: Envelope):
+    """Set the blocks of vertex i with those before it to zero."""
+    for k in range(9 * COLUMNS * int(m.rows[i]), 9 * COLUMNS * (int(m.rows[i]) + groups_before(i, m))):
         m.left[k] = ZERO
 
 
 @wp.func
-def add_block(i: int, j: int, block: wp.mat22d, m: Envelope, diagonal: wp.array[wp.mat22d]):
-    """Add a block with rows of vertex i and columns of vertex j, on whichever side of the diagonal is kept."""
-    if i == j:
-        diagonal[i] = diagonal[i] + block
-        return
-    kept = block
-    if i < j:
-        kept = wp.transpose(block)
-    column = wp.min(i, j)
-    at = 4 * COLUMNS * group_of(wp.max(i, j), column, m) + column % COLUMNS
-    for a in range(2):
-        for b in range(2):
-            m.left[at] = m.left[at] + kept[a, b]
-            at += COLUMNS
-
-
-@wp.func
-def add_saddle_block(i: int, j: int, block: wp.mat33d, m: Envelope):
+def add_block(i: int, j: int, block: wp.mat33d, m: Envelope):
     """Add a block with rows of vertex i and columns of vertex j < i."""
     at = 9 * COLUMNS * group_of(i, j, m) + j % COLUMNS
     for a in range(3):
         for b in range(3):
             m.left[at] = m.left[at] + block[a, b]
             at += COLUMNS
-
-
-@wp.func
-def factorise_envelope(begin: int, end: int, m: Envelope, diagonal: wp.array[wp.mat22d]) -> bool:
-    """Replace the matrix of the vertices begin to end - 1 by its Cholesky factor, with the diagonal inverted.
-
-    Returns whether all pivots are positive.
-    """
-    for i in range(begin, end):
-        for j in range(m.first[i], i + 1):
-            both = wp.max(m.first[i], m.first[j])
-            count = (j + COLUMNS - 1) // COLUMNS - both // COLUMNS
-            total = product_of_rows(group_of(i, both, m), group_of(j, both, m), count, m.left)
-            if j < i:
-                own = diagonal[j]
-                at = 4 * COLUMNS * group_of(i, j, m) + j % COLUMNS
-                for a in range(2):
-                    x = (m.left[at] - total[a, 0]) * own[0, 0]
-                    y = (m.left[at + COLUMNS] - total[a, 1] - x * own[1, 0]) * own[1, 1]
-                    m.left[at] = x
-                    m.left[at + COLUMNS] = y
-                    at += 2 * COLUMNS
-            else:
-                rest = diagonal[i] - total
-                if not rest[0, 0] > ZERO:
-                    return False
-                inverse = ONE / wp.sqrt(rest[0, 0])
-                between = rest[1, 0] * inverse
-                pivot = rest[1, 1] - between * between
-                if not pivot > ZERO:
-                    return False
-                diagonal[i] = wp.mat22d(inverse, ZERO, between, ONE / wp.sqrt(pivot))
-    return True
-
-
-@wp.func_native("    const int lane = 0, lanes = 1;" + SUBSTITUTE.replace("MEET", "").replace("SIZE", "2"))
-def solve_envelope(begin: int, end: int, m: Envelope, diagonal: wp.array[wp.mat22d], x: wp.array[wp.float64]):
-    """Replace the right-hand side, two numbers a vertex, by the solution."""
 
 
 @wp.func
@@ -325,7 +262,7 @@ def saddle_pivot(j: int, rest: wp.mat33d, diagonal: wp.array[wp.mat33d]) -> bool
 
 
 @wp.func
-def factorise_saddle_envelope(
+def factorise_envelope(
     p: int,
     lane: int,
     lanes: int,
@@ -343,7 +280,7 @@ def factorise_saddle_envelope(
     for j in range(m.starts[p], m.starts[p + 1]):
         if lane == 0:
             at = group_of(j, m.first[j], m)
-            total = saddle_product_of_rows(at, at, groups_before(j, m), m.left)
+            total = product_of_rows(at, at, groups_before(j, m), m.left)
             definite[p, 0] = ZERO
             if saddle_pivot(j, diagonal[j] - total, diagonal):
                 definite[p, 0] = ONE
@@ -355,7 +292,7 @@ def factorise_saddle_envelope(
             if m.first[i] <= j:
                 both = wp.max(m.first[i], m.first[j])
                 count = (j + COLUMNS - 1) // COLUMNS - both // COLUMNS
-                total = saddle_product_of_rows(group_of(i, both, m), group_of(j, both, m), count, m.left)
+                total = product_of_rows(group_of(i, both, m), group_of(j, both, m), count, m.left)
                 at = 9 * COLUMNS * group_of(i, j, m) + j % COLUMNS
                 for a in range(3):
                     x = (m.left[at] - total[a, 0]) * own[0, 0]
@@ -369,10 +306,9 @@ def factorise_saddle_envelope(
 
 
 @wp.func_native(
-    "    const int begin = m.starts.data[p], end = m.starts.data[p + 1];"
-    + SUBSTITUTE.replace("MEET", MEET).replace("SIZE", "3")
+    "    const int begin = m.starts.data[p], end = m.starts.data[p + 1];" + SUBSTITUTE.replace("MEET", MEET)
 )
-def solve_saddle_envelope(
+def solve_envelope(
     p: int,
     lane: int,
     lanes: int,

@@ -1,4 +1,4 @@
-"""Small matrices factorised within their envelopes, one thread each, against NumPy's dense solutions."""
+"""Small matrices factorised within their envelopes, against NumPy's dense solutions."""
 
 from __future__ import annotations
 
@@ -13,9 +13,7 @@ from omtwarp.solvers.cholesky.envelope import (
     Envelope,
     Envelopes,
     factorise_envelope,
-    factorise_saddle_envelope,
     solve_envelope,
-    solve_saddle_envelope,
 )
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -25,22 +23,6 @@ wp.set_module_options(KERNEL_OPTIONS)
 def solve_each(
     m: Envelope,
     # Data in and out:
-    diagonal: wp.array[wp.mat22d],
-    x: wp.array[wp.float64],
-    # Data out:
-    definite: wp.array2d[wp.float64],
-):
-    p, _compiled_once = wp.tid()
-    begin, end = m.starts[p], m.starts[p + 1]
-    if factorise_envelope(begin, end, m, diagonal):
-        definite[p, 0] = wp.float64(1.0)
-        solve_envelope(begin, end, m, diagonal, x)
-
-
-@wp.kernel
-def solve_each_saddle(
-    m: Envelope,
-    # Data in and out:
     diagonal: wp.array[wp.mat33d],
     x: wp.array[wp.vec3d],
     # Data out:
@@ -48,36 +30,29 @@ def solve_each_saddle(
 ):
     p, _compiled_once = wp.tid()
     gates = m.starts  # one lane has no others to wait for
-    factorise_saddle_envelope(p, 0, 1, m, gates, diagonal, definite)
+    factorise_envelope(p, 0, 1, m, gates, diagonal, definite)
     if definite[p, 0] > wp.float64(0.0):
-        solve_saddle_envelope(p, 0, 1, m, gates, diagonal, x)
+        solve_envelope(p, 0, 1, m, gates, diagonal, x)
 
 
-def solved(edges, matrix, count, dense, right, unknowns=2):
+def solved(edges, matrix, count, dense, right):
     """Solve with the blocks of dense matrices; return the solution and whether each matrix has the right signs."""
     envelopes = Envelopes.of_edges(edges, matrix, count)
-    diagonal, uploaded = np.empty((len(matrix), unknowns, unknowns)), envelopes.upload(unknowns)
-    groups = uploaded.left.numpy().reshape(envelopes.size, unknowns, unknowns, COLUMNS)
+    diagonal, uploaded = np.empty((len(matrix), 3, 3)), envelopes.upload()
+    groups = uploaded.left.numpy().reshape(envelopes.size, 3, 3, COLUMNS)
     groups[:] = 0.0
-    blocks = dense.reshape(len(matrix), unknowns, len(matrix), unknowns).swapaxes(1, 2)
+    blocks = dense.reshape(len(matrix), 3, len(matrix), 3).swapaxes(1, 2)
     for i, own in enumerate(envelopes.order):
         diagonal[i] = blocks[own, own]
         for j in range(envelopes.first[i], i):
             group = envelopes.rows[i] + j // COLUMNS - envelopes.first[i] // COLUMNS
             groups[group, :, :, j % COLUMNS] = blocks[own, envelopes.order[j]]
-    x = np.ascontiguousarray(right.reshape(-1, unknowns)[envelopes.order])
+    x = np.ascontiguousarray(right.reshape(-1, 3)[envelopes.order])
     definite = np.zeros((count, 1))
-    kernel, block, numbers = solve_each, wp.mat22d, wp.float64
-    if unknowns == 3:
-        kernel, block, numbers = solve_each_saddle, wp.mat33d, wp.vec3d
-    arrays = [
-        (diagonal, block),
-        (x if unknowns == 3 else x.ravel(), numbers),
-        (definite, wp.float64),
-    ]
+    arrays = [(diagonal, wp.mat33d), (x, wp.vec3d), (definite, wp.float64)]
     outputs = [wp.array(values, dtype=kind, device="cpu", copy=False) for values, kind in arrays]
-    wp.launch(kernel, dim=count, inputs=[uploaded], outputs=outputs, device="cpu")
-    out = np.empty((len(matrix), unknowns))
+    wp.launch(solve_each, dim=count, inputs=[uploaded], outputs=outputs, device="cpu")
+    out = np.empty((len(matrix), 3))
     out[envelopes.order] = x
     return out.ravel(), definite[:, 0] > 0.0
 
@@ -111,26 +86,8 @@ def random_graphs(sizes, rng):
 graphs = given(seed=st.integers(0, 10**6), sizes=st.lists(st.integers(1, 25), min_size=1, max_size=4))
 
 
-@settings(max_examples=20)
-@graphs
-def test_solutions_are_those_of_dense_matrices(seed, sizes):
-    """Of several graphs at once, single vertices among them, numbered in any order, edges given once or twice."""
-    rng = np.random.default_rng(seed)
-    edges, matrix = random_graphs(sizes, rng)
-    vertices = len(matrix)
-    dense, right = random_matrix(edges, vertices, rng), rng.normal(size=2 * vertices)
-    x, definite = solved(edges, matrix, len(sizes), dense, right)
-    assert definite.all()
-    expected = np.linalg.solve(dense, right)
-    assert np.abs(dense @ x - right).max() < 1e-9 * np.abs(dense).max() * np.abs(expected).max() + 1e-12
-
-
-@settings(max_examples=20)
-@graphs
-def test_solutions_of_saddle_points_are_those_of_dense_matrices(seed, sizes):
-    """Each vertex has two unknowns of a definite matrix and a multiplier, coupled along edges."""
-    rng = np.random.default_rng(seed)
-    edges, matrix = random_graphs(sizes, rng)
+def saddle_point(edges, matrix, rng):
+    """A dense matrix with two unknowns of a definite one and a multiplier at each vertex, coupled along edges."""
     vertices = len(matrix)
     dense = np.zeros((vertices, 3, vertices, 3))
     dense[:, :2, :, :2] = random_matrix(edges, vertices, rng).reshape(vertices, 2, vertices, 2)
@@ -139,8 +96,17 @@ def test_solutions_of_saddle_points_are_those_of_dense_matrices(seed, sizes):
         dense[i, 2, j, :2] = rng.normal(size=2)
         dense[j, :2, i, 2] = dense[i, 2, j, :2]
     dense[np.arange(vertices), 2, np.arange(vertices), 2] = -rng.uniform(0.1, 2.0, vertices)
-    dense, right = dense.reshape(3 * vertices, 3 * vertices), rng.normal(size=3 * vertices)
-    x, definite = solved(edges, matrix, len(sizes), dense, right, unknowns=3)
+    return dense.reshape(3 * vertices, 3 * vertices)
+
+
+@settings(max_examples=20)
+@graphs
+def test_solutions_are_those_of_dense_matrices(seed, sizes):
+    """Of several graphs at once, single vertices among them, numbered in any order, edges given once or twice."""
+    rng = np.random.default_rng(seed)
+    edges, matrix = random_graphs(sizes, rng)
+    dense, right = saddle_point(edges, matrix, rng), rng.normal(size=3 * len(matrix))
+    x, definite = solved(edges, matrix, len(sizes), dense, right)
     assert definite.all()
     expected = np.linalg.solve(dense, right)
     assert np.abs(dense @ x - right).max() < 1e-9 * np.abs(dense).max() * np.abs(expected).max() + 1e-12
@@ -149,11 +115,11 @@ def test_solutions_of_saddle_points_are_those_of_dense_matrices(seed, sizes):
 def test_a_matrix_that_is_not_definite_is_told_from_its_neighbours():
     edges = np.array([[0, 1], [2, 3], [4, 5]])
     matrix = np.array([0, 0, 1, 1, 2, 2])
-    dense = random_matrix(edges, 6, np.random.default_rng(1))
-    dense[6, 6] = -1.0
-    x, definite = solved(edges, matrix, 3, dense, np.ones(12))
+    dense = saddle_point(edges, matrix, np.random.default_rng(1))
+    dense[9, 9] = -1.0
+    x, definite = solved(edges, matrix, 3, dense, np.ones(18))
     assert definite.tolist() == [True, False, True]
-    inside = np.r_[0:4, 8:12]
+    inside = np.r_[0:6, 12:18]
     np.testing.assert_allclose(dense[np.ix_(inside, inside)] @ x[inside], 1.0, rtol=1e-9)
 
 
