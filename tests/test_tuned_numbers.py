@@ -97,7 +97,7 @@ OTHERS = {
             "PANEL STRIP ONES MIN_PARALLEL_OPERATIONS MIN_SHARED_OPERATIONS BRANCHES_PER_THREAD"
         ),
         "solvers/cholesky/saddle.py": "UNKNOWNS COORDINATES",
-        "solvers/patches.py": "MAX_OPERATIONS MIN_SHARED_TRIANGLES BLOCK",
+        "optimal/local.py": "MIN_SHARED_TRIANGLES BLOCK",
         "start/decimation.py": "MAX_VALENCE NO_KEY INSIDE RIM POLE",
     },
     # The paper's and elementary geometry's.
