@@ -1,18 +1,14 @@
 """Exact areas in which convex polygons of great-circle arcs overlap."""
 
 # mypy: ignore-errors
-from omtwarp.device.start import KERNEL_OPTIONS, ONE, ZERO, wp
+from omtwarp.device.start import KERNEL_OPTIONS, ONE, THREE, ZERO, wp
 from omtwarp.geometry.spherical import solid_angle
+from omtwarp.location import BOX_MARGIN, reach, single
 
 wp.set_module_options(KERNEL_OPTIONS)
 
 # Two quadrilaterals overlap in a polygon of up to eight corners; while it is cut there may be one more.
 mat93d = wp.types.matrix(shape=(9, 3), dtype=wp.float64)
-
-
-@wp.func
-def single(v: wp.vec3d) -> wp.vec3:
-    return wp.vec3(wp.float32(v[0]), wp.float32(v[1]), wp.float32(v[2]))
 
 
 @wp.func
@@ -76,33 +72,9 @@ def box_polygons(
         high = wp.max(high, corners[i, k])
         for m in range(4):
             diameter = wp.max(diameter, wp.length_sq(corners[i, k] - corners[i, m]))
-    # Box margin: more than the unit of roundoff of the boxes' single precision
-    bulge = ONE - wp.sqrt(wp.max(ONE - diameter / wp.float64(3.0), ZERO)) + wp.float64(1e-6)
-    margin = wp.vec3d(bulge, bulge, bulge)
+    margin = reach(ONE - wp.sqrt(wp.max(ONE - diameter / THREE, ZERO)) + BOX_MARGIN)
     lower[i] = single(low - margin)
     upper[i] = single(high + margin)
-
-
-@wp.kernel
-def count_overlaps(
-    lower: wp.array[wp.vec3],
-    upper: wp.array[wp.vec3],
-    targets: wp.array2d[wp.vec3d],
-    boxes: wp.uint64,
-    sources: wp.array2d[wp.vec3d],
-    smallest: wp.float64,
-    # Data out:
-    counts: wp.array[wp.int32],
-):
-    """Compute the number of source polygons that share more than a smallest area with each target polygon."""
-    i, _compiled_once = wp.tid()
-    count = int(0)
-    query = wp.bvh_query_aabb(boxes, lower[i], upper[i])
-    s = int(0)
-    while wp.bvh_query_next(query, s):
-        if overlap_area(sources, s, targets, i) > smallest:
-            count += 1
-    counts[i] = count
 
 
 @wp.kernel
@@ -115,17 +87,23 @@ def list_overlaps(
     sources: wp.array2d[wp.vec3d],
     smallest: wp.float64,
     # Data out:
+    counts: wp.array[wp.int32],
     partners: wp.array[wp.int32],
     areas: wp.array[wp.float64],
 ):
-    """Compute the source polygons that :func:`count_overlaps` counts, and the areas."""
+    """Compute the number of source polygons that share more than a smallest area with each target polygon.
+
+    Where the last two arrays have room, these polygons and the areas are listed there, from ``first`` on.
+    """
     i, _compiled_once = wp.tid()
-    place = first[i]
+    count = int(0)
     query = wp.bvh_query_aabb(boxes, lower[i], upper[i])
     s = int(0)
     while wp.bvh_query_next(query, s):
         area = overlap_area(sources, s, targets, i)
         if area > smallest:
-            partners[place] = s
-            areas[place] = area
-            place += 1
+            if partners.shape[0] > 0:
+                partners[first[i] + count] = s
+                areas[first[i] + count] = area
+            count += 1
+    counts[i] = count

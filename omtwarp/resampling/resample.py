@@ -28,7 +28,7 @@ from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.surface import MeshLike, sums_around, triangle_areas
 from omtwarp.options import Domain, Interpolation, InterpolationLike
 from omtwarp.resampling.averages import average_sphere, is_average
-from omtwarp.resampling.overlap_kernels import box_polygons, count_overlaps, list_overlaps
+from omtwarp.resampling.overlap_kernels import box_polygons, list_overlaps
 from omtwarp.spheres import SphereGrid, is_named, mesh_grid, named_grid
 
 
@@ -63,13 +63,14 @@ def overlap_areas(target: SphereGrid, source: SphereGrid, *, device: str | None 
     # Where cells only touch, round-off makes overlaps of some 1e-16 of a cell; the overlaps dropped stay below 1e-13.
     smallest = wp.float64(1e-14 * 4.0 * np.pi / max(len(target_corners), len(source_corners)))
     counts = wp.empty(len(target_corners), dtype=wp.int32, device=where)
-    own, shared = each(lower, upper, targets), [boxes.id, sources, smallest]
-    launch_parts(count_overlaps, len(target_corners), [*own, *shared], each(counts), where)
-    offsets = np.concatenate([[0], np.cumsum(counts.numpy(), dtype=np.int64)])
-    first = wp.array(offsets[:-1].astype(np.int32), device=where)
-    partners = wp.empty(int(offsets[-1]), dtype=wp.int32, device=where)
-    areas = wp.empty(int(offsets[-1]), dtype=wp.float64, device=where)
-    launch_parts(list_overlaps, len(target_corners), [*own, Each(first), *shared], [partners, areas], where)
+    offsets = np.zeros(len(target_corners) + 1, dtype=np.int64)
+    for _ in range(2):  # overlaps are counted first, and listed when there is room for them
+        first = wp.array(offsets[:-1].astype(np.int32), device=where)
+        partners = wp.empty(int(offsets[-1]), dtype=wp.int32, device=where)
+        areas = wp.empty(int(offsets[-1]), dtype=wp.float64, device=where)
+        inputs = [*each(lower, upper, targets, first), boxes.id, sources, smallest]
+        launch_parts(list_overlaps, len(target_corners), inputs, [Each(counts), partners, areas], where)
+        np.cumsum(counts.numpy(), out=offsets[1:])
     shape = (len(target_corners), len(source_corners))
     between = sparse.csr_matrix((areas.numpy(), partners.numpy(), offsets), shape=shape)
     between.sort_indices()  # the search goes through boxes in an order of its own
