@@ -14,20 +14,21 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from functools import reduce
+from functools import partial, reduce
 from typing import TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.colors import to_linear, to_srgb
+from omtwarp.device.arrays import sent
 from omtwarp.device.policy import launch_parts_of, resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import Each, core_count, each, launch_parts, load, run_all
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints, real_numbers, whole_numbers
 from omtwarp.texturing import kernels
-from omtwarp.texturing.atlas import Atlas, check_size, make_atlas
+from omtwarp.texturing.atlas import Atlas, Kind, check_size, make_atlas
 from omtwarp.texturing.export import Material, uv_of_corners
 from omtwarp.texturing.image import PictureLike, as_floats, check_projection, read_image, with_opacity
 from omtwarp.texturing.patterns import Pattern, is_name, pattern
@@ -181,13 +182,16 @@ def fill(texels: Ints, samples: int, evaluate: Evaluate, picture: wp.array) -> N
         picture: float32 or uint8, [texels, channels].
     """
     where = picture.device
-    average = kernels.average_to_bytes if picture.dtype is wp.uint8 else kernels.average_samples
+    of_bytes = picture.dtype is wp.uint8
+    none = wp.empty((0, 0), dtype=wp.float32 if of_bytes else wp.uint8, device=where)
+    pictures = [none, picture] if of_bytes else [picture, none]
     count, step = samples**2, max(SAMPLES_AT_ONCE // samples**2, 1)
     for start in range(0, len(texels), step):
         part = wp.array(texels[start : start + step], dtype=wp.int32, device=where)
         values = wp.empty((len(part) * count, picture.shape[1]), dtype=wp.float64, device=where)
         evaluate(part, samples, values)
-        launch_parts(average, len(part), [Each(values, count), samples, Each(part)], [picture], where)
+        inputs = [Each(values, count), samples, Each(part)]
+        launch_parts(kernels.average_samples, len(part), inputs, pictures, where)
 
 
 def supersampled(texels: Ints, samples: int, evaluate: Evaluate, width: int, picture: wp.array) -> None:
@@ -423,11 +427,7 @@ def _bake_linear(layout: Layout, corner_values: Floats, supersample: int, paddin
     values = wp.array(np.ascontiguousarray(corner_values), dtype=wp.float64, device=where)
     channels = corner_values.shape[2]
     picture = wp.zeros((layout.width * layout.height, channels), dtype=wp.float32, device=where)
-
-    def evaluate(texels: wp.array, samples: int, out: wp.array) -> None:
-        layout.interpolate(values, texels, samples, out)
-
-    fill(layout.owned(), max(int(supersample), 1), evaluate, picture)
+    fill(layout.owned(), max(int(supersample), 1), partial(layout.interpolate, values), picture)
     return layout.dilate(picture, padding).reshape(layout.height, layout.width, channels)
 
 
@@ -587,28 +587,26 @@ def bake_materials(
     out = wp.zeros((layout.width * layout.height, 4), dtype=wp.float32, device=where)
     texels = layout.owned()
     number = which[layout.owner.numpy()[texels]]
+    coordinates = np.zeros((len(which), 3, 3)) if own is None else np.pad(own, ((0, 0), (0, 0), (0, 1)))
+    corners = sent(coordinates, wp.float64, where)
+
+    def through_coordinates(source: ValueSource, some: wp.array, samples: int, sampled: wp.array) -> None:
+        points = wp.empty(len(sampled), dtype=wp.vec3d, device=where)
+        rows = wp.array(ptr=points.ptr, shape=(len(points), 3), dtype=wp.float64, device=where)
+        layout.interpolate(corners, some, samples, rows)
+        source.launch(points, sampled)
+
     for k, material in enumerate(materials):
         mine = texels[number == k]
         if not len(mine):
             continue
-        factor = np.array(material.color, dtype=np.float32)
-        white = np.ones((1, 1, 4), dtype=np.float32)
-        picture = white if material.picture is None else as_floats(material.picture)
-        picture = tinted(with_opacity(picture), factor)
-        at_corners = own if own is not None else np.zeros((len(which), 3, 2))
-        by_color = colors is not None and material.picture is None
-        values = wp.array(np.ascontiguousarray(colors if by_color else at_corners), dtype=wp.float64, device=where)
-        source = wp.array(np.ascontiguousarray(picture), dtype=wp.float32, device=where)
-
-        def evaluate(
-            some: wp.array, samples: int, sampled: wp.array, by_color=by_color, values=values, source=source
-        ) -> None:
-            if by_color:
-                return layout.interpolate(values, some, samples, sampled)
-            points = wp.empty((len(sampled), 2), dtype=wp.float64, device=where)
-            layout.interpolate(values, some, samples, points)
-            wp.launch(kernels.sample_repeated, dim=len(sampled), inputs=[source, points, sampled], device=where)
-
+        if material.picture is None and colors is not None:
+            evaluate = partial(layout.interpolate, sent(colors, wp.float64, where))
+        else:
+            white = np.ones((1, 1, 4), dtype=np.float32)
+            picture = white if material.picture is None else with_opacity(as_floats(material.picture))
+            picture = tinted(picture, np.array(material.color, dtype=np.float32))
+            evaluate = partial(through_coordinates, _PictureSource(picture, Kind.REPEATED, 0.0, 0.0, where))
         fill(mine, 2, evaluate, out)
     sampled = layout.dilate(out, rings)
     # Texels outside of all triangles make no material transparent.

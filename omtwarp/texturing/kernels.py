@@ -97,7 +97,10 @@ def picture_direction(
 
 @wp.func
 def picture_point(kind: int, d: wp.vec3d, width: int, height: int, offset: wp.float64, gutter: wp.float64):
-    """Return the point of a picture that shows a direction: x to the right and y down, in texels."""
+    """Return the point of a picture that shows a direction: x to the right and y down, in texels.
+
+    Of a picture that repeats, the direction is (u, v, 0), v up.
+    """
     w, h = wp.float64(width), wp.float64(height)
     x, y = ZERO, ZERO
     if kind == Kind.CUBE:
@@ -134,6 +137,9 @@ def picture_point(kind: int, d: wp.vec3d, width: int, height: int, offset: wp.fl
             b = (ONE - wp.abs(c)) * sign_of(b)
         x = gutter + (a + ONE) * half
         y = gutter + (ONE - b) * half
+    elif kind == Kind.REPEATED:
+        x = (d[0] - wp.floor(d[0])) * w
+        y = (wp.ceil(d[1]) - d[1]) * h
     else:
         lat = wp.atan2(d[2], wp.sqrt(d[0] * d[0] + d[1] * d[1]))
         lon = wp.atan2(d[1], d[0]) - offset
@@ -224,36 +230,16 @@ def sample_picture(
     # Data out:
     out: wp.array2d[wp.float64],
 ):
-    """Sample a picture of the sphere in directions."""
+    """Compute the bilinear samples of a picture in directions."""
     i = wp.tid()
     p = picture_point(kind, directions[i], picture.shape[1], picture.shape[0], offset, gutter)
     for c in range(picture.shape[2]):
         out[i, c] = bilinear(picture, kind, p[0], p[1], c)
 
 
-@wp.kernel
-def sample_repeated(
-    picture: wp.array3d[wp.float32],
-    points: wp.array2d[wp.float64],
-    # Data out:
-    out: wp.array2d[wp.float64],
-):
-    """Compute the bilinear samples of a picture that repeats both ways, at texture coordinates (v up)."""
-    i = wp.tid()
-    u, v = points[i, 0], points[i, 1]
-    x = (u - wp.floor(u)) * wp.float64(picture.shape[1])
-    y = (wp.ceil(v) - v) * wp.float64(picture.shape[0])
-    for c in range(picture.shape[2]):
-        out[i, c] = bilinear(picture, Kind.REPEATED, x, y, c)
-
-
 @wp.func
-def mean_sample(values: wp.array2d[wp.float64], first: int, count: int, channel: int):
-    """Return the mean of a channel over the samples of a texel, which are rows of ``values`` next to one another."""
-    total = wp.float64(0.0)
-    for k in range(count):
-        total = total + values[first + k, channel]
-    return total / wp.float64(count)
+def as_byte(value: wp.float64):
+    return wp.uint8(int(wp.clamp(value * wp.float64(255.0) + wp.float64(0.5), wp.float64(0.0), wp.float64(255.0))))
 
 
 @wp.kernel
@@ -262,13 +248,21 @@ def average_samples(
     samples: int,
     texels: wp.array[wp.int32],
     # Data out:
-    out: wp.array2d[wp.float32],
+    numbers: wp.array2d[wp.float32],
+    bytes: wp.array2d[wp.uint8],
 ):
-    """Compute the mean of the samples of every texel, written to the texel's place."""
-    i = wp.tid()
+    """Compute the mean of the samples of every texel, written to the texel's place in the picture that is not empty."""
+    i, _compiled_once = wp.tid()
     per_texel = samples * samples
     for c in range(values.shape[1]):
-        out[texels[i], c] = wp.float32(mean_sample(values, i * per_texel, per_texel, c))
+        total = wp.float64(0.0)
+        for k in range(per_texel):
+            total = total + values[i * per_texel + k, c]
+        mean = total / wp.float64(per_texel)
+        if bytes.shape[0] > 0:
+            bytes[texels[i], c] = as_byte(mean)
+        else:
+            numbers[texels[i], c] = wp.float32(mean)
 
 
 @wp.func
@@ -388,11 +382,6 @@ def unit_vectors(
     out[i] = wp.normalize(wp.vec3d(values[i, 0], values[i, 1], values[i, 2]))
 
 
-@wp.func
-def as_byte(value: wp.float64):
-    return wp.uint8(int(wp.clamp(value * wp.float64(255.0) + wp.float64(0.5), wp.float64(0.0), wp.float64(255.0))))
-
-
 @wp.kernel
 def fill_calm(
     first: int,
@@ -444,21 +433,6 @@ def fill_calm(
                 for x in range(x0, wp.min(x0 + step, width)):
                     value = left + wp.float64(x - x0) / columns * (right - left)
                     picture[y * width + x, c] = as_byte(value)
-
-
-@wp.kernel
-def average_to_bytes(
-    values: wp.array2d[wp.float64],
-    samples: int,
-    texels: wp.array[wp.int32],
-    # Data out:
-    picture: wp.array2d[wp.uint8],
-):
-    """Write the mean of the samples of every texel, rounded, to the texel's place."""
-    i, _compiled_once = wp.tid()
-    per_texel = samples * samples
-    for c in range(values.shape[1]):
-        picture[texels[i], c] = as_byte(mean_sample(values, i * per_texel, per_texel, c))
 
 
 @wp.func
