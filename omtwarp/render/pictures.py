@@ -24,18 +24,9 @@ from omtwarp.files.limits import FRAMES_PER_SECOND, LARGEST_VIEW, MOST_FILM_PIXE
 from omtwarp.files.output import as_path
 from omtwarp.mesh.arrays import Bytes, real_number, whole_number
 from omtwarp.options import BACKGROUND, FILM_RATE, PICTURE_SIZE, Backend, BackendLike
-from omtwarp.render import annotate, gl_client, output
+from omtwarp.render import annotate, gl_client, output, scene
 from omtwarp.render.camera import VIEWS, Camera, Light, as_light, as_views, frame, turntable
-from omtwarp.render.scene import (
-    Arrows,
-    RenderJob,
-    ScalarField,
-    SurfaceView,
-    Wireframe,
-    arrow_part,
-    build_parts,
-    normalised_points,
-)
+from omtwarp.render.scene import Arrows, RenderJob, ScalarField, SurfaceView, Wireframe
 from omtwarp.render.subject import FinishedMap, Picture, Subject, as_surface_view, map_view, posed
 
 Function = TypeVar("Function", bound=Callable[..., object])
@@ -401,11 +392,11 @@ def _draw(subject: Subject, options: PreviewOptions, cameras: list[Camera], clea
     width, height = options["size"]
     bar = view.scalar if options["color_bar"] else None
     drawn_width = max(width - annotate.bar_width(options["size"]), SMALLEST_VIEW) if bar is not None else width
-    parts = build_parts(view, edges=bool(wireframe) or view.edges)
-    field = None if view.arrows is None else arrow_part(view, view.arrows)
+    parts = scene.build_parts(view, edges=bool(wireframe) or view.edges)
+    field = None if view.arrows is None else scene.arrow_part(view, view.arrows)
     arrows = [] if field is None else [field]
     parts += arrows
-    points = np.concatenate([normalised_points(view), *(part.positions.astype(np.float64) for part in arrows)])
+    points = np.concatenate([scene.normalised_points(view), *(part.positions.astype(np.float64) for part in arrows)])
     centred = options["frames"] is not None
     job = RenderJob(
         parts=parts,

@@ -21,23 +21,9 @@ from omtwarp.metrics.certificate import Certificate
 from omtwarp.options import PatternLike
 from omtwarp.render import Camera, ScalarField, SurfaceView, preview
 from omtwarp.render.subject import posed, torus_view
-from omtwarp.reporting import sections
+from omtwarp.reporting import scene as views, sections
 from omtwarp.reporting.markup import Markup, data_uri, element, figure, html, join
-from omtwarp.reporting.scene import (
-    AREA_COLOURS,
-    RANGE,
-    Scene,
-    alignment,
-    log2_area_ratio,
-    make_scene,
-    packed_scene,
-    page_with_view,
-    picture_kind,
-    placed_in_view,
-    verdict,
-    view_axes,
-    viewer_section,
-)
+from omtwarp.reporting.scene import AREA_COLOURS, RANGE, Scene, make_scene
 from omtwarp.reporting.stages import TORUS, Stage, shown_history, shown_report, stages_of, view_on_domain
 from omtwarp.texturing import read_image
 from omtwarp.texturing.adaptive import rasterize
@@ -135,7 +121,9 @@ def report_page(
         sections.certificate(report, scene.faces, stages[-1], getattr(result, "filled_faces", None) is not None),
     ]
     colouring = "Picture" if image is not None else pattern.capitalize()
-    view = viewer_section(stages, stills[stages[-1].key], f"{shown} carried to the surface by the final map", colouring)
+    view = views.viewer_section(
+        stages, stills[stages[-1].key], f"{shown} carried to the surface by the final map", colouring
+    )
     return _page(
         scene, title or "Map report", report, _lead(result, report, stages[-1]), result.certificate, view, content
     )
@@ -151,13 +139,13 @@ def _page(
     content: Sequence[Markup],
 ) -> str:
     """Put a page together, with its heading, the words below, the view and the sections."""
-    return page_with_view(
+    return views.page_with_view(
         "page.html",
         scene,
         title=heading,
         version=report.get("versions", {}).get("omtwarp", ""),
         lead=lead,
-        verdict=verdict(certificate.bijective, certificate.flips),
+        verdict=views.verdict(certificate.bijective, certificate.flips),
         view=view,
         sections=join(content, "\n"),
         footer=sections.footer(report),
@@ -202,7 +190,8 @@ def _stills(
     # Most edges, faces: with more, edges would hide the surface between them
     edges = len(result.faces) <= 60_000
     for stage in (stages[0], stages[-1])[: len(stages)]:
-        field = ScalarField(np.clip(log2_area_ratio(stage), -RANGE, RANGE), AREA_COLOURS, (-RANGE, RANGE))
+        gained = np.clip(views.log2_area_ratio(stage), -RANGE, RANGE)
+        field = ScalarField(gained, AREA_COLOURS, (-RANGE, RANGE))
         on_domain = replace(view_on_domain(result, stage, pose), scalar=field, edges=edges)
         on_surface = replace(pose, image=picture, sphere=stage.sphere)
         for key, shown in ((f"sphere {stage.key}", on_domain), (stage.key, on_surface)):
@@ -261,8 +250,8 @@ def torus_scene(
     """
     lines = 12  # of the lattice along its shorter vector
     cut = texture_torus(result, image, None if image is not None else pattern)
-    used, axes = cut.welded, view_axes(pose)
-    placed = placed_in_view(result.vertices, used, axes)
+    used, axes = cut.welded, views.view_axes(pose)
+    placed = views.placed_in_view(result.vertices, used, axes)
     shift = np.round(cut.uv - result.coordinates[used])  # whole turns, the same for both maps
     maps = zip(stages, (result.conformal, result.coordinates), strict=True)
     own = {f"lattice-{stage.key}": (places[used] + shift).astype(np.float32) for stage, places in maps}
@@ -278,8 +267,8 @@ def torus_scene(
         "ring": {"radius": ring, "lines": np.maximum(np.rint(lines * along / along.min()), 1.0).tolist()},
         "picture": [_picture(cut.image)],
     }
-    turn = alignment(stages[-1].sphere[used], placed)
-    return packed_scene(stages, result.faces, used, (placed, cut.normals @ axes.T, cut.faces), own, header, turn)
+    turn = views.alignment(stages[-1].sphere[used], placed)
+    return views.packed_scene(stages, result.faces, used, (placed, cut.normals @ axes.T, cut.faces), own, header, turn)
 
 
 def _picture(image: Bytes) -> str:
@@ -288,7 +277,7 @@ def _picture(image: Bytes) -> str:
     from PIL import Image as pil
 
     drawn = pil.fromarray(image).convert("RGB")
-    kind = picture_kind(np.asarray(drawn))
+    kind = views.picture_kind(np.asarray(drawn))
     if drawn.width > picture_width:
         drawn = drawn.resize(
             (picture_width, max(round(drawn.height * picture_width / drawn.width), 1)), pil.Resampling.BOX
@@ -331,7 +320,7 @@ def _torus_page(
         sections.stage_table(stages, report),
         _certificate(result),
     ]
-    view = viewer_section(
+    view = views.viewer_section(
         stages,
         data_uri(drawn[0], "webp"),
         "The pattern carried to the surface by the final map",

@@ -20,31 +20,11 @@ from omtwarp.mesh.arrays import Bytes, Floats, Ints
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.surface import plane_areas, triangle_areas, vertex_normals
 from omtwarp.options import AtlasLike, CoordinatesLike, KeepLike, PatternLike, ProjectionLike
-from omtwarp.texturing import bakes
+from omtwarp.texturing import bakes, baking, image as pictures
 from omtwarp.texturing.atlas import SIZE, check_size, make_atlas
-from omtwarp.texturing.baking import (
-    PADDING,
-    Layout,
-    Picture,
-    Source,
-    bake_materials,
-    bake_to_uv,
-    covered,
-    over,
-    overlap,
-    tiled_copies,
-    tinted,
-)
+from omtwarp.texturing.baking import PADDING, Picture, Source
 from omtwarp.texturing.export import WHITE, Material, corner_tangents
-from omtwarp.texturing.image import (
-    PictureLike,
-    as_bytes,
-    as_floats,
-    read_image,
-    rotation_matrix,
-    with_opacity,
-    without_full_opacity,
-)
+from omtwarp.texturing.image import PictureLike
 from omtwarp.texturing.painted import PaintedMesh
 from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.seams import shares_of_corners
@@ -277,7 +257,7 @@ class _Painting:
         assert self.own is not None  # checked before
         mesh = self.own
         uv = mesh.require_uv()
-        which, tiled = tiled_copies(uv)
+        which, tiled = baking.tiled_copies(uv)
         if isinstance(self.rotate, str):
             raise OmtwarpError(f"rotate '{self.rotate}': give degrees or a matrix for own texture coordinates")
         tangents = self._tangents(mesh)
@@ -290,12 +270,12 @@ class _Painting:
                 materials.append(material)
                 continue
             extent = _extent(material, self.size)
-            color = None if draw is None else with_opacity(draw(which[mine], tiled[mine], extent))
-            doubled = max(doubled, overlap(tiled[mine], *extent, self.where))
+            color = None if draw is None else pictures.with_opacity(draw(which[mine], tiled[mine], extent))
+            doubled = max(doubled, baking.overlap(tiled[mine], *extent, self.where))
             target = self._target(tiled[mine], which[mine], extent)
             at = None if tangents is None else tangents[which[mine]]
             if color is not None and self.keep is not None:
-                inside = covered(tiled[mine], extent, device=self.where)[..., None]
+                inside = baking.covered(tiled[mine], extent, device=self.where)[..., None]
                 base = self._base(color, mesh, which[mine], tiled[mine], material, extent)
                 color = np.where(inside, self._together(color, base), base)
             materials.append(self._finish(material, color, target, at))
@@ -315,19 +295,19 @@ class _Painting:
             own, shown = self.torus.corners, Material(picture=self._textured(self.torus, None).image)
 
             def on_torus(which: NDArray, uv: Floats, size: tuple[int, int]) -> Picture:
-                layout = Layout(uv, *size, self.where, PADDING)
+                layout = baking.Layout(uv, *size, self.where, PADDING)
                 one = np.zeros(len(which), dtype=np.int32)
-                return bake_materials(layout, own[which], one, (shown,), None, PADDING)
+                return baking.bake_materials(layout, own[which], one, (shown,), None, PADDING)
 
             return on_torus
-        turn = rotation_matrix(cast(ArrayLike | None, self.rotate))
+        turn = pictures.rotation_matrix(cast(ArrayLike | None, self.rotate))
         parts = next((n for n in (4, 2) if n * n * len(self.faces) <= most_divided), 1)
         smooth = smooth_map(self.vertices, self.faces, self.sphere, parts)
 
         def on_sphere(which: NDArray, uv: Floats, size: tuple[int, int]) -> Picture:
             faces, finer = _divided(smooth, which, uv)
             source = cast("Source", self.pattern if self.image is None else self.image)
-            return bake_to_uv(
+            return baking.bake_to_uv(
                 source, smooth.sphere, faces, finer, size=size, rotation=turn, projection=self.projection,
                 padding=PADDING, device=self.where,
             )  # fmt: skip
@@ -340,17 +320,17 @@ class _Painting:
         """Return a material's own colours on its own coordinates."""
         if material.picture is None and mesh.vertex_colors is not None:
             colors = mesh.vertex_colors[mesh.faces[which]] / 255.0
-            layout = Layout(tiled, *size, self.where, PADDING)
-            return bake_materials(layout, None, np.zeros(len(tiled), np.int32), (material,), colors, PADDING)
+            layout = baking.Layout(tiled, *size, self.where, PADDING)
+            return baking.bake_materials(layout, None, np.zeros(len(tiled), np.int32), (material,), colors, PADDING)
         flat = np.broadcast_to(np.array(material.color, np.float32), like.shape)
         if material.picture is None:
             return flat
-        return tinted(_resized(material.picture, size), np.array(material.color, dtype=np.float32))
+        return baking.tinted(_resized(material.picture, size), np.array(material.color, dtype=np.float32))
 
     def _together(self, pattern: NDArray[np.float32], base: NDArray[np.float32]) -> NDArray[np.float32]:
         if self.keep == "over":
-            return over(pattern, base, self.opacity)
-        return over(base, pattern, self.opacity)
+            return baking.over(pattern, base, self.opacity)
+        return baking.over(base, pattern, self.opacity)
 
     def _target(self, uv: Floats, which: NDArray, size: tuple[int, int]) -> bakes.Target:
         normals = vertex_normals(self.vertices, self.faces)
@@ -371,7 +351,7 @@ class _Painting:
     ) -> Material:
         """Complete a material by its new colour and the bakes that were asked for."""
         if color is not None:
-            finished = replace(material, picture=without_full_opacity(as_bytes(color)), color=WHITE)
+            finished = replace(material, picture=pictures.without_full_opacity(pictures.as_bytes(color)), color=WHITE)
         elif self.color == "normal":
             finished = replace(material, picture=bakes.object_normals(target), color=WHITE)
         elif self.color is not None:
@@ -396,12 +376,12 @@ class _Painting:
         else:
             sheet = _sheet(self._textured((self.vertices, self.faces, self.sphere), self.size))
         mesh = self._mesh_of(sheet)
-        which, uv = tiled_copies(sheet.uv) if sheet.repeats else (np.arange(len(sheet.faces)), sheet.uv)
+        which, uv = baking.tiled_copies(sheet.uv) if sheet.repeats else (np.arange(len(sheet.faces)), sheet.uv)
         height, width = sheet.picture.shape[:2]
         face, weights = sheet.source_face[which], sheet.weights[which]
         points = sheet.vertices[sheet.faces[which]]
         target = bakes.Target(uv, points, sheet.normals[which], face, weights, (width, height), self.where)
-        color = with_opacity(as_floats(sheet.picture)) if self.drawn else None
+        color = pictures.with_opacity(pictures.as_floats(sheet.picture)) if self.drawn else None
         if color is not None and self.keep is not None and self.own is not None:
             color = self._together(color, self._atlas_base(self.own, target))
         tangents = self._tangents(mesh)
@@ -493,11 +473,11 @@ class _Painting:
 
     def _atlas_base(self, own: PaintedMesh, target: bakes.Target) -> NDArray[np.float32]:
         """Return the colours that a mesh's own materials have on its atlas."""
-        layout = Layout(target.uv, *target.size, self.where)
+        layout = baking.Layout(target.uv, *target.size, self.where)
         at = None if own.uv is None else np.einsum("tij,tjc->tic", target.weights, own.uv[target.face])
         colors = None if own.vertex_colors is None else target.spread(own.vertex_colors / 255.0, self.faces)
         at = None if at is None else np.nan_to_num(at)
-        return bake_materials(layout, at, own.material_of[target.face], own.materials, colors, -1)
+        return baking.bake_materials(layout, at, own.material_of[target.face], own.materials, colors, -1)
 
 
 def _extent(material: Material, size: int | None) -> tuple[int, int]:
@@ -520,7 +500,7 @@ def _resized(picture: Bytes, size: tuple[int, int]) -> NDArray[np.float32]:
 
     if picture.shape[1::-1] != size:
         picture = np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.LANCZOS))
-    return with_opacity(as_floats(read_image(picture)))
+    return pictures.with_opacity(pictures.as_floats(pictures.read_image(picture)))
 
 
 def _divided(smooth: SmoothMap, which: NDArray, uv: Floats) -> tuple[Ints, Floats]:

@@ -20,29 +20,13 @@ from omtwarp.mesh.arrays import Bytes, Floats, HasTriangles, Ints, real_number, 
 from omtwarp.mesh.surface import as_faces, as_unit_vectors, unit_normals, vertex_normals
 from omtwarp.mesh.write import write_mesh
 from omtwarp.options import AtlasLike, PatternLike, ProjectionLike, TextureFormat
+from omtwarp.texturing import atlas as layouts, image as pictures
 from omtwarp.texturing.adaptive import BentLook, bake_bytes
-from omtwarp.texturing.atlas import (
-    LARGEST_SIZE,
-    LARGEST_UNASKED,
-    Atlas,
-    Equirectangular,
-    check_size,
-    is_power_of_two,
-    make_atlas,
-    picture_size,
-    sharp_size,
-)
+from omtwarp.texturing.atlas import Atlas, Equirectangular
 from omtwarp.texturing.bakes import least_visible_meridian
 from omtwarp.texturing.baking import Look, sample
 from omtwarp.texturing.export import Material, Part, export, format_for, split_corners
-from omtwarp.texturing.image import (
-    PictureLike,
-    as_bytes,
-    check_projection,
-    read_image,
-    rotation_matrix,
-    without_full_opacity,
-)
+from omtwarp.texturing.image import PictureLike
 from omtwarp.texturing.patterns import Pattern, pattern as by_name
 from omtwarp.texturing.seams import unwrap
 from omtwarp.texturing.smooth import smooth_curves
@@ -128,7 +112,7 @@ class TexturedSurface:
         else:
             values = sample(self.image, self.original_sphere @ self.rotation, self.atlas, device="cpu")
         colours = np.full((len(values), 4), 255, dtype=np.uint8)
-        colours[:, : values.shape[1]] = as_bytes(values)
+        colours[:, : values.shape[1]] = pictures.as_bytes(values)
         return colours
 
     def pil(self) -> Image:
@@ -267,12 +251,12 @@ def texture(
         across = _check_for_torus(size, (projection, atlas, rotate, seam_longitude))
         return texture_torus(result, image, pattern, across)
     vertices, faces, sphere = as_map(result)
-    check_projection(projection)
+    pictures.check_projection(projection)
     rotation = _rotation(rotate, vertices, faces, sphere)
     seam = _seam(seam_longitude, vertices, faces, sphere, rotation) if str(atlas) == "equirectangular" else np.pi
     chosen: int | tuple[int, int] | None
     if isinstance(size, str) or (size is None and image is None):
-        chosen = sharp_size(vertices, faces, sphere, make_atlas(atlas).name, _largest_size(size))[0]
+        chosen = layouts.sharp_size(vertices, faces, sphere, layouts.make_atlas(atlas).name, _largest_size(size))[0]
     else:
         chosen = size
     source, layout, texels = _source(image, pattern, projection, atlas, chosen, seam)
@@ -294,7 +278,7 @@ def texture(
         faces=cut.faces,
         uv=cut.uv,
         normals=unit_normals(cut.weights @ vertex_normals(vertices, faces)),
-        image=np.ascontiguousarray(without_full_opacity(texels)),
+        image=np.ascontiguousarray(pictures.without_full_opacity(texels)),
         wraps=layout.wraps,
         wraps_rows=False,
         sphere=cut.sphere,
@@ -319,7 +303,7 @@ def texture_torus(
     if image is None:
         picture = torus_pattern(str(pattern or "circles"), result.lattice, size)
     else:
-        picture = as_bytes(read_image(image))
+        picture = pictures.as_bytes(pictures.read_image(image))
     coordinates, wraps, faces = result.coordinates, result.wraps, result.faces
     whole = wraps - np.floor((coordinates[faces] + wraps).min(axis=1, keepdims=True))
     rows, welded, uv = split_corners(faces, coordinates[faces] + whole, len(result.vertices))
@@ -361,8 +345,8 @@ def torus_pattern(name: str, lattice: Floats, size: int | None = None) -> Bytes:
     ratio = float(along[1] / along[0])
     # Texels, of a pattern, as many as a pattern 2048 wide has on the sphere
     wide = _nearest_power(np.sqrt((1 << 21) / ratio)) if size is None else size
-    high = _nearest_power(wide * ratio) if is_power_of_two(wide) else round(wide * ratio)
-    width, height = check_size((max(wide, 16), max(high, 16)))
+    high = _nearest_power(wide * ratio) if layouts.is_power_of_two(wide) else round(wide * ratio)
+    width, height = layouts.check_size((max(wide, 16), max(high, 16)))
     u = (np.arange(width) + 0.5) / width
     v = 1.0 - (np.arange(height) + 0.5) / height
     turn = 2.0 * np.pi * v[:, None]
@@ -428,7 +412,7 @@ def _largest_size(asked: object) -> int:
     """Return the limit of a size that is chosen: larger where ``auto`` asks for it than where nothing was said."""
     if asked not in (None, "auto"):
         raise OmtwarpError(f"texture size '{asked}': give texels, or auto")
-    return LARGEST_UNASKED if asked is None else LARGEST_SIZE
+    return layouts.LARGEST_UNASKED if asked is None else layouts.LARGEST_SIZE
 
 
 def _source(
@@ -442,9 +426,9 @@ def _source(
     """Return a texture's source and layout, and its texels where the picture's bytes must not change."""
     if image is None:
         chosen = "circles" if pattern is None else pattern
-        return by_name(chosen) if isinstance(chosen, str) else chosen, make_atlas(atlas, size, seam=seam), None
-    picture = read_image(image)
-    layout = make_atlas(atlas, _natural_size(picture, atlas) if size is None else size, seam=seam)
+        return by_name(chosen) if isinstance(chosen, str) else chosen, layouts.make_atlas(atlas, size, seam=seam), None
+    picture = pictures.read_image(image)
+    layout = layouts.make_atlas(atlas, _natural_size(picture, atlas) if size is None else size, seam=seam)
     unchanged = isinstance(layout, Equirectangular) and projection == "equirectangular"
     if unchanged and picture.shape[:2] == (layout.height, layout.width):
         return picture, *_shifted(picture, seam)
@@ -457,10 +441,10 @@ def _rotation(rotate: ArrayLike | str | None, vertices: Floats, faces: Ints, sph
     ``auto`` turns its left and right borders, at longitude 180 degrees, to the least visible meridian.
     """
     if not isinstance(rotate, str):
-        return rotation_matrix(rotate)
+        return pictures.rotation_matrix(rotate)
     if rotate != "auto":
         raise OmtwarpError(f"rotate '{rotate}': give degrees, a matrix, or auto")
-    return rotation_matrix(np.rad2deg(least_visible_meridian(vertices, faces, sphere)) - 180.0)
+    return pictures.rotation_matrix(np.rad2deg(least_visible_meridian(vertices, faces, sphere)) - 180.0)
 
 
 def _shifted(picture: NDArray, seam: float) -> tuple[Equirectangular, Bytes]:
@@ -471,7 +455,7 @@ def _shifted(picture: NDArray, seam: float) -> tuple[Equirectangular, Bytes]:
     height, width = picture.shape[:2]
     columns = round((seam - np.pi) / (2.0 * np.pi) * width)
     layout = Equirectangular(width, height, np.pi + 2.0 * np.pi * columns / width)
-    return layout, np.roll(as_bytes(picture), -columns, axis=1)
+    return layout, np.roll(pictures.as_bytes(picture), -columns, axis=1)
 
 
 def as_map(result: SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike]) -> tuple[Floats, Ints, Floats]:
@@ -523,4 +507,4 @@ def _natural_size(picture: NDArray, atlas: str) -> int | tuple[int, int] | None:
         return (width, height) if min(width, height) >= 16 else (max(width, 64), max(height, 32))
     share = octahedral_share if atlas == "octahedral" else cube_share
     # Most side, texels of a picture's own size: what browsers and game engines load (WebGL 2)
-    return picture_size(share * width, atlas, 16384)[0]
+    return layouts.picture_size(share * width, atlas, 16384)[0]
