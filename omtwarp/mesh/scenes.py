@@ -13,7 +13,7 @@ import json
 import logging
 import struct
 import zipfile
-from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 from urllib.parse import unquote
@@ -39,111 +39,109 @@ Document: TypeAlias = dict
 """A glTF file's JSON, or an entry of it; names are those of the specification (glTF 2.0, section 5)."""
 
 
-def with_plain_accessors(data: bytes, document: Document, binary: bool, named: Callable[[str], bytes]) -> bytes:
-    """Write out sparse arrays, and normalised whole numbers of positions, normals and texture coordinates as floats.
+class GltfInput:
+    """A glTF file (glTF 2.0): its JSON, and its buffers, each read when it is asked for first.
 
     Args:
         data: the file.
-        document: its JSON, which is changed.
-        binary: whether the file is a ``.glb``.
-        named: reads a file that the document names.
+        suffix: ``glb`` or ``gltf``.
+        file: where it came from; files that it names lie in its directory or below.
 
-    Returns:
-        The file with these arrays in one more buffer; the data themselves where there is none of them.
+    Attributes:
+        document: its JSON, which may be changed before the file is :meth:`encoded` again.
 
     Raises:
-        OmtwarpError: a sparse array replaces rows that it does not have, or arrays are too large.
-        LookupError: the document refers to what is not there.
-        ValueError: an array is not as long as announced.
+        OmtwarpError: the file is shorter than its header says.
+        ValueError: it is no such file.
     """
-    accessors = document.get("accessors", [])
-    scaled = {
-        number
-        for mesh in document.get("meshes", [])
-        for primitive in mesh.get("primitives", [])
-        for name, number in primitive.get("attributes", {}).items()
-        if name.startswith(("POSITION", "NORMAL", "TEXCOORD_"))
-    }
-    wanted = [k for k, one in enumerate(accessors) if "sparse" in one or (k in scaled and one.get("normalized"))]
-    if not wanted:
-        return data
-    buffers = _Buffers(document, _binary_chunk(data) if binary else b"", named)
-    content = b""
-    views = document.setdefault("bufferViews", [])
-    number = len(document.setdefault("buffers", []))
-    for k in wanted:
-        array = _array(accessors[k], buffers)
-        if k in scaled and accessors[k].get("normalized"):
-            array = _unit_range(array)
-            # Float: the componentType of single precision
-            accessors[k] |= {"componentType": 5126, "normalized": False}
-        for key in ("sparse", "byteOffset"):
-            accessors[k].pop(key, None)
-        accessors[k]["bufferView"] = len(views)
-        views.append({"buffer": number, "byteOffset": len(content), "byteLength": array.nbytes})
-        content += array.tobytes() + bytes(-array.nbytes % 4)
-    uri = "data:application/octet-stream;base64," + base64.b64encode(content).decode("ascii")
-    document["buffers"].append({"byteLength": len(content), "uri": uri})
-    return with_document(data, document, binary)
 
+    def __init__(self, data: bytes, suffix: str, file: Path):
+        self.file, self.chunks = file, b""
+        if suffix == "glb":  # section 4.4
+            magic, _, length, size, _ = struct.unpack("<4sIIII", data[:20].ljust(20, b"\0"))
+            if magic != b"glTF":
+                raise ValueError("no header of a binary glTF file")
+            if len(data) < length or len(data) < 20 + size:
+                raise OmtwarpError(f"cut short: {max(length, 20 + size)} bytes announced, {len(data)} there")
+            data, self.chunks = data[20 : 20 + size], data[20 + size :]
+        self.binary = suffix == "glb"
+        self.document: Document = json.loads(data)
+        if not isinstance(self.document, dict):
+            raise ValueError("its JSON is no object")
+        self.known: dict[int, bytes] = {}
+        self.left = LARGEST_MESH_FILE  # bytes that arrays may still take
 
-def with_document(data: bytes, document: Document, binary: bool) -> bytes:
-    """Return a glTF file with other JSON; arguments are those of :func:`with_plain_accessors`."""
-    text = json.dumps(document).encode("utf-8")
-    if not binary:
-        return text
-    text += b" " * (-len(text) % 4)
-    head = struct.calcsize("<4sIII4s")  # of the file and of its first chunk
-    chunks = data[head + struct.unpack("<I", data[12:16])[0] :]
-    return struct.pack("<4sIII4s", b"glTF", 2, head + len(text) + len(chunks), len(text), b"JSON") + text + chunks
+    def encoded(self) -> bytes:
+        """Return the file with its JSON as it is now."""
+        text = json.dumps(self.document).encode("utf-8")
+        if not self.binary:
+            return text
+        text += b" " * (-len(text) % 4)
+        length = 20 + len(text) + len(self.chunks)
+        return struct.pack("<4sIII4s", b"glTF", 2, length, len(text), b"JSON") + text + self.chunks
 
+    def write_out_arrays(self) -> None:
+        """Write out sparse arrays, and as floats normalised whole numbers: positions, normals and texture coordinates.
 
-def _binary_chunk(data: bytes) -> bytes:
-    """Return the bytes of a ``.glb`` behind its JSON; none where it has none."""
-    place = 12  # behind the header
-    while place + 8 <= len(data):
-        length, kind = struct.unpack("<I4s", data[place : place + 8])
-        place += 8
-        if kind == b"BIN\0":
-            return data[place : place + length]
-        place += length
-    return b""
+        They go to one more buffer.
 
+        Raises:
+            OmtwarpError: a sparse array replaces rows that it does not have, or arrays are too large.
+            LookupError: the document refers to what is not there.
+            ValueError: an array is not as long as announced.
+        """
+        accessors = self.document.get("accessors", [])
+        scaled = {
+            number
+            for mesh in self.document.get("meshes", [])
+            for primitive in mesh.get("primitives", [])
+            for name, number in primitive.get("attributes", {}).items()
+            if name.startswith(("POSITION", "NORMAL", "TEXCOORD_"))
+        }
+        wanted = [k for k, one in enumerate(accessors) if "sparse" in one or (k in scaled and one.get("normalized"))]
+        if not wanted:
+            return
+        content, views = b"", self.document.setdefault("bufferViews", [])
+        number = len(self.document.setdefault("buffers", []))
+        for k in wanted:
+            array = self._array(accessors[k])
+            if k in scaled and accessors[k].get("normalized"):
+                array = _unit_range(array)
+                # Float: the componentType of single precision
+                accessors[k] |= {"componentType": 5126, "normalized": False}
+            for key in ("sparse", "byteOffset"):
+                accessors[k].pop(key, None)
+            accessors[k]["bufferView"] = len(views)
+            views.append({"buffer": number, "byteOffset": len(content), "byteLength": array.nbytes})
+            content += array.tobytes() + bytes(-array.nbytes % 4)
+        uri = "data:application/octet-stream;base64," + base64.b64encode(content).decode("ascii")
+        self.document["buffers"].append({"byteLength": len(content), "uri": uri})
 
-def pictures_of(
-    data: bytes, document: Document, binary: bool, named: Callable[[str], bytes]
-) -> Callable[[int], bytes | None]:
-    """Return a function that gives the bytes of a picture of a glTF file by its number, None for unread formats.
-
-    Args:
-        data: the file.
-        document: its JSON.
-        binary: whether the file is a ``.glb``.
-        named: reads a file that the document names.
-    """
-    buffers = _Buffers(document, _binary_chunk(data) if binary else b"", named)
-
-    def picture(number: int) -> bytes | None:
-        entry = document["images"][number]
+    def picture(self, number: int) -> bytes | None:
+        """Return the bytes of a picture; None for a format that is not read, and for a file that is not there."""
+        entry = self.document["images"][number]
         uri = entry.get("uri", "")
         if entry.get("mimeType") == "image/ktx2" or not ("bufferView" in entry or uri):
             return None
         if "bufferView" in entry:
-            return buffers.view(entry["bufferView"])[0]
-        return base64.b64decode(uri.partition("base64,")[2]) if uri.startswith("data:") else named(uri)
+            return self._view(entry["bufferView"])[0]
+        if uri.startswith("data:"):
+            return base64.b64decode(uri.partition("base64,")[2])
+        there = file_beside(self.file, unquote(uri))
+        return None if there is None else read_bytes(there, LARGEST_MESH_FILE)
 
-    return picture
+    def named(self, name: str) -> bytes:
+        """Read a file that the document names.
 
+        Raises:
+            OmtwarpError: the file is elsewhere than in its directory or below, is no regular file, or is not there.
+        """
+        there = file_beside(self.file, unquote(name))
+        if there is None:
+            raise OmtwarpError(f"names '{name}', which is not there")
+        return read_bytes(there, LARGEST_MESH_FILE)
 
-class _Buffers:
-    """The buffers of a glTF file, each read when it is asked for first."""
-
-    def __init__(self, document: Document, chunk: bytes, named: Callable[[str], bytes]):
-        self.document, self.chunk, self.named = document, chunk, named
-        self.known: dict[int, bytes] = {}
-        self.left = LARGEST_MESH_FILE  # bytes that arrays may still take
-
-    def view(self, number: int) -> tuple[bytes, int]:
+    def _view(self, number: int) -> tuple[bytes, int]:
         """Return a view's bytes, and how many lie between the beginnings of its rows, 0 for none but their own."""
         view = self.document["bufferViews"][number]
         start = view.get("byteOffset", 0)
@@ -153,14 +151,59 @@ class _Buffers:
         if number not in self.known:
             uri = self.document["buffers"][number].get("uri")
             if uri is None:
-                self.known[number] = self.chunk
+                self.known[number] = self._chunk()
             elif "base64," in uri:
                 self.known[number] = base64.b64decode(uri.partition("base64,")[2])
             else:
                 self.known[number] = self.named(uri)
         return self.known[number]
 
-    def take(self, size: int) -> None:
+    def _chunk(self) -> bytes:
+        """Return the bytes of a ``.glb`` behind its JSON; none where it has none."""
+        place = 0
+        while place + 8 <= len(self.chunks):
+            length, kind = struct.unpack("<I4s", self.chunks[place : place + 8])
+            place += 8
+            if kind == b"BIN\0":
+                return self.chunks[place : place + length]
+            place += length
+        return b""
+
+    def _array(self, accessor: Document) -> Numbers:
+        """Read the array of an accessor, shape [count, width].
+
+        Raises:
+            OmtwarpError: it replaces rows that it does not have, or is too large.
+        """
+        kind, width, count = np.dtype(_TYPES[accessor["componentType"]]), _WIDTHS[accessor["type"]], accessor["count"]
+        self._take(count * width * kind.itemsize)
+        array = np.zeros((count, width), dtype=kind)
+        if "bufferView" in accessor:
+            content, stride = self._view(accessor["bufferView"])
+            start = accessor.get("byteOffset", 0)
+            size = stride or width * kind.itemsize
+            row = np.dtype({"names": ["row"], "formats": [(kind, (width,))], "itemsize": size})
+            content = content[start:].ljust(count * size * bool(stride), b"\0")  # the last row may end early
+            array[:] = np.frombuffer(content, dtype=row, count=count)["row"]
+        sparse = accessor.get("sparse")
+        if sparse is not None:
+            numbers = np.dtype(_TYPES[sparse["indices"]["componentType"]])
+            rows = self._packed(sparse["indices"], numbers, sparse["count"], 1)
+            values = self._packed(sparse["values"], kind, sparse["count"], width)
+            array[whole_numbers(rows[:, 0], "rows of a sparse array", (None,), below=count)] = values
+        return array
+
+    def _packed(self, part: Document, kind: np.dtype, count: int, width: int) -> Numbers:
+        """Read rows that lie side by side, shape [count, width].
+
+        Raises:
+            OmtwarpError: they are too many.
+        """
+        self._take(count * width * kind.itemsize)
+        content, _ = self._view(part["bufferView"])
+        return np.frombuffer(content, kind, count * width, part.get("byteOffset", 0)).reshape(count, width)
+
+    def _take(self, size: int) -> None:
         """Count bytes of an array.
 
         Raises:
@@ -171,42 +214,6 @@ class _Buffers:
             raise OmtwarpError("damaged: a negative number of rows in a sparse array")
         if self.left < 0:
             raise OmtwarpError(f"its sparse arrays take more than {amount(LARGEST_MESH_FILE)}, which is the most")
-
-
-def _array(accessor: Document, buffers: _Buffers) -> Numbers:
-    """Read the array of an accessor, shape [count, width].
-
-    Raises:
-        OmtwarpError: it replaces rows that it does not have, or is too large.
-    """
-    kind, width, count = np.dtype(_TYPES[accessor["componentType"]]), _WIDTHS[accessor["type"]], accessor["count"]
-    buffers.take(count * width * kind.itemsize)
-    array = np.zeros((count, width), dtype=kind)
-    if "bufferView" in accessor:
-        content, stride = buffers.view(accessor["bufferView"])
-        start = accessor.get("byteOffset", 0)
-        size = stride or width * kind.itemsize
-        row = np.dtype({"names": ["row"], "formats": [(kind, (width,))], "itemsize": size})
-        content = content[start:].ljust(count * size * bool(stride), b"\0")  # the last row may end early
-        array[:] = np.frombuffer(content, dtype=row, count=count)["row"]
-    sparse = accessor.get("sparse")
-    if sparse is None:
-        return array
-    rows = _packed(sparse["indices"], np.dtype(_TYPES[sparse["indices"]["componentType"]]), sparse["count"], 1, buffers)
-    values = _packed(sparse["values"], kind, sparse["count"], width, buffers)
-    array[whole_numbers(rows[:, 0], "rows of a sparse array", (None,), below=count)] = values
-    return array
-
-
-def _packed(part: Document, kind: np.dtype, count: int, width: int, buffers: _Buffers) -> Numbers:
-    """Read rows that lie side by side, shape [count, width].
-
-    Raises:
-        OmtwarpError: they are too many.
-    """
-    buffers.take(count * width * kind.itemsize)
-    content, _ = buffers.view(part["bufferView"])
-    return np.frombuffer(content, kind, count * width, part.get("byteOffset", 0)).reshape(count, width)
 
 
 def _unit_range(array: Numbers) -> NDArray[np.float32]:
@@ -223,10 +230,6 @@ ROLES = ("baseColorTexture", "metallicRoughnessTexture", "normalTexture", "occlu
 _READ = ("KHR_mesh_quantization", "EXT_texture_webp", "KHR_materials_", "KHR_lights_")
 # Parts that change where a picture lies or how it is stored, and nothing about triangles.
 _OF_PICTURES = ("KHR_texture_", "EXT_texture_", "MSFT_texture_")
-
-
-class MissingFile(OmtwarpError):
-    """A file that a mesh file names is not there."""
 
 
 def scene_formats() -> set[str]:
@@ -266,7 +269,7 @@ def load_scene(data: bytes, file: Path, suffix: str, *, pictures: bool = True) -
         def get(self, name: str) -> bytes:
             if suffix != "gltf":
                 raise OmtwarpError(f"names '{name}', which is not read with a .{suffix}")
-            return named(name)
+            return gltf.named(name)
 
         def namespaced(self, _namespace: str) -> Buffers:
             return self
@@ -277,18 +280,18 @@ def load_scene(data: bytes, file: Path, suffix: str, *, pictures: bool = True) -
         def write(self, name: str, data: object) -> None:
             raise OmtwarpError(f"{name}: not written, as the scene is only read")
 
-    named = reader_beside(file)
     if suffix in ("glb", "gltf"):
-        header = gltf_header(data, suffix)
+        gltf = GltfInput(data, suffix, file)
         read = (*_READ, *(() if pictures else _OF_PICTURES))
-        unknown = [str(name) for name in header.get("extensionsRequired", []) if not str(name).startswith(read)]
+        required = gltf.document.get("extensionsRequired", [])
+        unknown = [str(name) for name in required if not str(name).startswith(read)]
         if unknown:
             raise OmtwarpError(f"needs {unknown[0]}, which is not read: save it without compression and extensions")
-        data = with_plain_accessors(data, header, suffix == "glb", named)
-        if header.pop("images", None) or header.get("materials"):
-            for number, material in enumerate(header.get("materials", [])):
-                material["name"] = str(number)
-            data = with_document(data, header, suffix == "glb")
+        gltf.write_out_arrays()
+        gltf.document.pop("images", None)
+        for number, material in enumerate(gltf.document.get("materials", [])):
+            material["name"] = str(number)
+        data = gltf.encoded()
     if data.startswith(b"PK"):
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             total = sum(entry.file_size for entry in archive.infolist())
@@ -299,23 +302,8 @@ def load_scene(data: bytes, file: Path, suffix: str, *, pictures: bool = True) -
         return trimesh.load_scene(io.BytesIO(data), file_type=suffix, resolver=Buffers(), process=False)
 
 
-def reader_beside(file: Path) -> Callable[[str], bytes]:
-    """Return a function that reads a file that a mesh file names, in its directory or below.
-
-    The function raises an OmtwarpError where the file is elsewhere, is no regular file, or is not there.
-    """
-
-    def read(name: str) -> bytes:
-        there = file_beside(file, unquote(name))
-        if there is None:
-            raise MissingFile(f"names '{name}', which is not there")
-        return read_bytes(there, LARGEST_MESH_FILE)
-
-    return read
-
-
-def gltf_pictures(data: bytes, file: Path, suffix: str) -> list[dict[str, bytes]]:
-    """Return the encoded pictures of every material of a glTF file by the names of their roles.
+def gltf_pictures(data: bytes, file: Path, suffix: str) -> list[tuple[Document, dict[str, bytes]]]:
+    """Return every material of a glTF file, and its encoded pictures by the names of their roles.
 
     Pictures that are not there are left out, and so are those of formats that glTF 2.0 does not know.
 
@@ -323,54 +311,22 @@ def gltf_pictures(data: bytes, file: Path, suffix: str) -> list[dict[str, bytes]
         OmtwarpError: the file names one that is elsewhere than in its directory, or is no regular file.
         LookupError: the document refers to what is not there.
     """
-    document = gltf_header(data, suffix)
-    picture = pictures_of(data, document, suffix == "glb", reader_beside(file))
-    known: dict[int, bytes | None] = {}
-    pictures: list[dict[str, bytes]] = []
-    for material in document.get("materials", []):
+    gltf = GltfInput(data, suffix, file)
+    picture = cache(gltf.picture)
+    pictures: list[tuple[Document, dict[str, bytes]]] = []
+    for material in gltf.document.get("materials", []):
         uses: dict[str, object] = {**material.get("pbrMetallicRoughness", {}), **material}
-        pictures.append({})
+        pictures.append((material, {}))
         for role in ROLES:
             used = uses.get(role)
             if not isinstance(used, dict) or "index" not in used:
                 continue
-            entry = document["textures"][used["index"]]  # as WebP where it has it so
+            entry = gltf.document["textures"][used["index"]]  # as WebP where it has it so
             number = entry.get("extensions", {}).get("EXT_texture_webp", entry).get("source")
-            if number is None:
-                continue
-            if number not in known:
-                try:
-                    known[number] = picture(number)
-                except MissingFile:
-                    known[number] = None
-            content = known[number]
+            content = None if number is None else picture(number)
             if content:
-                pictures[-1][role] = content
+                pictures[-1][1][role] = content
     return pictures
-
-
-def gltf_header(data: bytes, suffix: str) -> Document:
-    """Return the JSON of a glTF file (glTF 2.0 specification, section 4.4).
-
-    Raises:
-        OmtwarpError: the file is shorter than its header says.
-        ValueError: it is no such file.
-    """
-    if suffix == "gltf":
-        return _document(data)
-    magic, _, length, size, _ = struct.unpack("<4sIIII", data[:20].ljust(20, b"\0"))
-    if magic != b"glTF":
-        raise ValueError("no header of a binary glTF file")
-    if len(data) < length or len(data) < 20 + size:
-        raise OmtwarpError(f"cut short: {max(length, 20 + size)} bytes announced, {len(data)} there")
-    return _document(data[20 : 20 + size])
-
-
-def _document(text: bytes) -> Document:
-    document = json.loads(text)
-    if not isinstance(document, dict):
-        raise ValueError("its JSON is no object")
-    return document
 
 
 def placed_meshes(scene: trimesh.Scene) -> list[tuple[str, trimesh.Trimesh, Floats, NDArray[np.int64]]]:

@@ -22,7 +22,7 @@ from omtwarp.mesh.arrays import Bytes, Floats, Ints, whole_numbers
 from omtwarp.mesh.ply import Column, ply_columns, polygons_of
 from omtwarp.mesh.polygons import fans, taken_together
 from omtwarp.mesh.read import mesh_content, read_mesh, require_counted_from_one, utf8
-from omtwarp.mesh.scenes import gltf_header, gltf_pictures, load_scene, placed_meshes, scene_formats
+from omtwarp.mesh.scenes import gltf_pictures, load_scene, placed_meshes, scene_formats
 from omtwarp.texturing.export import Material
 from omtwarp.texturing.image import as_bytes, decoded, read_image, with_opacity
 from omtwarp.texturing.painted import PaintedMesh, corners_of, joined_seams
@@ -451,9 +451,8 @@ def gltf_materials(data: bytes, file: Path, suffix: str) -> list[GltfLook]:
             known[id(content)] = as_bytes(decoded(io.BytesIO(content), "a picture in it"))
         return known[id(content)]
 
-    materials = gltf_header(data, suffix).get("materials", [])
     looks = []
-    for material, pictures in zip(materials, gltf_pictures(data, file, suffix), strict=True):
+    for material, pictures in gltf_pictures(data, file, suffix):
         factor = material.get("pbrMetallicRoughness", {}).get("baseColorFactor")
         exact = np.clip(np.asarray(factor, dtype=np.float64), 0.0, 1.0) if factor and len(factor) == 4 else None
         by_role = {role: picture(content) for role, content in pictures.items()}
