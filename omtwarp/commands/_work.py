@@ -42,16 +42,12 @@ def facts_of(result: AnyMap, output: Path, report: Path | None = None) -> dict:
     whole = cast("MapReport", result.report)
     parts = whole.get("parts", [])
     reports = [whole, *parts]
-    errors = [
-        stage["largest_area_error"] for each in reports for stage in each["stages"] if "largest_area_error" in stage
-    ]
+    errors = [stage.get("largest_area_error") for each in reports for stage in each["stages"]]
     apart = getattr(result, "cap_centres", None) is None  # not side by side on one sphere
     gaps = [each.get("optimality", {}).get("gap") for each in reports]  # the bound is on squared distances only
     return {
         "output": str(output),
         "report": None if report is None else str(report),
-        "vertices": len(result.vertices),
-        "faces": len(result.faces),
         **_counts(result),
         "bijective": certificate.bijective,
         "flips": certificate.flips,
@@ -60,14 +56,14 @@ def facts_of(result: AnyMap, output: Path, report: Path | None = None) -> dict:
         "domain": str(getattr(result, "domain", Domain.SPHERE)),
         "area": last["area"]["surface"],
         "angle": last["angle"]["surface"],
-        "largest_area_error": max(errors, default=None),
+        "largest_area_error": max((error for error in errors if error is not None), default=None),
         "gap": max((gap for gap in gaps if gap is not None), default=None),
         "seconds": result.report["seconds"],
     }
 
 
 def _counts(result: AnyMap) -> dict[str, int]:
-    """Count the copies of vertices along cuts, new vertices, and the faces that triangles are parts of."""
+    """Count vertices, faces, copies of vertices along cuts, new ones, and the faces that triangles are parts of."""
     import numpy as np
 
     of_vertices, of_faces = result.vertex_origin, result.face_origin
@@ -75,28 +71,27 @@ def _counts(result: AnyMap) -> dict[str, int]:
     if of_vertices is not None:
         known = of_vertices[of_vertices >= 0]
         copied, new = len(known) - len(np.unique(known)), len(of_vertices) - len(known)
-    faces = len(result.faces)
-    if of_faces is not None:
-        faces = len(np.unique(of_faces[of_faces >= 0])) + int((of_faces < 0).sum())
-    return {"copied_vertices": copied, "new_vertices": new, "input_faces": faces}
+    vertices, faces = len(result.vertices), len(result.faces)
+    given = faces if of_faces is None else len(np.unique(of_faces[of_faces >= 0])) + int((of_faces < 0).sum())
+    counts = {"vertices": vertices, "faces": faces, "copied_vertices": copied, "new_vertices": new}
+    return counts | {"input_faces": given}
 
 
 def sizes(result: AnyMap) -> str:
     """Return the sizes of a map's mesh in words: those of the input, and what cuts and new vertices added."""
-    return _sizes(len(result.vertices), len(result.faces), **_counts(result))
+    return _sizes(_counts(result))
 
 
-def _sizes(vertices: int, faces: int, copied_vertices: int, new_vertices: int, input_faces: int) -> str:
-    more = [f"{copied_vertices} copies along cuts"] * bool(copied_vertices)
-    more += [f"{new_vertices} new ones"] * bool(new_vertices)
-    line = " and ".join([f"{vertices - copied_vertices - new_vertices} vertices", *more])
-    return f"{line}, {input_faces} faces" + (f" in {faces} parts" if faces > input_faces else "")
+def _sizes(counts: Mapping[str, int]) -> str:
+    copied, new, faces, given = (counts[k] for k in ("copied_vertices", "new_vertices", "faces", "input_faces"))
+    more = [f"{copied} copies along cuts"] * bool(copied) + [f"{new} new ones"] * bool(new)
+    line = " and ".join([f"{counts['vertices'] - copied - new} vertices", *more])
+    return f"{line}, {given} faces" + (f" in {faces} parts" if faces > given else "")
 
 
 def summary(facts: dict) -> str:
     """Return a line for readers about a finished map and its files."""
-    added = facts["copied_vertices"], facts["new_vertices"], facts["input_faces"]
-    line = f"{facts['output']}: {_sizes(facts['vertices'], facts['faces'], *added)}; {quality(facts)}"
+    line = f"{facts['output']}: {_sizes(facts)}; {quality(facts)}"
     return line if facts["report"] is None else f"{line}; report {facts['report']}"
 
 
@@ -220,11 +215,9 @@ def read_sound_mesh(
 
 def of_a_map(path: Path) -> list[str]:
     """Return a note where a file that is read as a mesh is that of a map, whole or not; otherwise none."""
-    from omtwarp.files.inputs import holds_array
-    from omtwarp.maps.result import OF_MAPS
+    from omtwarp.maps.result import is_map_file
 
-    is_map = path.suffix.lower() == ".npz" and holds_array(path, *OF_MAPS)
-    return ["a map's file, of which only the mesh is read"] if is_map else []
+    return ["a map's file, of which only the mesh is read"] if is_map_file(path) else []
 
 
 def outputs_of(meshes: Sequence[Path], output: Output, suffix: str) -> list[Output]:
@@ -259,11 +252,9 @@ def targets_of(source: Source, output: Path, suffix: str, allowed: tuple[str, ..
     Raises:
         OmtwarpError: as of :func:`outputs_of`, one map is given for several meshes, or a file cannot be written.
     """
-    meshes = source.meshes or []
-    if len(meshes) > 1 and source.finished is not None:
-        raise OmtwarpError(
-            f"one map '{source.finished}' cannot be that of {len(meshes)} meshes: give one mesh, or no map"
-        )
+    meshes, one_map = source.meshes or [], source.finished
+    if len(meshes) > 1 and one_map is not None:
+        raise OmtwarpError(f"one map '{one_map}' cannot be that of {len(meshes)} meshes: give one mesh, or no map")
     targets = outputs_of(meshes, output, suffix) if len(meshes) > 1 else [output]
     for target in targets:
         check_output(target, allowed, *source.files, *inputs)
@@ -398,13 +389,11 @@ def make_map(
         target: the density on the sphere.
     """
 
-    with warnings_as_lines(), progress_bar(quiet) as progress:
+    with warnings_as_lines(), progress_bar(quiet) as bar:
         mapped: Callable[..., AnyMap] = omtwarp.map_to_sphere
         if any_surface is not None:
             mapped = partial(omtwarp.map_surface, **any_surface)
-        return mapped(
-            surface, weights=weights, weights_at=weights_at, target=target, progress=progress, **vars(mapping)
-        )
+        return mapped(surface, weights=weights, weights_at=weights_at, target=target, progress=bar, **vars(mapping))
 
 
 def require_bijective(result: AnyMap, path: Path | None = None) -> None:
@@ -429,15 +418,12 @@ def map_from(mesh: Path | None, source: Source, mapping: MapOptions, printing: P
     Raises:
         OmtwarpError: neither or both of mesh and map are given, or the one given cannot be used.
     """
-    from omtwarp.maps.result import OF_MAPS
+    from omtwarp.maps.result import is_map_file
     from omtwarp.maps.torus_map import read_map
 
     finished = source.finished
-    if mesh is not None and finished is None and mesh.suffix.lower() == ".npz":
-        from omtwarp.files.inputs import holds_array
-
-        if holds_array(mesh, *OF_MAPS):
-            mesh, finished = None, mesh  # a map in place of a mesh
+    if mesh is not None and finished is None and is_map_file(mesh):
+        mesh, finished = None, mesh  # a map in place of a mesh
     if finished is not None:
         if mesh is not None:
             raise OmtwarpError(f"both a mesh '{mesh}' and a finished map '{finished}': the map has its mesh, give one")

@@ -91,10 +91,8 @@ def run_benchmark(
     """
 
     given = tuple(workload.meshes or ())
-    if json_output is not None:
-        check_output(json_output, (".json",), *given)
-    if output is not None:
-        check_output(output, (".md", ".markdown", ".txt"), *given)
+    check_output(json_output, (".json",), *given)
+    check_output(output, (".md", ".markdown", ".txt"), *given)
     if json_output is not None and output is not None and json_output.resolve() == output.resolve():
         raise OmtwarpError("--json and --output name the same file")
     wanted = [word.strip() for word in workload.devices.split(",")]

@@ -46,8 +46,7 @@ def run_check(
         raise OmtwarpError("--output is for the repaired mesh: it needs --repair")
     targets = outputs_of(meshes, output, ".ply")
     for target in targets:
-        if target is not None:
-            check_output(target, SUFFIXES, *meshes)
+        check_output(target, SUFFIXES, *meshes)
 
     def examine(mesh: Path | None, target: Path | None) -> tuple[dict, str]:
         assert mesh is not None
@@ -108,9 +107,8 @@ def facts_of(mesh: Path, repair: bool, target: Path | None, *, verbose: bool) ->
         facts["defects"] = [{"kind": defect.kind, "text": str(defect)} for defect in defects]
         facts["options"] = options_text(vertices, faces, defects)
         facts["mappable"] = not defects
-        facts["warnings"] = (
-            [] if defects else [finding.to_dict() for finding in foretell(omtwarp.Surface(vertices, faces))]
-        )
+        findings = [] if defects else foretell(omtwarp.Surface(vertices, faces))
+        facts["warnings"] = [finding.to_dict() for finding in findings]
         done("foretell")
     if target is not None:
         write_mesh(target, vertices, faces)

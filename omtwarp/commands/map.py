@@ -178,8 +178,7 @@ def run_map(
     reports = outputs_of(meshes, report, ".json")
     for target, report_target in zip(targets, reports, strict=True):
         check_output(target, (".ply",) if beside else (".npz", *SUFFIXES), *meshes)
-        if report_target is not None:
-            check_output(report_target, (".json",), *meshes, target)
+        check_output(report_target, (".json",), *meshes, target)
     any_surface = topology.keywords()
     start_device(mapping.device)
     goal = mass.target()
@@ -204,42 +203,21 @@ def run_map(
             result = standing(result, None, up, front)
         if structure is not None:
             result.report["structure"] = structure
-        result, file_faces = with_copies(result, sound, any_surface is None)
+        file_faces = None  # where vertices that are doubled along seams are to be written as in the file
+        joined = sound.vertex_of_file is not None and any_surface is None
+        if joined and isinstance(result, omtwarp.MapResult) and len(result.vertices) == sound.surface.vertex_count:
+            result, file_faces = replace(result, vertex_of_file=sound.vertex_of_file), sound.file_faces
         with staged(target) as file:
             save(result, file, like=mesh, radius=radius, beside=beside, file_faces=file_faces)
         if report_target is not None:
-            write_json_report(report_target, result, mesh, sound.notes)
+            read = {"path": str(mesh), "notes": sound.notes}
+            write_text(report_target, report_text({"input": read, **result.report, "history": result.history}))
         if printing.verbose:
             say_stages(result)
         facts = facts_of(result, target, report_target)
         return facts, summary(facts)
 
     show_each(meshes, zip(targets, reports, strict=True), map_one, printing)
-
-
-def write_json_report(file: Path, result: AnyMap, mesh: Path, notes: list[str]) -> None:
-    """Write a map's report and history as JSON, with the mesh it is of and what was noted when that was read."""
-
-    whole = {"input": {"path": str(mesh), "notes": notes}, **result.report, "history": result.history}
-    write_text(file, report_text(whole))
-
-
-def with_copies(result: AnyMap, sound: Input, to_sphere: bool) -> tuple[AnyMap, NDArray | None]:
-    """Note in a map which vertex each of the file's is, where copies along seams were joined and nothing else was done.
-
-    Args:
-        result: the map.
-        sound: the mesh that was mapped.
-        to_sphere: whether it had to be a sphere.
-
-    Returns:
-        The map, and the file's faces where vertices that are doubled along seams are to be written as there.
-    """
-
-    joined = to_sphere and sound.vertex_of_file is not None
-    if joined and isinstance(result, omtwarp.MapResult) and len(result.vertices) == sound.surface.vertex_count:
-        return replace(result, vertex_of_file=sound.vertex_of_file), sound.file_faces
-    return result, None
 
 
 def weights_of(mass: Mass, sound: Input, structure: str | None) -> tuple[NDArray[np.float64] | None, WeightsAt]:
@@ -358,7 +336,9 @@ def _make(output: Path, faces: int, device: str, printing: Printing) -> None:
     from omtwarp.render import comparison
     from omtwarp.texturing import rasterize
 
-    files = [check_output(output / name) for name in NAMES]
+    files = [output / name for name in NAMES]
+    for file in files:
+        check_output(file)
     mesh_file, map_file, report_file, model_file, globe_file, circles_file, comparison_file = files
     start = time.perf_counter()
 

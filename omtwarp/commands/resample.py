@@ -45,8 +45,7 @@ class Extras:
         from omtwarp.mesh.write import SUFFIXES
 
         for extra, suffixes in ((self.sphere, SUFFIXES), (self.matrix, (".npz",))):
-            if extra is not None:
-                check_output(extra, suffixes, *inputs)
+            check_output(extra, suffixes, *inputs)
 
     def write(self, resampling: Resampling, like: Path | None) -> None:
         """Write the target's sphere and the matrix where they are asked for."""

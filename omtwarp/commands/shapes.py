@@ -72,8 +72,7 @@ def run_spharm(
     from omtwarp.spheres import mesh_grid
 
     check_output(output, EXPANSIONS, mesh, finished)
-    if reconstruction is not None:
-        check_output(reconstruction, tuple(MESH_SUFFIXES), mesh, finished, output)
+    check_output(reconstruction, MESH_SUFFIXES, mesh, finished, output)
     start_device(device)
     result = map_from(mesh, Source(finished=finished, repair=repair), MapOptions(device=device), printing)
     result = require_whole(result, finished or mesh)

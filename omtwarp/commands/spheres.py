@@ -229,8 +229,7 @@ class Extras:
             raise OmtwarpError("--film needs a map (.npz): a sphere alone has no surface to film")
         suffixes = {self.strain: DATA_SUFFIXES, self.before: SUFFIXES, self.report: (".html", ".htm")}
         for extra, allowed in (suffixes | {self.film: FILMS}).items():
-            if extra is not None:
-                check_output(extra, allowed, pair.source, pair.surface)
+            check_output(extra, allowed, pair.source, pair.surface)
 
     def write(self, found: Registration, pair: Pair, moving: SpherePoints, fixed: SpherePoints | str) -> None:
         """Write all that is asked for about a registration of one sphere to another."""
@@ -388,9 +387,8 @@ def _many_line(facts: Sequence[Mapping[str, float]]) -> str:
     agreement = ", ".join(f"{one.partition('_')[2]} {sum(row[one] for row in facts) / len(facts):.3f}" for one in names)
     flips, doubtful = (int(sum(row[f"registration_{name}"] for row in facts)) for name in ("flips", "doubtful"))
     largest = max(one["registration_strain"] for one in facts)
-    return (
-        f"{len(facts)} maps; {agreement} on average; largest strain {largest:.2f}; {flips} flips; {doubtful} doubtful"
-    )
+    line = f"{len(facts)} maps; {agreement} on average; largest strain {largest:.2f}"
+    return f"{line}; {flips} flips; {doubtful} doubtful"
 
 
 def _named_weights(names: list[str], weights: list[float]) -> dict[str, float]:
@@ -412,23 +410,18 @@ def _write_strain(file: Path, found: Registration, faces: NDArray, like: Path) -
     from omtwarp.mesh.neuro import structure_of
     from omtwarp.registration.strain import strain_at_vertices
 
-    columns = [
-        strain_at_vertices(found.start.sphere, faces, values) for values in (found.area_strain, found.stretch_strain)
-    ]
+    strains, before = (found.area_strain, found.stretch_strain), found.start.sphere
+    columns = [strain_at_vertices(before, faces, values) for values in strains]
     data = VertexData(np.column_stack(columns), ("area_log2", "stretch_log2"), structure=structure_of(like))
     write_data(file, data, (found.sphere, faces))
 
 
 def _line(found: Registration) -> str:
     """Return how well the features agree, how much the warp strains, and what is to be known about its start."""
-    agreement = ", ".join(
-        f"{name} {values['before']:.3f} to {values['after']:.3f}" for name, values in found.correlations.items()
-    )
-    certificate = found.certificate
-    line = (
-        f"{agreement}; largest strain {found.largest_strain:.2f} of {found.most_strain:g}; {certificate.flips} flips, "
-        f"degree {certificate.degree}"
-    )
+    known, certificate = found.correlations.items(), found.certificate
+    agreement = ", ".join(f"{name} {values['before']:.3f} to {values['after']:.3f}" for name, values in known)
+    line = f"{agreement}; largest strain {found.largest_strain:.2f} of {found.most_strain:g}; "
+    line += f"{certificate.flips} flips, degree {certificate.degree}"
     if found.landmarks:
         farthest = max(distance["after"] for distance in found.landmarks.values())
         line += f"; landmarks within {farthest:.2f} degrees"

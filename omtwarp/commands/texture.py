@@ -246,12 +246,10 @@ class Picture:
         Raises:
             OmtwarpError: options are given that only an atlas by itself has.
         """
-        if self.size == "auto":
-            raise OmtwarpError("--size auto is for an atlas only, without --uv own, --keep-materials and --bake")
         sides = sides_of(self.size)
-        if isinstance(sides, tuple):
+        if isinstance(sides, tuple) or self.size == "auto":
             raise OmtwarpError(
-                "--size WIDTHxHEIGHT is for an atlas only, without --uv own, --keep-materials and --bake"
+                f"--size {self.size} is for an atlas only, without --uv own, --keep-materials and --bake"
             )
         if self.seam != "180":
             raise OmtwarpError("--seam is for an equirectangular atlas only, without --keep-materials and --bake")
@@ -317,9 +315,8 @@ def run_texture(
                 made, pictures, words = _painted(result, painted, image, painting, width, mapping.device, look)
             else:
                 size, blurred = _size_of(result, picture, look.atlas)
-                made = textured = omtwarp.texture(
-                    result, image, seam_longitude=seam, size=size, device=mapping.device, **looks
-                )
+                asked = {"seam_longitude": seam, "size": size, "device": mapping.device, **looks}
+                made = textured = omtwarp.texture(result, image, **asked)
                 named = with_objects(mesh, result)
                 textured.objects, textured.face_object = named.objects, named.face_object
                 rows, columns = textured.image.shape[:2]

@@ -54,21 +54,20 @@ def as_path(given: str | os.PathLike[str]) -> Path:
         raise OmtwarpError(f"the name of a file must be text or a path, not a {type(given).__name__}") from None
 
 
-def check_output(path: str | os.PathLike[str], suffixes: tuple[str, ...] = (), *inputs: Path | None) -> Path:
+def check_output(path: str | os.PathLike[str] | None, suffixes: tuple[str, ...] = (), *inputs: Path | None) -> None:
     """Make sure that an output can be written, by a trial, before any long computation.
 
     Args:
-        path: the file to be.
+        path: the file to be; None where none is asked for.
         suffixes: what it may end in, with the dot, in small letters; anything if empty.
         inputs: files that it must not be.
-
-    Returns:
-        The path with links followed, so that replacing the file keeps the link.
 
     Raises:
         OmtwarpError: an unknown suffix, no directory, no right to write, something there that is not a regular file,
             or an input as the output.
     """
+    if path is None:
+        return
     given = as_path(path)
     if suffixes and given.suffix.lower() not in suffixes:
         raise OmtwarpError(f"cannot write '{path}': unknown suffix '{given.suffix}', use {', '.join(suffixes)}")
@@ -80,7 +79,6 @@ def check_output(path: str | os.PathLike[str], suffixes: tuple[str, ...] = (), *
                 pass
     except OSError as error:
         raise _cannot_write(given, error) from None
-    return target
 
 
 def make_folder(folder: Path) -> None:

@@ -8,13 +8,14 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from pathlib import Path
 from typing import ClassVar, Self, TypedDict, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files.inputs import open_input, read_arrays, write_arrays
+from omtwarp.files.inputs import holds_array, open_input, read_arrays, write_arrays
 from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.files.output import as_path
 from omtwarp.maps import Displayable
@@ -290,6 +291,11 @@ class StoredMap(Displayable):
             return make(**stored, **words, history=history, report=report)
         except OmtwarpError as error:
             raise OmtwarpError(f"'{path}' is not {cls.kind}: {error}") from None
+
+
+def is_map_file(path: Path) -> bool:
+    """Return whether a file is that of a map, whole or not."""
+    return path.suffix.lower() == ".npz" and holds_array(path, *OF_MAPS)
 
 
 def read_map_arrays(path: str | os.PathLike[str], *kinds: type[StoredMap]) -> dict[str, NDArray]:

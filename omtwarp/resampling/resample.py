@@ -16,11 +16,11 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import Each, each, launch_parts
 from omtwarp.errors import OmtwarpError, choose
-from omtwarp.files.inputs import holds_array, read_bytes
+from omtwarp.files.inputs import read_bytes
 from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.files.output import as_path, staged
 from omtwarp.location import Locator
-from omtwarp.maps.result import OF_MAPS, MapResult
+from omtwarp.maps.result import MapResult, is_map_file
 from omtwarp.mesh.arrays import Floats, Ints, real_numbers, whole_numbers
 from omtwarp.mesh.data import read_data
 from omtwarp.mesh.origins import Origins
@@ -244,7 +244,7 @@ def as_points(given: PointsLike, name: str = "the sphere") -> SpherePoints:
         return SpherePoints(named_grid(given))
     if isinstance(given, str | os.PathLike):
         path = Path(given)
-        if path.suffix.lower() == ".npz" and holds_array(path, *OF_MAPS):
+        if is_map_file(path):
             return as_points(MapResult.load(path), str(path))
         mesh = read_mesh(path)
         beside = _sphere_beside(path)
