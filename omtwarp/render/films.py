@@ -33,7 +33,7 @@ from omtwarp.render.scene import Part, RenderJob, SurfaceView, normalisation, sm
 from omtwarp.render.subject import FinishedMap, Picture, is_torus_map, map_view, posed, torus_view
 from omtwarp.texturing.adaptive import rasterize
 from omtwarp.texturing.image import PictureLike
-from omtwarp.texturing.smooth import grid_shares, grid_triangles, smooth_map
+from omtwarp.texturing.smooth import combined, grid_shares, grid_triangles, smooth_map
 from omtwarp.texturing.textured import spheres_of, texture_torus
 
 if TYPE_CHECKING:
@@ -482,9 +482,7 @@ def _on_torus(
 def _evenly(faces: Ints, count: int, divisions: int) -> tuple[Ints, csr_matrix]:
     """Divide triangles, each by itself; return the parts and their points as combinations of ``count`` vertices."""
     share = grid_shares(divisions)
-    rows = np.repeat(np.arange(len(faces) * len(share)), 3)
-    columns = np.repeat(faces, len(share), axis=0).ravel()
-    weights = csr_matrix((np.tile(share, (len(faces), 1)).ravel(), (rows, columns)), (len(faces) * len(share), count))
+    weights = combined(np.repeat(faces, len(share), axis=0), np.tile(share, (len(faces), 1)), count)
     parts = np.arange(len(faces))[:, None, None] * len(share) + grid_triangles(divisions)
     return parts.reshape(-1, 3).astype(np.int32), weights
 

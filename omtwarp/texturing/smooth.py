@@ -19,9 +19,8 @@ that changes linearly from vertex to vertex.
 .. [3] G. Taubin, T. Zhang and G. Golub, "Optimal surface smoothing as filter design", ECCV (1996).
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property, lru_cache, partial
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 
 import numpy as np
 import scipy.sparse as sparse
@@ -29,7 +28,9 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import cg
 
 from omtwarp.flips.exact import flipped_faces
+from omtwarp.geometry.operators import corner_cotangents
 from omtwarp.mesh.arrays import Floats, Ints, summed
+from omtwarp.mesh.surface import unit_normals, vertex_normals
 
 HALVINGS = 4  # of the difference from the linear map, before the map is linear there
 
@@ -42,13 +43,15 @@ class SmoothMap:
         parts: n, into how many parts every edge is divided.
         sphere: unit vectors of all points: the mesh's vertices first, then those on edges and inside, shape [N, 3].
         grid: the points of every triangle, row by row as :func:`grid_points` lists them, int32, shape [F, K].
-        combine: makes the weights.
+        corners: vertices of the triangles, shape [F, 3].
+        count: of the vertices, V.
     """
 
     parts: int
     sphere: Floats
     grid: Ints
-    combine: Callable[[], sparse.csr_matrix]
+    corners: Ints
+    count: int
 
     @cached_property
     def weights(self) -> sparse.csr_matrix:
@@ -56,7 +59,12 @@ class SmoothMap:
 
         ``weights @ x`` carries over what is linear on triangles, such as the surface itself.
         """
-        return self.combine()
+        share = grid_shares(self.parts)
+        place = np.zeros(len(self.sphere), dtype=np.int64)
+        place[self.grid] = np.arange(self.grid.size).reshape(self.grid.shape)
+        face, point = np.divmod(place[self.count :], len(share))
+        added = combined(self.corners[face], share[point], self.count)
+        return sparse.vstack([sparse.identity(self.count), added], format="csr")
 
     @property
     def faces(self) -> Ints:
@@ -91,6 +99,18 @@ def grid_triangles(parts: int) -> NDArray[np.int64]:
         (number(i + 1, j), number(i + 1, j + 1), number(i, j + 1)) for i in range(parts) for j in range(parts - i - 1)
     ]
     return np.array(upright + turned, dtype=np.int64)
+
+
+def combined(corners: NDArray[np.integer], shares: Floats, count: int) -> sparse.csr_matrix:
+    """Return the matrix of points in triangles as combinations of vertices, shape [N, count].
+
+    Args:
+        corners: vertices of each point's triangle, shape [N, 3].
+        shares: barycentric coordinates there, shape [N, 3].
+        count: of the vertices.
+    """
+    rows = np.arange(0, corners.size + 1, 3)
+    return sparse.csr_matrix((shares.ravel(), corners.ravel(), rows), shape=(len(corners), count))
 
 
 def smooth_map(vertices: Floats, faces: Ints, sphere: Floats, parts: int, *, filtered: bool = True) -> SmoothMap:
@@ -171,14 +191,13 @@ class SmoothCurves:
 
     def divided(self, parts: int, which: NDArray[np.int64] | None = None) -> SmoothMap:
         """Divide the triangles of the map: all of them, or some that are given by number."""
-        faces, edge_of, ends, towards = self.faces, self.edge_of, self.ends, self.towards
         if which is not None:
-            faces, edge_of = faces[which], edge_of[which]
-            kept = np.zeros(len(ends), dtype=bool)
-            kept[edge_of] = True
-            edge_of = (np.cumsum(kept) - 1)[edge_of]
-            ends, towards = ends[kept], towards[kept]
-        places, sphere = self.places, self.sphere
+            kept = np.zeros(len(self.ends), dtype=bool)
+            kept[self.edge_of[which]] = True
+            edge_of = (np.cumsum(kept) - 1)[self.edge_of[which]]
+            ends, towards = self.ends[kept], self.towards[kept]
+            return replace(self, faces=self.faces[which], edge_of=edge_of, ends=ends, towards=towards).divided(parts)
+        sphere, faces, ends, towards = self.sphere, self.faces, self.ends, self.towards
         share = grid_shares(parts)
         on_edge = np.isclose(share, 0.0)
         inner = np.flatnonzero(~on_edge.any(axis=1))
@@ -191,9 +210,9 @@ class SmoothCurves:
             # Points between corners k and k + 1, in the order in which they follow from k.
             between = np.flatnonzero(on_edge[:, (k + 2) % 3] & (share.max(axis=1) < 1.0))
             between = between[np.argsort(share[between, (k + 1) % 3])]
-            forward = (faces[:, k] == ends[edge_of[:, k], 0])[:, None]
+            forward = (faces[:, k] == ends[self.edge_of[:, k], 0])[:, None]
             step = np.where(forward, steps - 1, parts - 1 - steps)
-            grid[:, between] = count + edge_of[:, k, None] * (parts - 1) + step
+            grid[:, between] = count + self.edge_of[:, k, None] * (parts - 1) + step
 
         t = (steps / parts)[None, :, None]
         one, other = sphere[ends[:, 0], None], sphere[ends[:, 1], None]
@@ -205,11 +224,75 @@ class SmoothCurves:
             + t**3 * other
         )
         inside_line = np.einsum("kc,fcj->fkj", share[inner], sphere[faces])
-        inside_curve = _inside(places, faces, sphere, ends, edge_of, towards, share[inner])
+        inside_curve = self._inside(share[inner])
         lines = np.concatenate([edge_line.reshape(-1, 3), inside_line.reshape(-1, 3)])
         added = np.concatenate([edge_curve.reshape(-1, 3), inside_curve.reshape(-1, 3)]) - lines
         result = _without_flips(sphere, faces, lines, added, grid, share, parts)
-        return SmoothMap(parts, result, grid, partial(_weights, ends, faces, steps / parts, share[inner], count))
+        return SmoothMap(parts, result, grid, faces, count)
+
+    def _inside(self, share: Floats) -> Floats:
+        """Evaluate the cubic map in every triangle at points given by barycentric coordinates [K, 3].
+
+        The result has the shape [F, K, 3].
+        """
+        corner, value = self.places[self.faces], self.sphere[self.faces]
+        # Derivatives along the sides of each triangle: out[k] from corner k to the next, back[k] from k + 1 to k.
+        forward = (self.faces == self.ends[self.edge_of, 0])[..., None]
+        start, end = np.moveaxis(self.towards[self.edge_of], 2, 0)
+        out, back = np.where(forward, start, -end), np.where(forward, -end, start)
+        after, before = value + out / 3.0, np.roll(value, -1, axis=1) + back / 3.0
+        # Control points next to the corners, on the lines from these to the middle.
+        near = (value + after + np.roll(before, 1, axis=1)) / 3.0
+
+        side = np.roll(corner, -1, axis=1) - corner
+        square = np.maximum(np.einsum("fkj,fkj->fk", side, side), np.finfo(float).tiny)
+        middle = corner.mean(axis=1, keepdims=True) - 0.5 * (corner + np.roll(corner, -1, axis=1))
+        along = np.einsum("fkj,fkj->fk", middle, side) / square
+        across = middle - along[..., None] * side
+        height = np.maximum(np.linalg.norm(across, axis=2), np.finfo(float).tiny)
+        # Derivative across each side, at its two ends, per unit of length and inwards, as this triangle has it.
+        third = np.roll(corner, -2, axis=1) - corner
+        along_third = np.einsum("fkj,fkj->fk", third, side) / square
+        altitude = np.maximum(np.linalg.norm(third - along_third[..., None] * side, axis=2), np.finfo(float).tiny)
+        at_start = np.roll(back, 1, axis=1) - along_third[..., None] * out
+        at_end = np.roll(out, -1, axis=1) - (1.0 - along_third)[..., None] * back
+        inwards = 0.5 * (at_start + at_end) / altitude[..., None]
+        # The same from both triangles of an edge: the mean of the two, seen from each as inwards.
+        sign = np.where(forward[..., 0], 1.0, -1.0)
+        flat = self.edge_of.ravel()
+        number = np.maximum(np.bincount(flat, minlength=len(self.ends)), 1)
+        mean = summed((sign[..., None] * inwards).reshape(-1, 3), flat, len(self.ends)) / number[:, None]
+        inwards = sign[..., None] * mean[self.edge_of]
+        # Derivative from the middle of each side towards that of the triangle, and the control point that gives it.
+        speed = 3.0 / 4.0 * (np.roll(value, -1, axis=1) + before - after - value)
+        wanted = along[..., None] * speed + height[..., None] * inwards
+        ahead = np.roll(near, -1, axis=1)
+        outer = 0.5 * (value + after), 0.5 * (before + np.roll(value, -1, axis=1))
+        crossing = 0.5 * (after + before) + 2.0 * (wanted / 3.0 - 0.25 * (near - outer[0]) - 0.25 * (ahead - outer[1]))
+        # Side k lies between corners k and k + 1; two sides meet at each corner.
+        inner = (near + crossing + np.roll(crossing, 1, axis=1)) / 3.0
+        centre = inner.mean(axis=1)
+
+        curve = np.empty((len(self.faces), len(share), 3))
+        for index, part in enumerate(share):
+            lone = int(np.argmin(part))  # the corner opposite to the side whose third the point lies in
+            k = (lone + 1) % 3
+            w = 3.0 * part[lone]
+            a, b = part[k] - part[lone], part[(k + 1) % 3] - part[lone]
+            j = (k + 1) % 3
+            curve[:, index] = (
+                a**3 * value[:, k]
+                + 3.0 * a * a * b * after[:, k]
+                + 3.0 * a * b * b * before[:, k]
+                + b**3 * value[:, j]
+                + 3.0 * a * a * w * near[:, k]
+                + 6.0 * a * b * w * crossing[:, k]
+                + 3.0 * b * b * w * near[:, j]
+                + 3.0 * a * w * w * inner[:, k]
+                + 3.0 * b * w * w * inner[:, j]
+                + w**3 * centre
+            )
+        return curve
 
 
 def _without_waves(places: Floats, faces: Ints, sphere: Floats) -> Floats:
@@ -221,16 +304,10 @@ def _without_waves(places: Floats, faces: Ints, sphere: Floats) -> Floats:
     filter_degree = 24  # of the polynomial that approximates it to 0.0002
     low, high = 0.1, 5.0  # weights of edges are kept in these bounds, so that all are positive
     count = len(places)
-    ends, weights = [], []
-    for k in range(3):
-        a, b, c = (faces[:, (k + i) % 3] for i in range(3))
-        one, other = places[a] - places[c], places[b] - places[c]
-        twice_area = np.maximum(np.linalg.norm(np.cross(one, other), axis=1), np.finfo(float).tiny)
-        with np.errstate(over="ignore"):
-            cotangent = np.clip(np.einsum("ij,ij->i", one, other) / twice_area, low, high)
-        ends.append(np.stack([a, b], axis=1))
-        weights.append(cotangent)
-    pairs, weight = np.concatenate(ends), np.concatenate(weights)
+    with np.errstate(over="ignore"):
+        cotangents = np.clip(corner_cotangents(places, faces), low, high)
+    weight = np.roll(cotangents, 1, axis=1).T.ravel()  # of the edges that begin at the first corners, then the second
+    pairs = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).transpose(1, 0, 2).reshape(-1, 2)
     upper = sparse.csr_matrix((weight, (pairs[:, 0], pairs[:, 1])), shape=(count, count))
     both = upper + upper.T
     root = np.sqrt(np.maximum(np.asarray(both.sum(axis=1)).ravel(), np.finfo(float).tiny))
@@ -247,9 +324,8 @@ def _without_waves(places: Floats, faces: Ints, sphere: Floats) -> Floats:
     filtered /= np.maximum(np.linalg.norm(filtered, axis=1, keepdims=True), np.finfo(float).tiny)
 
     length = np.repeat(np.linalg.norm(sphere[pairs[:, 0]] - sphere[pairs[:, 1]], axis=1), 2)
-    edge = np.bincount(pairs.ravel(), length, minlength=count) / np.maximum(
-        np.bincount(pairs.ravel(), minlength=count), 1
-    )
+    number = np.maximum(np.bincount(pairs.ravel(), minlength=count), 1)
+    edge = np.bincount(pairs.ravel(), length, minlength=count) / number
     moved = filtered - sphere
     way = np.linalg.norm(moved, axis=1)
     # In mean edges of a vertex on the sphere: its image is moved no farther.
@@ -269,9 +345,7 @@ def _without_waves(places: Floats, faces: Ints, sphere: Floats) -> Floats:
 def _edge_derivatives(places: Floats, faces: Ints, sphere: Floats, ends: NDArray[np.int64]) -> Floats:
     """Return the derivatives along every edge at its two ends, from first to second, per whole edge, [E, 2, 3]."""
     count = len(places)
-    corner = places[faces]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    first, second = _tangents(summed(np.repeat(normal, 3, axis=0), faces.ravel(), count))
+    first, second = _tangents(unit_normals(vertex_normals(places, faces)))
     edge = places[ends[:, 1]] - places[ends[:, 0]]
     length = np.maximum(np.linalg.norm(edge, axis=1), 1e-9)  # in extents: divisions by it do not overflow
     # Unit direction of the edge in the tangent plane of each end: the bending of the surface itself is left out.
@@ -301,104 +375,11 @@ def _edge_derivatives(places: Floats, faces: Ints, sphere: Floats, ends: NDArray
 
 
 def _tangents(normals: Floats) -> tuple[Floats, Floats]:
-    """Return two unit vectors at right angles to each normal, and to one another; any where the normal is 0."""
-    size = np.linalg.norm(normals, axis=1, keepdims=True)
-    n = np.where(size > 0.0, normals / np.where(size > 0.0, size, 1.0), (0.0, 0.0, 1.0))
-    away = np.eye(3)[np.argmin(np.abs(n), axis=1)]
-    first = np.cross(n, away)
+    """Return two unit vectors at right angles to each unit normal, and to one another."""
+    away = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
+    first = np.cross(normals, away)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return first, np.cross(n, first)
-
-
-def _inside(
-    places: Floats,
-    faces: Ints,
-    sphere: Floats,
-    ends: NDArray[np.int64],
-    edge_of: NDArray[np.int64],
-    towards: Floats,
-    share: Floats,
-) -> Floats:
-    """Evaluate the cubic map in every triangle at points given by barycentric coordinates [K, 3].
-
-    The result has the shape [F, K, 3].
-    """
-    corner, value = places[faces], sphere[faces]
-    # Derivatives along the sides of each triangle: out[k] from corner k to the next, back[k] from k + 1 to k.
-    forward = (faces == ends[edge_of, 0])[..., None]
-    start, end = towards[edge_of, 0], towards[edge_of, 1]
-    out, back = np.where(forward, start, -end), np.where(forward, -end, start)
-    after, before = value + out / 3.0, np.roll(value, -1, axis=1) + back / 3.0
-    # Control points next to the corners, on the lines from these to the middle.
-    near = (value + after + np.roll(before, 1, axis=1)) / 3.0
-
-    side = np.roll(corner, -1, axis=1) - corner
-    square = np.maximum(np.einsum("fkj,fkj->fk", side, side), np.finfo(float).tiny)
-    middle = corner.mean(axis=1, keepdims=True) - 0.5 * (corner + np.roll(corner, -1, axis=1))
-    along = np.einsum("fkj,fkj->fk", middle, side) / square
-    across = middle - along[..., None] * side
-    height = np.maximum(np.linalg.norm(across, axis=2), np.finfo(float).tiny)
-    # Derivative across each side, at its two ends, per unit of length and inwards, as this triangle has it.
-    third = np.roll(corner, -2, axis=1) - corner
-    along_third = np.einsum("fkj,fkj->fk", third, side) / square
-    altitude = np.maximum(np.linalg.norm(third - along_third[..., None] * side, axis=2), np.finfo(float).tiny)
-    at_start = np.roll(back, 1, axis=1) - along_third[..., None] * out
-    at_end = np.roll(out, -1, axis=1) - (1.0 - along_third)[..., None] * back
-    inwards = 0.5 * (at_start + at_end) / altitude[..., None]
-    # The same from both triangles of an edge: the mean of the two, seen from each as inwards.
-    sign = np.where(forward[..., 0], 1.0, -1.0)
-    flat = edge_of.ravel()
-    number = np.bincount(flat, minlength=len(ends))
-    mean = summed((sign[..., None] * inwards).reshape(-1, 3), flat, len(ends)) / np.maximum(number, 1)[:, None]
-    inwards = sign[..., None] * mean[edge_of]
-    # Derivative from the middle of each side towards the middle of the triangle, and the control point that gives it.
-    speed = 3.0 / 4.0 * (np.roll(value, -1, axis=1) + before - after - value)
-    wanted = along[..., None] * speed + height[..., None] * inwards
-    ahead = np.roll(near, -1, axis=1)
-    outer = 0.5 * (value + after), 0.5 * (before + np.roll(value, -1, axis=1))
-    crossing = 0.5 * (after + before) + 2.0 * (wanted / 3.0 - 0.25 * (near - outer[0]) - 0.25 * (ahead - outer[1]))
-    # Side k lies between corners k and k + 1; two sides meet at each corner.
-    inner = (near + crossing + np.roll(crossing, 1, axis=1)) / 3.0
-    centre = inner.mean(axis=1)
-
-    curve = np.empty((len(faces), len(share), 3))
-    for index, part in enumerate(share):
-        lone = int(np.argmin(part))  # the corner opposite to the side whose third the point lies in
-        k = (lone + 1) % 3
-        w = 3.0 * part[lone]
-        a, b = part[k] - part[lone], part[(k + 1) % 3] - part[lone]
-        j = (k + 1) % 3
-        curve[:, index] = (
-            a**3 * value[:, k]
-            + 3.0 * a * a * b * after[:, k]
-            + 3.0 * a * b * b * before[:, k]
-            + b**3 * value[:, j]
-            + 3.0 * a * a * w * near[:, k]
-            + 6.0 * a * b * w * crossing[:, k]
-            + 3.0 * b * b * w * near[:, j]
-            + 3.0 * a * w * w * inner[:, k]
-            + 3.0 * b * w * w * inner[:, j]
-            + w**3 * centre
-        )
-    return curve
-
-
-def _weights(ends: NDArray[np.int64], faces: Ints, steps: Floats, share: Floats, count: int) -> sparse.csr_matrix:
-    """Return the matrix of every point as a combination of vertices, shape [N, V]."""
-    on_edges = len(ends) * len(steps)
-    inside = len(faces) * len(share)
-    columns = np.concatenate(
-        [np.arange(count), np.repeat(ends, len(steps), axis=0).ravel(), np.repeat(faces, len(share), axis=0).ravel()]
-    )
-    values = np.concatenate(
-        [
-            np.ones(count),
-            np.tile(np.column_stack([1.0 - steps, steps]), (len(ends), 1)).ravel(),
-            np.tile(share, (len(faces), 1)).ravel(),
-        ]
-    )
-    sizes = np.repeat([1, 2, 3], [count, on_edges, inside])
-    return sparse.csr_matrix((values, columns, np.r_[0, np.cumsum(sizes)]), shape=(len(sizes), count))
+    return first, np.cross(normals, first)
 
 
 def _without_flips(
