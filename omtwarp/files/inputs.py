@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 
 @contextlib.contextmanager
-def reading(file: Path, kind: str, size: int) -> Iterator[None]:
+def reading(file: Path, kind: str, size: int | None) -> Iterator[None]:
     """Turn whatever a parser raises in a block into a line that names the file, and bound the memory that it takes.
 
     Warnings are about guesses of parsers, whose results are checked, and are not passed on.
@@ -46,13 +46,14 @@ def reading(file: Path, kind: str, size: int) -> Iterator[None]:
     Args:
         file: what is read.
         kind: what it should be; any failure of a parser means that it is not.
-        size: of the file in bytes.
+        size: of the file in bytes; None for no bound on memory.
 
     Raises:
         OmtwarpError: the file cannot be read as that.
     """
+    bounded = contextlib.nullcontext() if size is None else memory_for_file(size)
     try:
-        with warnings.catch_warnings(action="ignore"), memory_for_file(size):
+        with warnings.catch_warnings(action="ignore"), bounded:
             yield
     except OmtwarpError as error:
         raise OmtwarpError(f"{file}: {error}") from None

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.colors import colormap_table, parse_color
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import TINY, Bytes, Floats, Ints, real_numbers, whole_numbers
+from omtwarp.mesh.arrays import TINY, Bytes, Floats, Ints, real_numbers, summed, whole_numbers
 from omtwarp.render.camera import Light, Shot
 from omtwarp.texturing.atlas import normalised
 from omtwarp.texturing.image import PictureLike, as_bytes, read_image
@@ -310,20 +310,13 @@ def welded_normals(vertices: Floats, faces: Ints) -> Floats:
     inscribed in a sphere, and independent of how the surface is cut into triangles elsewhere.
     """
     group, members = weld(vertices)
-    corner = group[faces]
-    places = vertices[members]
-    normals = np.zeros_like(places)
-    ends = [places[corner[:, k]] for k in range(3)]
-    normal = np.cross(ends[1] - ends[0], ends[2] - ends[0])
-    squares = [np.einsum("ij,ij->i", ends[(k + 1) % 3] - ends[k], ends[(k + 1) % 3] - ends[k]) for k in range(3)]
-    tiny = np.finfo(float).tiny
-    for k in range(3):
-        weighted = normal / np.maximum(squares[k] * squares[k - 1], tiny)[:, None]
-        for axis in range(3):
-            normals[:, axis] += np.bincount(corner[:, k], weights=weighted[:, axis], minlength=len(places))
-    length = np.linalg.norm(normals, axis=1)
-    normals /= np.maximum(length, tiny)[:, None]
-    normals[length == 0] = (0.0, 0.0, 1.0)
+    ends = vertices[members][group[faces]]
+    sides = np.roll(ends, -1, axis=1) - ends
+    normal = np.cross(sides[:, 0], ends[:, 2] - ends[:, 0])
+    squares = np.einsum("fkj,fkj->fk", sides, sides)
+    weighted = normal[:, None] / np.maximum(squares * np.roll(squares, 1, axis=1), np.finfo(float).tiny)[..., None]
+    normals = normalised(summed(weighted.reshape(-1, 3), group[faces].ravel(), len(members)))
+    normals[~normals.any(axis=1)] = (0.0, 0.0, 1.0)
     return normals[group]
 
 

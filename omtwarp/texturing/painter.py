@@ -29,7 +29,7 @@ from omtwarp.texturing.painted import PaintedMesh
 from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.seams import shares_of_corners
 from omtwarp.texturing.smooth import SmoothMap, grid_shares, grid_triangles, smooth_map
-from omtwarp.texturing.textured import SphereMap, TexturedSurface, as_map, spheres_of, texture
+from omtwarp.texturing.textured import MapLike, SphereMap, TexturedSurface, as_map, spheres_of, texture
 from omtwarp.texturing.unwrap import pack_rows
 
 
@@ -390,7 +390,7 @@ class _Painting:
         look = {name: getattr(shared, name) for name in common} | {"roughness_picture": None, "emission_picture": None}
         return replace(mesh, materials=tuple(replace(material, **look) for material in mesh.materials))
 
-    def _textured(self, result: TorusMap | tuple[ArrayLike, ArrayLike, ArrayLike], size: int | None) -> TexturedSurface:
+    def _textured(self, result: MapLike, size: int | None) -> TexturedSurface:
         """Return the texture of a map, with a picture of one colour where there are bakes alone."""
         if isinstance(self.pattern, Pattern) and isinstance(result, TorusMap):
             raise OmtwarpError("a Pattern is for the sphere: a torus takes circles, checker or a picture that repeats")

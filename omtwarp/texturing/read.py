@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import os
 import re
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.colors import to_linear, to_srgb
-from omtwarp.errors import OmtwarpError, brief
-from omtwarp.files.inputs import file_beside, read_bytes
+from omtwarp.errors import OmtwarpError
+from omtwarp.files.inputs import file_beside, read_bytes, reading
 from omtwarp.files.limits import LARGEST_MESH_FILE, MOST_FACES
 from omtwarp.mesh.arrays import Bytes, Floats, Ints, whole_numbers
 from omtwarp.mesh.ply import Column, ply_columns, polygons_of
@@ -195,25 +194,17 @@ def read_painted_mesh(path: str | os.PathLike[str]) -> PaintedMesh:
     """
     file = Path(path)
     data, suffix = mesh_content(file)
-    plain = suffix not in ("obj", "ply", *scene_formats())
-    try:
-        with warnings.catch_warnings(action="ignore"):  # of what parsers guess
-            if plain:
-                mesh = read_mesh(file)
-                painted = PaintedMesh(mesh.vertices, corners_of(mesh.faces, len(mesh.vertices)), notes=mesh.notes)
-            elif suffix == "obj":
-                painted = _from_obj(data, file)
-            elif suffix == "ply":
-                painted = _from_ply(data, file)
-            else:
-                scene = load_scene(data, file, suffix)
-                painted = _from_scene(scene, gltf_materials(data, file, suffix) if suffix in ("glb", "gltf") else None)
-    except OmtwarpError as error:
-        raise OmtwarpError(str(error) if str(error).startswith(str(file)) else f"{file}: {error}") from None
-    except MemoryError:
-        raise
-    except Exception as error:  # whatever a parser trips over, the file is not what its suffix says
-        raise OmtwarpError(f"{file}: cannot be read as {suffix}: {brief(error)}") from None
+    plain = None if suffix in ("obj", "ply", *scene_formats()) else read_mesh(file)
+    with reading(file, suffix, None):
+        if plain is not None:
+            painted = PaintedMesh(plain.vertices, corners_of(plain.faces, len(plain.vertices)), notes=plain.notes)
+        elif suffix == "obj":
+            painted = _from_obj(data, file)
+        elif suffix == "ply":
+            painted = _from_ply(data, file)
+        else:
+            scene = load_scene(data, file, suffix)
+            painted = _from_scene(scene, gltf_materials(data, file, suffix) if suffix in ("glb", "gltf") else None)
     if len(painted.faces) > MOST_FACES:
         raise OmtwarpError(f"{file}: {len(painted.faces):,} triangles, and {MOST_FACES:,} is the most")
     return replace(painted, source_files=(file, *painted.source_files))

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -189,6 +189,10 @@ class SphereMap(HasTriangles, Protocol):
         """Images of the vertices, shape [V, 3]."""
 
 
+MapLike: TypeAlias = SphereMap | TorusMap | tuple[ArrayLike, ArrayLike, ArrayLike]
+"""A surface and its map, in any of the forms that public functions take."""
+
+
 def texture(
     result: SphereMap | TorusMap | tuple[ArrayLike, ArrayLike, ArrayLike],
     image: PictureLike | None = None,
@@ -254,12 +258,20 @@ def texture(
     pictures.check_projection(projection)
     rotation = _rotation(rotate, vertices, faces, sphere)
     seam = _seam(seam_longitude, vertices, faces, sphere, rotation) if str(atlas) == "equirectangular" else np.pi
-    chosen: int | tuple[int, int] | None
-    if isinstance(size, str) or (size is None and image is None):
-        chosen = layouts.sharp_size(vertices, faces, sphere, layouts.make_atlas(atlas).name, _largest_size(size))[0]
-    else:
-        chosen = size
-    source, layout, texels = _source(image, pattern, projection, atlas, chosen, seam)
+    picture = None if image is None else pictures.read_image(image)
+    if isinstance(size, str) or (size is None and picture is None):
+        if size not in (None, "auto"):
+            raise OmtwarpError(f"texture size '{size}': give texels, or auto")
+        # Larger where that is asked for than where nothing was said
+        limit = layouts.LARGEST_UNASKED if size is None else layouts.LARGEST_SIZE
+        size = layouts.sharp_size(vertices, faces, sphere, layouts.make_atlas(atlas).name, limit)[0]
+    elif size is None and picture is not None:
+        size = _natural_size(picture, atlas)
+    source = by_name(pattern or "circles") if picture is None else picture
+    layout, texels = layouts.make_atlas(atlas, size, seam=seam), None
+    if isinstance(layout, Equirectangular) and projection == "equirectangular" and picture is not None:
+        if picture.shape[:2] == (layout.height, layout.width):
+            layout, texels = _shifted(picture, seam)
     # Where a line turns by a quarter of a radian at an edge, and the next is 12 texels on, a smooth curve lies within
     # 0.25 x 12 / 8 of a texel of it: smaller triangles need none.
     bends = smooth and np.sqrt(layout.row_lengths.sum() / len(faces)) >= 12.0
@@ -274,24 +286,17 @@ def texture(
             texels = bake_bytes(source, look, projection=projection)
         cut = cutting.result()
     return TexturedSurface(
+        **vars(cut),
         vertices=cut.weights @ vertices,
-        faces=cut.faces,
-        uv=cut.uv,
         normals=unit_normals(cut.weights @ vertex_normals(vertices, faces)),
         image=np.ascontiguousarray(pictures.without_full_opacity(texels)),
         wraps=layout.wraps,
         wraps_rows=False,
-        sphere=cut.sphere,
-        source_vertex=cut.source_vertex,
-        source_face=cut.source_face,
-        welded=cut.welded,
-        chart=cut.chart,
         atlas=layout,
         rotation=rotation,
         original_vertices=vertices,
         original_faces=faces,
         original_sphere=sphere,
-        weights=cut.weights,
         source_image=Path(image) if isinstance(image, (str, os.PathLike)) else None,
     )
 
@@ -406,33 +411,6 @@ def _check_for_torus(size: int | tuple[int, int] | str | None, on_sphere: tuple[
     if on_sphere != ("equirectangular", "cube", None, 180.0):
         raise OmtwarpError("projection, atlas, rotation and seam are for textures on the sphere: leave them out")
     return size
-
-
-def _largest_size(asked: object) -> int:
-    """Return the limit of a size that is chosen: larger where ``auto`` asks for it than where nothing was said."""
-    if asked not in (None, "auto"):
-        raise OmtwarpError(f"texture size '{asked}': give texels, or auto")
-    return layouts.LARGEST_UNASKED if asked is None else layouts.LARGEST_SIZE
-
-
-def _source(
-    image: PictureLike | None,
-    pattern: str | Pattern | None,
-    projection: str,
-    atlas: str,
-    size: int | tuple[int, int] | None,
-    seam: float,
-) -> tuple[NDArray | Pattern, Atlas, Bytes | None]:
-    """Return a texture's source and layout, and its texels where the picture's bytes must not change."""
-    if image is None:
-        chosen = "circles" if pattern is None else pattern
-        return by_name(chosen) if isinstance(chosen, str) else chosen, layouts.make_atlas(atlas, size, seam=seam), None
-    picture = pictures.read_image(image)
-    layout = layouts.make_atlas(atlas, _natural_size(picture, atlas) if size is None else size, seam=seam)
-    unchanged = isinstance(layout, Equirectangular) and projection == "equirectangular"
-    if unchanged and picture.shape[:2] == (layout.height, layout.width):
-        return picture, *_shifted(picture, seam)
-    return picture, layout, None
 
 
 def _rotation(rotate: ArrayLike | str | None, vertices: Floats, faces: Ints, sphere: Floats) -> Floats:

@@ -14,7 +14,7 @@ from omtwarp.mesh.surface import plane_areas, triangle_areas
 from omtwarp.texturing.atlas import CUBE_FRAMES
 from omtwarp.texturing.export import Material
 from omtwarp.texturing.painted import PaintedMesh
-from omtwarp.texturing.textured import SphereMap, as_map, spheres_of
+from omtwarp.texturing.textured import MapLike, SphereMap, as_map, spheres_of
 
 MARGIN = 1.0 / 128.0
 """Free space around a chart, in heights of the picture: 8 texels at 1024, enough for three levels of mip maps."""
@@ -69,15 +69,10 @@ def unwrap_uv(
         >>> mesh.uv.shape == (len(surface.faces), 3, 2), bool(0 < mesh.uv.min() and mesh.uv.max() < 1)
         (True, True)
     """
-    return laid_out(result, aspect=aspect, margin=margin)[0]
+    return laid_out(result, aspect, margin)[0]
 
 
-def laid_out(
-    result: SphereMap | TorusMap | tuple[ArrayLike, ArrayLike, ArrayLike],
-    *,
-    aspect: float = 1.0,
-    margin: float = MARGIN,
-) -> tuple[PaintedMesh, int]:
+def laid_out(result: MapLike, aspect: float = 1.0, margin: float = MARGIN) -> tuple[PaintedMesh, int]:
     """Lay a surface out as :func:`unwrap_uv` does; return the mesh and the number of its charts.
 
     Raises:
