@@ -27,7 +27,7 @@ from omtwarp.reporting.markup import Markup, asset, data_block, data_uri, fill_p
 from omtwarp.reporting.stages import TORUS, Stage
 from omtwarp.start.decimation import simplify
 from omtwarp.texturing.adaptive import bake_bytes
-from omtwarp.texturing.atlas import CUBE_FRAMES, Cube
+from omtwarp.texturing.atlas import Cube
 from omtwarp.texturing.baking import Look, Source
 
 # Of log2(area on the sphere / area on the surface), both ways, and of log2(larger / smaller singular value), from 0;
@@ -41,19 +41,9 @@ FACE_TEXELS = 512  # of the texture along each face of the cube
 # Degrees around the surface and above the horizon from which the view starts.
 AZIMUTH, ELEVATION = VIEWS["three-quarter"]
 
-# The six faces of a cube texture as OpenGL has them: direction = normal + a right + b down, a and b in [-1, 1] along
-# columns and rows (OpenGL 4.6, table 8.19).
-_GL_FACES = np.array(
-    [
-        [[1, 0, 0], [0, 0, -1], [0, -1, 0]],
-        [[-1, 0, 0], [0, 0, 1], [0, -1, 0]],
-        [[0, 1, 0], [1, 0, 0], [0, 0, 1]],
-        [[0, -1, 0], [1, 0, 0], [0, 0, -1]],
-        [[0, 0, 1], [1, 0, 0], [0, -1, 0]],
-        [[0, 0, -1], [-1, 0, 0], [0, -1, 0]],
-    ],
-    dtype=np.float64,
-)
+# The faces of a cube texture as OpenGL has them, +x -x +y -y +z -z seen from inside (OpenGL 4.6, table 8.19): which of
+# the atlas's each is, and by how many quarters it is turned to the left.
+_GL_FACES = ((0, 1), (2, 3), (1, 2), (3, 0), (4, 1), (5, 1))
 
 
 @dataclass(frozen=True)
@@ -271,17 +261,10 @@ def cube_faces(texture: Source, size: int = FACE_TEXELS, *, device: str = "auto"
     baked = bake_bytes(texture, Look(atlas, resolve_device(device)))[..., :3]
     kind = picture_kind(baked)
     uris = []
-    for normal, right, down in _GL_FACES:
-        # Both have equiangular faces, so that one is the other's turned by quarters.
-        number = int(np.flatnonzero((CUBE_FRAMES[:, 0] == normal).all(axis=1))[0])
+    for number, quarters in _GL_FACES:  # both have equiangular faces
         row, column = divmod(number, 3)
         cell = baked[row * size : (row + 1) * size, column * size : (column + 1) * size]
-        _, own_right, own_up = CUBE_FRAMES[number]
-        if right @ own_right == 0.0:  # rows and columns change places
-            cell, own_right, own_up = cell.transpose(1, 0, 2), -own_up, -own_right
-        across, along = int(right @ own_right), -int(down @ own_up)
-        face = pil.fromarray(np.ascontiguousarray(cell[::along, ::across]))
-        uris.append(data_uri(face, kind))
+        uris.append(data_uri(pil.fromarray(np.ascontiguousarray(np.rot90(cell, quarters))), kind))
     return uris
 
 

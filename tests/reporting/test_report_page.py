@@ -186,10 +186,17 @@ def test_cube_faces_show_the_pattern_where_opengl_looks_for_it():
     assert agree.mean() > 0.75  # the others lie at a line or a coast, within a texel
 
 
+# normal, and the ways along columns and rows of the six faces (OpenGL 4.6, table 8.19)
+GL_FACES = np.array([
+    [[1, 0, 0], [0, 0, -1], [0, -1, 0]], [[-1, 0, 0], [0, 0, 1], [0, -1, 0]], [[0, 1, 0], [1, 0, 0], [0, 0, 1]],
+    [[0, -1, 0], [1, 0, 0], [0, 0, -1]], [[0, 0, 1], [1, 0, 0], [0, -1, 0]], [[0, 0, -1], [-1, 0, 0], [0, -1, 0]],
+])  # fmt: skip
+
+
 def gl_cube_directions(size):
     """Directions, of any length, of the texels of an OpenGL cube map with equiangular faces, [6, size, size, 3]."""
     steps = np.tan(((np.arange(size) + 0.5) / size * 2.0 - 1.0) * (np.pi / 4.0))
-    normal, right, down = (scene._GL_FACES[:, k, None, None, :] for k in range(3))
+    normal, right, down = (GL_FACES[:, k, None, None, :] for k in range(3))
     return normal + steps[None, None, :, None] * right + steps[None, :, None, None] * down
 
 
@@ -198,6 +205,9 @@ def test_cube_directions_cover_the_sphere_once():
     unit = directions / np.linalg.norm(directions, axis=1)[:, None]
     np.testing.assert_allclose(unit.mean(axis=0), 0, atol=1e-12)
     assert len(np.unique(unit.round(9), axis=0)) == len(unit)
+    faces = [np.asarray(decode(uri)) for uri in scene.cube_faces(pattern("checker"), 16, device="cpu")]
+    agree = np.abs(np.stack(faces).reshape(-1, 3) / 255.0 - pattern("checker")(directions)).max(axis=1) < 0.08
+    assert agree.mean() > 0.4  # the others lie at a line
 
 
 def test_large_meshes_are_shown_simplified_on_their_own_vertices():
