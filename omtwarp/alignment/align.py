@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -53,9 +53,8 @@ def own_features(points: SpherePoints) -> dict[str, Floats]:
     centre = masses @ points.vertices / masses.sum()
     features = {"radius": np.linalg.norm(points.vertices - centre, axis=1)}
     weights = sphere_weights(points)
-    ratio = np.log(
-        np.maximum(masses / masses.sum(), smallest_share) / np.maximum(weights / weights.sum(), smallest_share)
-    )
+    here, there = (np.maximum(areas / areas.sum(), smallest_share) for areas in (masses, weights))
+    ratio = np.log(here / there)
     if spread(ratio, weights) > least_area_spread:
         features["areas"] = ratio
     return features
@@ -341,27 +340,15 @@ def align(
         alignment = replace(image, rotation=image.rotation @ MIRROR, mirrored=True)
         moving = mirror_image(moving)
     if check:
-        scores = {name: aligned(moving, turned).score for name, turned in _with_the_other_sign(features or {})}
-        _warn_of_better({"the mirror image fits better": image.score} | scores, alignment.score)
+        scores = {"the mirror image fits better": image.score}
+        for name, values in (features or {}).items():
+            turned = {**(features or {}), name: -np.asarray(values, dtype=np.float64)}
+            scores[f"feature '{name}' fits better with the other sign"] = aligned(moving, turned).score
+        for words, score in scores.items():
+            # Difference of correlations: those of nearly symmetric shapes and their mirror images differ by less
+            if score > alignment.score + 0.05:
+                warnings.warn(f"{words}: score {score:.3f}, not {alignment.score:.3f}", OmtwarpWarning, stacklevel=2)
     return replace(alignment, basis=one_surface) if one_surface else alignment
-
-
-def _with_the_other_sign(features: Mapping[str, ArrayLike]) -> Iterator[tuple[str, dict[str, ArrayLike]]]:
-    """Yield what to say where one feature fits better so, and all features with the sign of that one changed."""
-    for name, values in features.items():
-        yield (
-            f"feature '{name}' fits better with the other sign",
-            {**features, name: -np.asarray(values, dtype=np.float64)},
-        )
-
-
-def _warn_of_better(scores: Mapping[str, float], taken: float) -> None:
-    """Warn of everything that scores clearly more than what was taken."""
-    # difference of correlations: those of nearly symmetric shapes and their mirror images differ by less
-    clearly = 0.05
-    for words, score in scores.items():
-        if score > taken + clearly:
-            warnings.warn(f"{words}: score {score:.3f}, not {taken:.3f}", OmtwarpWarning, stacklevel=3)
 
 
 def _check_options(by: str, degree: int, features: Mapping[str, object], to_features: Mapping[str, object]) -> None:
@@ -489,10 +476,8 @@ def common_features(
     Features of the surfaces' own that are constant on a side are left out, which may leave none.
     """
     if features and to_features:
-        ours, theirs = (
-            checked_features(features, moving, "the map"),
-            checked_features(to_features, fixed, "the template"),
-        )
+        ours = checked_features(features, moving, "the map")
+        theirs = checked_features(to_features, fixed, "the template")
     else:
         ours, theirs = varying_features(moving), varying_features(fixed)
     names = [name for name in ours if name in theirs]

@@ -74,13 +74,10 @@ def save_still(image: Image, path: str | os.PathLike[str]) -> None:
     """
     target = as_path(path)
     kind = STILL_FORMATS.get(target.suffix.lower(), "GIF")
+    # A PNG is a twentieth larger than at Pillow's level, in half the time
+    options = {"JPEG": {"quality": 93, "subsampling": 0}, "PNG": {"compress_level": 4}}.get(kind, {})
     with staged(target) as file:
-        if kind == "JPEG":
-            image.convert("RGB").save(file, kind, quality=93, subsampling=0)
-        elif kind == "PNG":  # a twentieth larger than at Pillow's level, in half the time
-            image.save(file, kind, compress_level=4)
-        else:
-            image.save(file, kind)
+        (image.convert("RGB") if kind == "JPEG" else image).save(file, kind, **options)
 
 
 def save_film(frames: Iterable[Image], path: str | os.PathLike[str], fps: float) -> None:

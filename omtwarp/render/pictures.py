@@ -376,10 +376,8 @@ def comparison(
 
 def _captions(given: bool | Sequence[str], cameras: list[Camera]) -> list[str]:
     """Return the caption of each view of a sheet: none, the view's name, or the given text."""
-    if given is False:
-        return [""] * len(cameras)
-    if given is True:
-        return [_view_name(camera) for camera in cameras]
+    if isinstance(given, bool):
+        return [_view_name(camera) if given else "" for camera in cameras]
     names = [str(caption) for caption in given]
     if len(names) != len(cameras):
         raise OmtwarpError(f"{len(names)} captions given for {len(cameras)} views")
@@ -463,7 +461,5 @@ def render(job: RenderJob, backend: str, device: str) -> tuple[list[Bytes], str]
 
 
 def _view_name(camera: Camera) -> str:
-    for name, angles in VIEWS.items():
-        if angles == (camera.azimuth, camera.elevation):
-            return name
-    return f"{camera.azimuth:g}°, {camera.elevation:g}°"
+    named = (name for name, angles in VIEWS.items() if angles == (camera.azimuth, camera.elevation))
+    return next(named, f"{camera.azimuth:g}°, {camera.elevation:g}°")

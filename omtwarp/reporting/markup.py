@@ -82,10 +82,7 @@ def data_uri(image: Image | list[Image], kind: str) -> str:
     """Encode a PIL image as a data URI: ``png``, ``webp`` or ``jpeg``."""
     assert not isinstance(image, list)  # which a preview is of several frames alone
     stream = io.BytesIO()
-    if kind == "png":
-        image.save(stream, "PNG")
-    else:
-        image.save(stream, kind.upper(), quality=88)
+    image.save(stream, kind.upper(), quality=88)  # which a PNG has not
     return f"data:image/{kind};base64,{b64encode(stream.getvalue()).decode()}"
 
 

@@ -96,10 +96,7 @@ def ratio_range(rows: Sequence[Row], mirrored: bool) -> tuple[float, float, floa
     """
     reach = 1.0
     for row in rows:
-        order = np.argsort(np.abs(row.values))
-        total = np.cumsum(row.weights[order])
-        index = int(np.searchsorted(total, 0.99 * total[-1]))
-        reach = max(reach, abs(float(row.values[order[min(index, len(order) - 1)]])))
+        reach = max(reach, *_weighted_quantiles(np.abs(row.values), row.weights, (0.99,)))
     reach = min(reach * 1.05, 20.0)
     decade = math.log2(10.0)
     steps = (0.5, 1.0, 2.0, decade, 2 * decade, 3 * decade)

@@ -386,13 +386,7 @@ class Resampling:
             (np.ones(len(array)), (np.arange(len(array)), index)), shape=(len(array), len(names))
         )
         votes = sparse.csr_matrix(self.matrix @ members)
-        votes.sort_indices()
-        rows = np.repeat(np.arange(votes.shape[0]), np.diff(votes.indptr))
-        order = np.lexsort((votes.indices, -votes.data, rows))
-        filled = np.flatnonzero(~self.empty)
-        winners = np.zeros(votes.shape[0], dtype=np.int64)
-        winners[filled] = names[votes.indices[order[np.searchsorted(rows[order], filled)]]]
-        return winners
+        return np.where(self.empty, 0, names[np.asarray(votes.argmax(axis=1)).ravel()])
 
     def surface(self) -> Floats:
         """Resample the source's surface to the target's points, float64, shape [T, 3].

@@ -114,15 +114,11 @@ def _divided_as_shown(curves: SmoothCurves, atlas: Atlas) -> tuple[Ints, Ints, I
     which_of = {parts: np.flatnonzero(divided == parts) for parts in sizes}
     # NumPy lets go of the interpreter in long operations.
     with ThreadPoolExecutor(len(divisions)) as pool:
-        finer = pool.map(lambda parts: curves.divided(parts, which_of[parts]), [n for n in sizes if n > 1])
-    for parts, which in which_of.items():
-        if parts == 1:
-            grid = curves.faces[which][:, [0, 2, 1]]  # in the order of a grid's points
-        else:
-            made = next(finer)
-            grid = np.where(made.grid < len(curves.sphere), made.grid, made.grid + count - len(curves.sphere))
-            points.append(made.sphere[len(curves.sphere) :])
-            count += len(points[-1])
+        finer = pool.map(lambda parts: curves.divided(parts, which_of[parts]), sizes)
+    for which, made in zip(which_of.values(), finer, strict=True):
+        grid = np.where(made.grid < len(curves.sphere), made.grid, made.grid + count - len(curves.sphere))
+        points.append(made.sphere[len(curves.sphere) :])
+        count += len(points[-1])
         first[which] = rows + np.arange(len(which)) * grid.shape[1]
         rows += grid.size
         grids.append(grid.ravel())

@@ -261,12 +261,9 @@ class Cube(Atlas):
         local = np.einsum("fkj,fij->fki", points, CUBE_FRAMES[chart])
         angle = np.arctan2(local[..., 1:], local[..., :1])
         limit = QUARTER * self.cell / (self.cell - 2 * self.gutter)  # a folded triangle must not reach another chart
-        return self._place(np.clip(angle, -limit, limit), chart[:, None])
-
-    def _place(self, angle: Floats, chart: NDArray) -> Floats:
         inner = self.cell - 2 * self.gutter
-        texel = self.gutter + (angle / QUARTER + 1.0) * (0.5 * inner)
-        left, bottom = self._corner(chart)
+        texel = self.gutter + (np.clip(angle, -limit, limit) / QUARTER + 1.0) * (0.5 * inner)
+        left, bottom = self._corner(chart[:, None])
         return np.stack([(left + texel[..., 0]) / self.width, (bottom + texel[..., 1]) / self.height], axis=-1)
 
     def _corner(self, chart: NDArray) -> tuple[NDArray, NDArray]:

@@ -25,12 +25,13 @@ from omtwarp.device.arrays import sent
 from omtwarp.device.policy import launch_parts_of, resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import Each, core_count, each, launch_parts, load, run_all
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, check_word
 from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints, real_numbers, whole_numbers
+from omtwarp.options import ProjectionName
 from omtwarp.texturing import kernels
 from omtwarp.texturing.atlas import Atlas, Kind, check_size, make_atlas
 from omtwarp.texturing.export import Material, uv_of_corners
-from omtwarp.texturing.image import PictureLike, as_floats, check_projection, read_image, with_opacity
+from omtwarp.texturing.image import PictureLike, as_floats, read_image, with_opacity
 from omtwarp.texturing.patterns import Pattern, is_name, pattern
 from omtwarp.texturing.seams import Unwrapped, shares_of_corners, unwrap
 
@@ -95,7 +96,7 @@ def source_of(given: Source, projection: str, device: wp.Device) -> ValueSource 
     Raises:
         OmtwarpError: an unknown projection, or a picture that cannot be read.
     """
-    check_projection(projection)
+    check_word("projection", projection, ProjectionName)
     if isinstance(given, ValueSource | Pattern):
         return given
     if is_name(given):

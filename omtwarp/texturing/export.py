@@ -134,7 +134,7 @@ KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 BLANK = np.full((1, 1, 3), 255, dtype=np.uint8)
 # A material's pictures: glTF's name, our own, what the file calls them, and the statement of an OBJ's material library;
 # `norm` and `map_ao` are read by Blender's and other importers.
-_SLOTS = (
+SLOTS = (
     ("baseColorTexture", "picture", "color", "map_Kd"),
     ("metallicRoughnessTexture", "roughness_picture", "roughness", None),
     ("normalTexture", "normal_picture", "normal", "norm"),
@@ -413,7 +413,7 @@ def _gltf_material(material: Material, file: GltfFile, with_uv: bool) -> dict[st
         entry["emissiveFactor"] = list(material.emission)
     if with_uv and material.plain:
         surface["baseColorTexture"] = file.texture(BLANK, "blank")
-    for slot, own, ending, _ in _SLOTS:
+    for slot, own, ending, _ in SLOTS:
         picture = getattr(material, own)
         if with_uv and picture is not None:
             place = surface if slot in ("baseColorTexture", "metallicRoughnessTexture") else entry
@@ -438,7 +438,7 @@ def obj_files(
     drawn = [
         (number, statement, getattr(part.material, own), ending)
         for number, part in enumerate(parts)
-        for _, own, ending, statement in _SLOTS
+        for _, own, ending, statement in SLOTS
         if statement and part.uv is not None and getattr(part.material, own) is not None
     ]
     alone = len({id(picture) for _, _, picture, _ in drawn}) == 1

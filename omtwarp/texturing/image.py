@@ -186,12 +186,6 @@ def webp_bytes(image: Bytes) -> bytes:
     return stream.getvalue()
 
 
-def check_projection(projection: str) -> str:
-    """Check the name of a projection; the error for an unknown one lists those that exist."""
-    check_word("projection", projection, ProjectionName)
-    return projection
-
-
 def longitude_latitude(directions: ArrayLike) -> tuple[Floats, Floats]:
     """Return longitudes in (-π, π] and latitudes in [-π/2, π/2], in radians, of directions [..., 3] of any length."""
     d = np.asarray(directions, dtype=np.float64)
@@ -213,7 +207,7 @@ def direction_to_image(directions: ArrayLike, projection: str = "equirectangular
     Returns:
         (u, v) in 0..1, float64, shape [..., 2]; v points up.
     """
-    check_projection(projection)
+    check_word("projection", projection, ProjectionName)
     lon, lat = longitude_latitude(directions)
     if projection == "sinusoidal":
         lon = lon * np.cos(lat)

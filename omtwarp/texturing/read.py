@@ -22,7 +22,7 @@ from omtwarp.mesh.ply import Column, ply_columns, polygons_of
 from omtwarp.mesh.polygons import fans, taken_together
 from omtwarp.mesh.read import mesh_content, read_mesh, require_counted_from_one, utf8
 from omtwarp.mesh.scenes import gltf_pictures, load_scene, placed_meshes, scene_formats
-from omtwarp.texturing.export import Material
+from omtwarp.texturing.export import SLOTS, Material
 from omtwarp.texturing.image import as_bytes, decoded, read_image, with_opacity
 from omtwarp.texturing.painted import PaintedMesh, corners_of, joined_seams
 
@@ -495,15 +495,11 @@ def _of_gltf(source: trimesh.visual.material.PBRMaterial, look: GltfLook) -> Mat
     return Material(
         name=look.name,
         color=color,
-        picture=picture,
         metallic=1.0 if source.metallicFactor is None else float(source.metallicFactor),
         roughness=1.0 if source.roughnessFactor is None else float(source.roughnessFactor),
         emission=(float(emission[0]), float(emission[1]), float(emission[2])),
         two_sided=bool(source.doubleSided),
-        normal_picture=look.pictures.get("normalTexture"),
-        occlusion_picture=look.pictures.get("occlusionTexture"),
-        roughness_picture=look.pictures.get("metallicRoughnessTexture"),
-        emission_picture=look.pictures.get("emissiveTexture"),
+        **{own: look.pictures.get(slot) for slot, own, *_ in SLOTS} | {"picture": picture},  # type: ignore[arg-type]
     )
 
 

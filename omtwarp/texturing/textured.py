@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.policy import resolve_device
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, check_word
 from omtwarp.files.output import as_path
 from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh.arrays import Bytes, Floats, HasTriangles, Ints, real_number, real_numbers
 from omtwarp.mesh.surface import as_faces, as_unit_vectors, unit_normals, vertex_normals
 from omtwarp.mesh.write import write_mesh
-from omtwarp.options import AtlasLike, PatternLike, ProjectionLike, TextureFormat
+from omtwarp.options import AtlasLike, PatternLike, ProjectionLike, ProjectionName, TextureFormat
 from omtwarp.texturing import atlas as layouts, image as pictures
 from omtwarp.texturing.adaptive import BentLook, bake_bytes
 from omtwarp.texturing.atlas import Atlas, Equirectangular
@@ -255,7 +255,7 @@ def texture(
         across = _check_for_torus(size, (projection, atlas, rotate, seam_longitude))
         return texture_torus(result, image, pattern, across)
     vertices, faces, sphere = as_map(result)
-    pictures.check_projection(projection)
+    check_word("projection", projection, ProjectionName)
     rotation = _rotation(rotate, vertices, faces, sphere)
     seam = _seam(seam_longitude, vertices, faces, sphere, rotation) if str(atlas) == "equirectangular" else np.pi
     picture = None if image is None else pictures.read_image(image)
