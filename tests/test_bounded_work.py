@@ -8,12 +8,11 @@ import pytest
 
 import omtwarp
 from omtwarp import map_to_sphere
-from omtwarp.untangling import steps
 from omtwarp.untangling.untangle import STEP_WORK, WORK_PER_VERTEX, RepairBudget
 from tests.hostile.hostile_meshes import bipyramid, large_face, urchin
 
-# Of one repair: the start and Moser's flow may take one each, the steps of the optimal map three.
-MOST_REPAIRS = 5.0
+# Of one repair: the start and Moser's flow may take one each.
+MOST_REPAIRS = 2.0
 MOST_STEPS = 40  # of Newton's method
 
 
@@ -51,14 +50,6 @@ def test_a_face_that_cannot_keep_its_area_is_given_up_early(spent):
 def test_spines_take_bounded_work(spent):
     stages, _ = hard_map(urchin(20, 3.0, 6), spent)
     assert stages["omt"]["iterations"] <= MOST_STEPS
-
-
-@pytest.mark.filterwarnings("ignore::omtwarp.errors.OmtwarpWarning")
-def test_the_report_says_when_untangling_after_steps_was_given_up(monkeypatch):
-    monkeypatch.setattr(steps, "RepairBudget", lambda surface, share: RepairBudget(surface, 0.0))
-    result = map_to_sphere(urchin(30, 5.0, 6), device="cpu", optimality=False)
-    stages = {stage["name"]: stage for stage in result.report["stages"]}
-    assert "untangling after steps" in stages["omt"]["gave_up"]
 
 
 @pytest.mark.filterwarnings("ignore::omtwarp.errors.OmtwarpWarning")

@@ -27,7 +27,6 @@ TUNED = {
     "optimal/local.py": "GAIN_SHARE MAX_GAIN_SHARE MAX_CHOSEN_SHARE FREED_RINGS",
     "solvers/triangle.py": "AREA_WEIGHT",
     "untangling/untangle.py": "RINGS LOWERED",
-    "untangling/steps.py": "REPAIR_RINGS REPAIR_EPSILON",
     "start/hierarchical.py": "SWEEPS COARSE_WEIGHT",
     "start/decimation.py": "EVEN_SHARE CHEAPER_SHARE FREE_VALENCE",
 }
@@ -40,7 +39,7 @@ OTHERS = {
         "optimal/energy.py": "exact_tolerance",
         "optimal/nested.py": "SMOOTHING_TOLERANCE",
         "optimal/solver.py": "GAIN LOCAL_GAIN_SHARE LEAST_AREA_GAIN",
-        "untangling/untangle.py": "SMALLEST_EPSILON SETTLED_GAIN",
+        "untangling/untangle.py": "LARGEST_EPSILON SMALLEST_EPSILON SETTLED_GAIN",
         "moser.py": "courant",
     },
     # Work that is allowed at most: what ends well needs less.
@@ -53,7 +52,7 @@ OTHERS = {
         "moser.py": "SHORTEST_STEP MAX_STEPS",
         "start/hierarchical.py": "insertion_attempts",
         "start/hierarchical_kernels.py": "_HALVINGS",
-        "untangling/steps.py": "holds",
+        "optimal/steps.py": "holds",
         "untangling/untangle.py": "ROUND_STEPS STEP_WORK WORK_PER_VERTEX MAX_HALVINGS",
     },
     # What keeps matrices solvable and quotients finite, and below what rounding decides.

@@ -507,12 +507,12 @@ class MapComputation:
         sphere, road = self.nearby_map()
         solve = partial(self.minimisation(sphere), self.surface, start=self.source, device=self.device)
         optimal, term = minimised(self.surface, sphere, self.source, solve, device=self.device)
-        self.keep_steps(optimal)
+        self.remember(optimal.history)
         weight = term.weight
         if self.options.cost is Cost.GEODESIC:
             weight *= DISTANCE_SHAPE
             optimal = solve(optimal.sphere, shape_weight=weight, area_weight=term.area, cost=Cost.GEODESIC)
-            self.keep_steps(optimal)
+            self.remember(optimal.history)
         elif self.options.optimality:
             self.measured = self.bounded(optimal.sphere)
         sphere, repaired = self.untangle(self.sphere, optimal.sphere)
@@ -545,7 +545,7 @@ class MapComputation:
         for cost in dict.fromkeys((Cost.SQUARED, self.options.cost)):
             share = DISTANCE_SHAPE if cost is Cost.GEODESIC else 1.0
             found = at(sphere, target, solve, shape_share=share, cost=cost)
-            self.keep_steps(found)
+            self.remember(found.history)
             sphere = found.sphere
         sphere, repaired = self.untangle(self.sphere, sphere)
         details: dict[str, str | float | None] = {"converged": found.converged, "ended": found.ended}
@@ -590,11 +590,6 @@ class MapComputation:
     def remember(self, records: Sequence[Record]) -> None:
         """Append the steps of a minimisation to the history, and count iterations on."""
         self.history = continued(self.history, records)
-
-    def keep_steps(self, optimal: OptimalMap) -> None:
-        """Append the steps that led to an optimal map to the history, and note what was given up on the way."""
-        self.remember(optimal.history)
-        self.give_up(optimal.gave_up)
 
     def bounded(self, sphere: Floats, improve: bool = True) -> Optimality:
         """Measure how far a map is from optimal, and improve the bound of an optimal one where the gap is too large."""
@@ -644,7 +639,7 @@ class MapComputation:
             device=self.device,
             progress=notify,
         )
-        self.keep_steps(exact)
+        self.remember(exact.history)
         largest = float(exact.history[-1]["ring_largest"])
         # Exact error: largest relative error of a triangle's area that an exact map may have
         if largest > 1e-6:

@@ -42,27 +42,10 @@ from omtwarp.solvers.cholesky.saddle import COORDINATES, SaddleMatrix
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
 from omtwarp.spheres import triangle_solid_angles
 from omtwarp.topology.kind import boundary_loops
-from omtwarp.untangling.steps import FlipFreeSteps
-from omtwarp.untangling.untangle import ATTEMPTS, RepairBudget, untangle_patches
+from omtwarp.untangling.untangle import RINGS, RepairBudget, untangle_patches
 
 NO_CELLS = np.empty((0, 1), dtype=np.int32)
 SETTLED = 1e-9  # largest relative error at which areas are right; corrections converge quadratically
-
-
-class HeldSphere(Sphere):
-    """The sphere as the domain of maps to a part of it."""
-
-    def steps(self) -> FlipFreeSteps:
-        """Return an object that holds vertices back where triangles would flip, as patches are for whole spheres."""
-        return HeldSteps(self.surface, self.device)
-
-
-class HeldSteps(FlipFreeSteps):
-    """Moves maps to a part of the sphere."""
-
-    def untangled(self, moved: wp.array, marks: wp.array, weight: float) -> tuple[wp.array, int] | None:
-        """Return None: untangling knows whole spheres alone."""
-        return None
 
 
 class HeldEnergy(TransportEnergy):
@@ -303,13 +286,11 @@ def _untangled(
     closed = Surface(vertices, np.concatenate([faces, fan]), np.concatenate([areas, rest]))
     sphere = np.concatenate([points, [[0.0, 0.0, -1.0]]])
     fixed, budget = np.concatenate([held, [True]]), RepairBudget(closed)
-    for attempt in ATTEMPTS:
+    for rings in RINGS:
         wrong = flipped(sphere, closed.faces)
         if not wrong[: len(faces)].any():
             break
-        sphere, _ = untangle_patches(
-            closed, sphere, wrong, attempt, resolve_device("cpu"), budget, fixed, weight=AREA_WEIGHT
-        )
+        sphere = untangle_patches(closed, sphere, wrong, rings, budget, fixed)
     return sphere[:apex]
 
 
@@ -421,7 +402,7 @@ def exact_on_cap(points: Floats, mesh: Quartered) -> tuple[Floats, float]:
     area = float(triangle_solid_angles(*(points[mesh.faces[:, k]] for k in range(3))).sum())
     cost = NoCost(surface, vectors(points, device), device)
     shape = DistortionEnergy(surface, device)
-    energy = HeldEnergy(HeldSphere(surface, device), mesh.held, mesh.cells(surface, area), cost, shape)
+    energy = HeldEnergy(Sphere(surface, device), mesh.held, mesh.cells(surface, area), cost, shape)
     found, error = _exact(energy, points)
     return np.where(mesh.held[:, None], points, found), error
 

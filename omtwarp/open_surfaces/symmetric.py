@@ -20,7 +20,6 @@ from omtwarp.solvers.cholesky import dissect
 from omtwarp.solvers.cholesky.saddle import COORDINATES, SaddleMatrix
 from omtwarp.solvers.mesh_factor import SaddlePointFactor, cell_saddle_factor, solve_parts, vertex_saddle_factor
 from omtwarp.topology.closing import Double
-from omtwarp.untangling.steps import FlipFreeSteps
 
 Floats = NDArray[np.float64]
 
@@ -59,11 +58,11 @@ class MirroredSphere(Sphere):
 
     def __init__(self, double: Double, surface: Surface, device: wp.Device):
         super().__init__(surface, device)
-        self._double = double
+        self._double, self._examined = double, surface.face_count // 2  # not the mirror images
 
-    def steps(self) -> FlipFreeSteps:
-        """Move symmetric maps to symmetric maps."""
-        return SymmetricSteps(self._double, self.surface, self.device)
+    def moved(self, points: wp.array, direction: wp.array, share: wp.array, length: float) -> wp.array:
+        """Return a symmetric map after a step of the surface's own vertices, vec3d, shape [W]."""
+        return vectors(folded_map(self._double, super().moved(points, direction, share, length).numpy()), self.device)
 
     def factor(self, cells: Cells, workspace: Workspace | None) -> SaddlePointFactor:
         """Solve on the half the systems of the double."""
@@ -216,28 +215,3 @@ class MirrorCellFactor(MirrorFactor):
         first, second = self._parts(right)
         u, q = solve_parts(self._factor, self._tangential(first), second[: len(self._own_cells)])
         return self._joined(u, np.concatenate([q, q]))
-
-
-class SymmetricSteps(FlipFreeSteps):
-    """Moves symmetric maps of a double; only the surface's own triangles are examined, not their mirror images.
-
-    Args:
-        double: the surface and its copy.
-        surface: the double as a surface.
-        device: a Warp device.
-    """
-
-    def __init__(self, double: Double, surface: Surface, device: wp.Device):
-        super().__init__(surface, device)
-        self._double, self._examined = double, surface.face_count // 2
-
-    def _admitted(self, sphere: Floats) -> Floats:
-        return folded_map(self._double, sphere)
-
-    def _counted(self, faces: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        own = faces.copy()
-        own[len(faces) // 2 :] = False
-        return own
-
-    def _moved(self, points: wp.array, direction: wp.array, share: wp.array | None, length: float) -> wp.array:
-        return vectors(self._admitted(super()._moved(points, direction, share, length).numpy()), self._device)

@@ -49,7 +49,6 @@ from omtwarp.solvers.cholesky.saddle import COORDINATES, SaddleMatrix
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
 from omtwarp.solvers.newton import gather_edge_blocks
 from omtwarp.solvers.triangle import AREA_WEIGHT
-from omtwarp.untangling.steps import FlipFreeSteps
 
 Numbers = NDArray[np.float64]
 
@@ -83,8 +82,16 @@ class Domain(Protocol):
     def vectors(self, points: wp.array, coordinates: wp.array) -> wp.array:
         """Return the vectors with these coordinates, float64, shape [V, 2], in the frames at ``points``, shape [V]."""
 
-    def steps(self) -> FlipFreeSteps:
-        """Return an object that moves maps along vectors without flipping triangles."""
+    def moved(self, points: wp.array, direction: wp.array, share: wp.array, length: float) -> wp.array:
+        """Return the points after a step along vectors, of which every vertex takes its share, float64, shape [V]."""
+
+    def spoilt(self, moved: wp.array, volume: wp.array) -> wp.array:
+        """Return 1 for every triangle that a step turns over or nearly flattens, 0 for others, float64, shape [F].
+
+        Args:
+            moved: the points after the step.
+            volume: ``d_volume`` of the map before it: see :class:`ShapeTerms`.
+        """
 
     def factor(self, cells: Cells, workspace: Workspace | None) -> SaddlePointFactor:
         """Return what factorises matrices with a multiplier for every cell."""
@@ -227,10 +234,6 @@ class TransportEnergy:
     def saddle_factor(self) -> SaddlePointFactor:
         """Return an object that factorises the matrices of :meth:`blocks`."""
         return self.domain.factor(self.cells, self._workspace)
-
-    def flip_free_steps(self) -> FlipFreeSteps:
-        """Return an object that moves maps along directions without flipping triangles."""
-        return self.domain.steps()
 
     def terms(self, points: wp.array, multipliers: wp.array | None = None) -> MapTerms:
         """Return the areas of cells, costs of vertices and distortion of a map, shape [V].

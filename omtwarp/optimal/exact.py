@@ -34,9 +34,9 @@ from omtwarp.optimal.solver import (
     softness,
 )
 from omtwarp.optimal.sphere import Sphere, energy_on_sphere
+from omtwarp.optimal.steps import FlipFreeSteps
 from omtwarp.options import Cost, Progress, Record
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
-from omtwarp.untangling.steps import FlipFreeSteps
 
 Numbers = NDArray[np.float64]
 
@@ -68,7 +68,7 @@ def restore_areas(
     """
     points = energy.domain.sent(given)
     terms = energy.terms(points)
-    steps = energy.flip_free_steps()
+    steps = FlipFreeSteps(energy.domain)
     factor = energy.saddle_factor()
     numbers = energy.wanted * energy.wanted.sum() / STIFFNESS
     compliance = wp.array(numbers, dtype=wp.float64, device=energy.device)

@@ -26,7 +26,6 @@ from omtwarp.optimal.kernels import Fit, raised_fit, weighted_fit
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
 from omtwarp.solvers.motion_kernels import keeps_volume
 from omtwarp.solvers.triangle import triangle_frames
-from omtwarp.untangling.steps import FlipFreeSteps
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -422,41 +421,22 @@ class Plane:
         self.at_vertices(put_together, [coordinates], [out])
         return out
 
-    def steps(self) -> FlipFreeSteps:
-        """Return an object that moves maps along vectors without turning triangles over."""
-        return PlaneSteps(self)
+    def moved(self, points: wp.array, direction: wp.array, share: wp.array, length: float) -> wp.array:
+        """Return the points after a step along vectors, vec2d, shape [V]."""
+        moved = self.empty(wp.vec2d, len(points))
+        self.at_vertices(move_in_plane, [points, direction, share, wp.float64(length)], [moved])
+        return moved
+
+    def spoilt(self, moved: wp.array, volume: wp.array) -> wp.array:
+        """Return 1 for every triangle that a step turns over or nearly flattens, 0 for others, float64, shape [F]."""
+        marks = self.empty(wp.float64, len(volume))
+        inputs = [self.areas(moved), volume]
+        wp.launch(plane_trouble, dim=len(volume), inputs=inputs, outputs=[marks], device=self.device)
+        return marks
 
     def factor(self, cells: Cells, workspace: Workspace | None) -> SaddlePointFactor:
         """Return what factorises matrices with a multiplier for every cell."""
         return cells.factor(workspace)
-
-
-class PlaneSteps(FlipFreeSteps):
-    """Moves maps to the plane; triangles that a step would turn over hold their corners back.
-
-    Args:
-        plane: where the maps are.
-    """
-
-    def __init__(self, plane: Plane):
-        super().__init__(plane.surface, plane.device)
-        self._plane = plane
-
-    def untangled(self, moved: wp.array, marks: wp.array, weight: float) -> tuple[wp.array, int] | None:
-        """Return None, as patches are for spheres."""
-        return None
-
-    def _moved(self, points: wp.array, direction: wp.array, share: wp.array | None, length: float) -> wp.array:
-        whole = wp.full(len(points), 1.0, dtype=wp.float64, device=self._plane.device) if share is None else share
-        moved = self._plane.empty(wp.vec2d, len(points))
-        self._plane.at_vertices(move_in_plane, [points, direction, whole, wp.float64(length)], [moved])
-        return moved
-
-    def _marks(self, moved: wp.array, volume: wp.array) -> wp.array:
-        areas = self._plane.areas(moved)
-        marks, device = self._plane.empty(wp.float64, len(areas)), self._plane.device
-        wp.launch(plane_trouble, dim=len(areas), inputs=[areas, volume], outputs=[marks], device=device)
-        return marks
 
 
 class PlaneCost:

@@ -12,7 +12,6 @@ does not is halved. After each step the few vertices that have the most to gain 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,6 +30,7 @@ from omtwarp.optimal.energy import SHAPE_WEIGHT, MapTerms, TransportEnergy
 from omtwarp.optimal.kernels import single_gains
 from omtwarp.optimal.local import LocalSteps, freed_vertices
 from omtwarp.optimal.sphere import Sphere, energy_on_sphere
+from omtwarp.optimal.steps import FlipFreeSteps
 from omtwarp.options import Cost, Progress, Record
 from omtwarp.solvers.cholesky.saddle import COORDINATES
 from omtwarp.solvers.newton import SUFFICIENT_DECREASE
@@ -64,7 +64,7 @@ class _Step:
         points: shape [V], on the device.
         terms: of the map.
         length: share of the direction that was taken.
-        corrected: vertices untangled or held back.
+        corrected: vertices held back.
         multipliers: after the step, float64, shape [N], on the device.
     """
 
@@ -87,12 +87,11 @@ class OptimalMap:
         history: one record per step, the first for the start: ``cost`` (Σ m d², or of soft distances; masses 4π in
             all), ``energy`` (cost, shape and area errors in one number), ``ring_rms`` and ``ring_largest`` (relative
             errors of the areas around vertices), ``area`` and ``angle`` (mean distortions of triangles), ``decrement``
-            (expected gain), ``length`` (share of the Newton step taken), ``corrected`` (number of vertices untangled or
-            held back) and ``settled`` (number moved by local steps).
+            (expected gain), ``length`` (share of the Newton step taken), ``corrected`` (number of vertices held back),
+            ``settled`` (number moved by local steps).
         converged: whether the expected gain and the areas reached their tolerances.
         ended: why the minimisation ended, in words.
         factorisations: number of sparse matrices that were factorised.
-        gave_up: what was given up because it took too much work, in words; mostly empty.
     """
 
     points: Numbers
@@ -101,7 +100,6 @@ class OptimalMap:
     converged: bool
     ended: str
     factorisations: int
-    gave_up: str = ""
 
     @property
     def sphere(self) -> Numbers:
@@ -251,7 +249,7 @@ class _Newton:
         self.constrained, self.stage = penalty is None, "omt" if penalty is None else "refine"
         self.energy, self.device, self.gain = energy, energy.device, gain
         self.surface, self.domain = energy.surface, energy.domain
-        self.steps = energy.flip_free_steps()
+        self.steps = FlipFreeSteps(energy.domain)
         self.factor = energy.saddle_factor()
         # Weights of the squared area errors in the augmented Lagrangian: μ over the wanted areas, which sum to 12π for
         # rings.
@@ -311,7 +309,6 @@ class _Newton:
             converged and as_good,
             ended if as_good else f"{ended}; the map given was better",
             factorisations,
-            self.steps.gave_up,
         )
 
     def _settled(
@@ -406,7 +403,7 @@ class _Newton:
         slope, pressed = reading.dot(right, solution), reading.dot(self.multipliers, terms.missing)
         volume, length, decrement, merit = terms.shape.d_volume, 1.0, 0.0, 0.0
         for halvings in range(MAX_HALVINGS + 1):
-            moved, marks, troubled = self.steps.tried(points, direction, volume, length, reading)
+            moved, troubled = self.steps.tried(points, direction, volume, length, reading)
             finish = energy.begin(moved, self.multipliers)
             numbers = reading.read()
             if halvings == 0:
@@ -415,29 +412,15 @@ class _Newton:
                 if not decrement > 0.0:
                     break
             enough = merit - SUFFICIENT_DECREASE * length * decrement
-            if numbers[troubled] == 0.0:
-                maps: Iterable[tuple[wp.array, MapTerms, int]] = [(moved, finish(numbers), 0)]
-            else:
-                maps = self._corrected(points, direction, volume, length, moved, marks)
-            for there, after, corrected in maps:
+            held = (moved, 0) if numbers[troubled] == 0.0 else self.steps.held_back(points, direction, volume, length)
+            if held is not None:
+                after = energy.terms(held[0], self.multipliers) if held[1] else finish(numbers)
                 if self._merit(after) <= enough:
                     change = length if self.constrained else 0.0
                     multipliers = combine(1.0, self.multipliers, change, q)
-                    return _Step(there, after, length, corrected, multipliers), q, decrement
+                    return _Step(held[0], after, length, held[1], multipliers), q, decrement
             length *= 0.5
         return None, q, decrement
-
-    def _corrected(
-        self, points: wp.array, direction: wp.array, volume: wp.array, length: float, moved: wp.array, marks: wp.array
-    ) -> Iterator[tuple[wp.array, MapTerms, int]]:
-        """Yield the flip-free maps near a step that flips triangles: with these untangled, with vertices held back."""
-        found = self.steps.untangled(moved, marks, self.energy.area_weight)
-        if found is not None:
-            yield found[0], self.energy.terms(found[0], self.multipliers), found[1]
-        held = self.steps.held_back(points, direction, volume, length)
-        if held is not None:
-            count = int((held[1].numpy() < 1.0).sum())
-            yield held[0], self.energy.terms(held[0], self.multipliers), count
 
     def _record(self, terms: MapTerms, decrement: float, length: float, corrected: int, settled: int) -> Record:
         """Return the entry of the history for a step, as :class:`OptimalMap` describes it."""

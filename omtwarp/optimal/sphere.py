@@ -18,10 +18,9 @@ from omtwarp.optimal.kernels import area_slopes, cost_metric, transport_gradient
 from omtwarp.refine.energy import DistortionEnergy, Terms
 from omtwarp.refine.further import VertexTerm
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
-from omtwarp.solvers.motion_kernels import from_tangent, to_tangent
+from omtwarp.solvers.motion_kernels import from_tangent, retract_to_sphere, to_tangent, triangle_trouble
 from omtwarp.solvers.triangle import AREA_WEIGHT
 from omtwarp.untangling.kernels import solid_angles
-from omtwarp.untangling.steps import FlipFreeSteps
 
 Numbers = NDArray[np.float64]
 
@@ -37,6 +36,7 @@ class Sphere:
     def __init__(self, surface: Surface, device: wp.Device):
         self.surface, self.device = surface, device
         self._faces = surface.on(device).faces
+        self._examined = surface.face_count  # the first triangles, which are looked at after a step
         self._areas = empty(surface.face_count, wp.float64, device)
 
     def sent(self, values: Numbers) -> wp.array:
@@ -71,9 +71,19 @@ class Sphere:
         wp.launch(from_tangent, dim=len(points), inputs=[points, coordinates], outputs=[out], device=self.device)
         return out
 
-    def steps(self) -> FlipFreeSteps:
-        """Return an object that moves maps along tangent vectors without flipping triangles."""
-        return FlipFreeSteps(self.surface, self.device)
+    def moved(self, points: wp.array, direction: wp.array, share: wp.array, length: float) -> wp.array:
+        """Return the points after a step along tangent vectors, projected to the sphere, vec3d, shape [V]."""
+        moved = empty(len(points), wp.vec3d, self.device)
+        inputs = [points, direction, share, wp.float64(length)]
+        wp.launch(retract_to_sphere, dim=len(points), inputs=inputs, outputs=[moved], device=self.device)
+        return moved
+
+    def spoilt(self, moved: wp.array, volume: wp.array) -> wp.array:
+        """Return 1 for every triangle that a step flips or nearly flattens, 0 for others, float64, shape [F]."""
+        marks = wp.zeros(self.surface.face_count, dtype=wp.float64, device=self.device)
+        inputs = [moved, self._faces, volume]
+        wp.launch(triangle_trouble, dim=self._examined, inputs=inputs, outputs=[marks], device=self.device)
+        return marks
 
     def factor(self, cells: Cells, workspace: Workspace | None) -> SaddlePointFactor:
         """Return what factorises matrices with a multiplier for every cell."""

@@ -12,6 +12,7 @@ triangle flipped. Steps of that kind are not taken: the solid angles of a patch 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -31,34 +32,16 @@ from omtwarp.solvers.newton import PatchMatrix, search_patches
 from omtwarp.solvers.triangle import AREA_WEIGHT, triangle_frames
 from omtwarp.untangling.kernels import move_in_tangent, solid_angles, untangle_newton, untangle_value
 
-# Rings of vertices that the first attempt frees, the next two twice and four times as many: fewer move fewer vertices,
-# and tangle limbs more. Areas and angles of 40 made surfaces are the same in the mean with 2 and 4; a person's area
-# distortion is 2.034 with 2 and 3, and 2.029 with 4 and 5.
-RINGS = 4
-# What ε is multiplied by from one round to the next, and Newton steps in a round, at most. 60 made surfaces end with
-# the same areas and angles with 0.5, 0.7 and 0.85; the smaller, the more of their conformal maps are repaired (50, 48
-# and 45). With 2 and 8 steps they are the same.
+# Rings of vertices that attempts free around every flipped triangle, the last the whole sphere. Fewer move fewer
+# vertices, and tangle limbs more: areas and angles of 40 made surfaces are the same in the mean with 2 and 4 in the
+# first; a person's area distortion is 2.034 with 2 and 3, and 2.029 with 4 and 5.
+RINGS = (4, 8, 16, 10**9)
+# What ε is multiplied by from one round to the next, from LARGEST_EPSILON on, at which triangles are free to pass
+# through one another, and Newton steps in a round, at most. 60 made surfaces end with the same areas and angles with
+# 0.5, 0.7 and 0.85; the smaller, the more of their conformal maps are repaired (50, 48 and 45). With 2 and 8 steps they
+# are the same.
 LOWERED, ROUND_STEPS = 0.7, 4
-
-
-@dataclass(frozen=True)
-class Attempt:
-    """How an attempt frees vertices and lowers ε.
-
-    Attributes:
-        rings: rings of vertices freed around every flipped triangle.
-        largest: the first ε; the larger, the freer are triangles to pass through one another.
-        lowered: what ε is multiplied by from one round to the next.
-        steps: Newton steps in a round, at most.
-    """
-
-    rings: int
-    largest: float = 1.0
-    lowered: float = LOWERED
-    steps: int = ROUND_STEPS
-
-
-ATTEMPTS = tuple(Attempt(rings) for rings in (RINGS, 2 * RINGS, 4 * RINGS, 10**9))  # the last frees the whole sphere
+LARGEST_EPSILON = 1.0
 FATTENED = 0.1  # see :func:`omtwarp.solvers.triangle.triangle_frames`: needles of the mesh stop no attempt
 SMALLEST_EPSILON = 1e-4  # of the area ratio D: with an ε this small the energy is a barrier, and remaining flips stay
 # A Newton step of few vertices takes as long as one over this many more: its fixed cost.
@@ -131,7 +114,7 @@ def untangle(
     surface: MeshLike,
     sphere: ArrayLike,
     *,
-    attempts: tuple[Attempt, ...] = ATTEMPTS,
+    rings: Sequence[int] = RINGS,
     budget: RepairBudget | None = None,
     device: str | None = "auto",
     progress: Progress | None = None,
@@ -141,7 +124,8 @@ def untangle(
     Args:
         surface: the original surface in any form that :func:`omtwarp.map_to_sphere` takes, V vertices and F faces.
         sphere: images of its vertices, unit vectors, shape [V, 3]; triangles may be flipped or of area zero.
-        attempts: each from the result of the one before, until one gives a bijection.
+        rings: of vertices that are freed around flipped triangles, a number for each attempt, which begins with the
+            result of the one before, until one gives a bijection.
         budget: the work that it may take; by default that of the surface.
         device: where the kernels run; the sparse systems are solved on the host.
         progress: called as ``progress("untangle", attempt, attempts, details)`` before every attempt; ``tangled`` of
@@ -172,18 +156,18 @@ def untangle(
     before, tangled = examined.flips, examined.tangled
     rounds = 0
     history: list[dict[str, int]] = []
-    for number, attempt in enumerate(attempts):
+    for number, freed in enumerate(rings):
         if not tangled.any() or budget.exhausted:
             break
-        tell(progress, "untangle", number, len(attempts), {"tangled": int(tangled.sum())})
-        untangling = _Untangling(surface, points, tangled, attempt, where)
+        tell(progress, "untangle", number, len(rings), {"tangled": int(tangled.sum())})
+        untangling = _Untangling(surface, points, tangled, freed, where)
         points, done = untangling.solve(budget)
         examined = examine(points, faces)
         tangled = examined.tangled
         rounds += done
         history.append(
             {
-                "rings": min(attempt.rings, surface.vertex_count),
+                "rings": min(freed, surface.vertex_count),
                 "vertices": untangling.whole.free,
                 "patches": untangling.whole.count,
                 "rounds": done,
@@ -198,31 +182,24 @@ def untangle_patches(
     surface: Surface,
     sphere: Floats,
     seeds: NDArray[np.bool_],
-    attempt: Attempt,
-    device: wp.Device,
-    budget: RepairBudget | None = None,
-    held: NDArray[np.bool_] | None = None,
-    *,
-    weight: float = AREA_WEIGHT,
-) -> tuple[Floats, int]:
-    """Try once to untangle the patches around given triangles.
+    rings: int,
+    budget: RepairBudget,
+    held: NDArray[np.bool_],
+) -> Floats:
+    """Try once to untangle the patches around given triangles, on the host.
 
     Args:
         surface: the original surface, V vertices and F faces.
         sphere: unit vectors, shape [V, 3].
         seeds: the triangles to free, shape [F].
-        attempt: how they are freed.
-        device: a Warp device.
-        budget: the work that it may take; by default that of the surface.
+        rings: of vertices that are freed around them.
+        budget: the work that it may take.
         held: vertices that stay where they are, shape [V]; at least one corner of the triangles to free is not.
-        weight: λ, how much area counts against angle.
 
     Returns:
-        The map, shape [V, 3], and the number of vertices freed.
+        The map, shape [V, 3].
     """
-    untangling = _Untangling(surface, sphere, seeds, attempt, device, held, weight)
-    points, _ = untangling.solve(RepairBudget(surface) if budget is None else budget)
-    return points, untangling.whole.free
+    return _Untangling(surface, sphere, seeds, rings, resolve_device("cpu"), held).solve(budget)[0]
 
 
 class _Untangling:
@@ -233,19 +210,17 @@ class _Untangling:
         surface: Surface,
         sphere: Floats,
         flipped: NDArray[np.bool_],
-        attempt: Attempt,
+        rings: int,
         device: wp.Device,
         held: NDArray[np.bool_] | None = None,
-        weight: float = AREA_WEIGHT,
     ):
         self.device = device
-        self.attempt, self.weight = attempt, weight
         self.surface = surface
         self.sphere = sphere
         self.result = sphere.copy()
         seed = np.zeros(surface.vertex_count, dtype=bool)
         seed[surface.faces[flipped].ravel()] = True
-        freed = grow(surface.faces, seed, attempt.rings)
+        freed = grow(surface.faces, seed, rings)
         if held is not None:
             freed &= ~held
         self.whole = Patches.of_vertices(surface.faces, freed)
@@ -294,13 +269,13 @@ class _Untangling:
         """Lower ε to its smallest, or until no patch has a flip; return the map and the number of rounds."""
         self._take(self.whole)
         points = wp.array(self.sphere[self.patches.vertices], dtype=wp.vec3d, device=self.device)
-        epsilon = np.full(self.whole.count, self.attempt.largest)
+        epsilon = np.full(self.whole.count, LARGEST_EPSILON)
         active = np.ones(self.whole.count, dtype=bool)
         rounds = 0
         while True:
             rounds += 1
             moving = active.copy()
-            for _ in range(self.attempt.steps):
+            for _ in range(ROUND_STEPS):
                 points, settled = self._newton_step(points, epsilon, moving)
                 budget.spend(self.patches.free)
                 moving &= ~settled
@@ -312,7 +287,7 @@ class _Untangling:
             active &= (tangled | (self.surplus != 0)) & (epsilon > SMALLEST_EPSILON)
             if not active.any() or budget.exhausted:
                 break
-            epsilon[active] = np.maximum(epsilon[active] * self.attempt.lowered, SMALLEST_EPSILON)
+            epsilon[active] = np.maximum(epsilon[active] * LOWERED, SMALLEST_EPSILON)
             # Max active share, of the triangles: where fewer are in tangled patches, the solved patches are dropped
             if active[self.patches.face_patch].mean() < 0.7:
                 points = wp.array(self._narrow(active, points.numpy()), dtype=wp.vec3d, device=self.device)
@@ -345,7 +320,7 @@ class _Untangling:
         patches = self.patches
         face_epsilon = wp.array(epsilon[patches.face_patch], dtype=wp.float64, device=self.device, copy=False)
         energy = self._energy(points, face_epsilon)
-        inputs = [points, self.d_faces, self.d_frames, self.d_areas, face_epsilon, wp.float64(self.weight)]
+        inputs = [points, self.d_faces, self.d_frames, self.d_areas, face_epsilon, wp.float64(AREA_WEIGHT)]
         wp.launch(
             untangle_newton,
             dim=len(patches.faces),
@@ -388,7 +363,7 @@ class _Untangling:
     def _energy(self, points, face_epsilon) -> Floats:
         """Return the energy of every patch; infinite where it covers the sphere once more than it did."""
         patches = self.patches
-        inputs = [points, self.d_faces, self.d_frames, self.d_areas, face_epsilon, wp.float64(self.weight)]
+        inputs = [points, self.d_faces, self.d_frames, self.d_areas, face_epsilon, wp.float64(AREA_WEIGHT)]
         outputs = [self.d_value, self.d_solid]
         wp.launch(untangle_value, dim=len(patches.faces), inputs=inputs, outputs=outputs, device=self.device)
         energy = patches.sum_of_faces(self.d_value.numpy())

@@ -15,7 +15,7 @@ from omtwarp.mesh.surface import Surface
 from omtwarp.metrics.certificate import certify_triangles
 from omtwarp.solvers.triangle import triangle_frames
 from omtwarp.untangling.kernels import untangle_newton, untangle_value
-from omtwarp.untangling.untangle import ATTEMPTS, RepairBudget, untangle
+from omtwarp.untangling.untangle import RINGS, RepairBudget, untangle
 
 
 def unit(points):
@@ -125,9 +125,9 @@ def test_failure_is_told():
     """With no attempts allowed, the flips left are counted."""
     surface = icosphere(4)
     _, start, _ = scrambled(surface, 3, 0.6, 0)
-    result = untangle(surface, start, device="cpu", attempts=())
+    result = untangle(surface, start, device="cpu", rings=())
     assert result.flips_after == result.flips_before > 0
-    assert ATTEMPTS[-1].rings > surface.vertex_count
+    assert RINGS[-1] > surface.vertex_count
 
 
 @pytest.mark.parametrize("epsilon", [1.0, 0.1, 0.003])

@@ -1,0 +1,70 @@
+"""Steps of a whole map that turn no triangle over: corners of triangles that a step would turn over are held back."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from omtwarp.device.start import wp
+from omtwarp.device.sums import Reading
+from omtwarp.solvers.motion_kernels import hold_back
+
+if TYPE_CHECKING:
+    from omtwarp.optimal.energy import Domain
+
+
+class FlipFreeSteps:
+    """Moves the maps of a domain along directions.
+
+    Args:
+        domain: where the V vertices of a surface move.
+    """
+
+    def __init__(self, domain: Domain):
+        self._domain, self._device = domain, domain.device
+        self._count, self._corners = domain.surface.vertex_count, domain.surface.on(domain.device).vertex_corners
+        self._whole = wp.full(self._count, 1.0, dtype=wp.float64, device=self._device)
+        self._reading = Reading(self._device)
+
+    def tried(
+        self, points: wp.array, direction: wp.array, volume: wp.array, length: float, reading: Reading
+    ) -> tuple[wp.array, int]:
+        """Move points by a step, and begin to look for triangles that it turns over or nearly flattens.
+
+        Args:
+            points: a map without flips, shape [V].
+            direction: of every vertex, shape [V].
+            volume: of the triangles of the map, as of :meth:`omtwarp.optimal.energy.Domain.spoilt`, shape [F].
+            length: of the step.
+            reading: of numbers from the device.
+
+        Returns:
+            The map, and the place of a number among those read that is positive where there are such triangles.
+        """
+        moved = self._domain.moved(points, direction, self._whole, length)
+        return moved, reading.largest(self._domain.spoilt(moved, volume))
+
+    def held_back(
+        self, points: wp.array, direction: wp.array, volume: wp.array, length: float
+    ) -> tuple[wp.array, int] | None:
+        """Move points by the largest shares of the step, halved corner by corner, that keep every triangle.
+
+        Args:
+            points, direction, volume, length: as of :meth:`tried`.
+
+        Returns:
+            The map and the number of vertices held back; None where no shares were found.
+        """
+        holds = 30  # halvings of the shares of corners of triangles in trouble
+        share, other = self._whole, wp.empty_like(self._whole)
+        for _ in range(holds):
+            moved = self._domain.moved(points, direction, share, length)
+            trouble = self._domain.spoilt(moved, volume)
+            place = self._reading.largest(trouble)
+            if not self._reading.read()[place] > 0.0:
+                return moved, int(np.count_nonzero(share.numpy() < 1.0))
+            inputs = [*self._corners, trouble, share]
+            wp.launch(hold_back, dim=self._count, inputs=inputs, outputs=[other], device=self._device)
+            share, other = other, wp.empty_like(share) if share is self._whole else share
+        return None
