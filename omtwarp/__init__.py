@@ -9,59 +9,15 @@ Names are imported at their first use, so that ``import omtwarp`` is fast.
 
 from __future__ import annotations
 
-import importlib
+import ast as _ast
+import importlib as _importlib
+import inspect as _inspect
+import sys as _sys
+from collections.abc import Callable as _Callable
 from types import ModuleType as _ModuleType
 from typing import TYPE_CHECKING
 
 from omtwarp.maps import Displayable as _Displayable
-
-# The module that every public name comes from; `shapes` is itself a module.
-_PUBLIC = {
-    "Defect": "omtwarp.mesh.validate",
-    "MapResult": "omtwarp.maps.result",
-    "OmtwarpError": "omtwarp.errors",
-    "OmtwarpWarning": "omtwarp.errors",
-    "Surface": "omtwarp.mesh.surface",
-    "TargetDensity": "omtwarp.measures",
-    "Material": "omtwarp.texturing",
-    "PaintedMesh": "omtwarp.texturing",
-    "align": "omtwarp.alignment",
-    "TorusMap": "omtwarp.maps.torus_map",
-    "barycentric_map": "omtwarp.baselines",
-    "certify": "omtwarp.metrics.certificate",
-    "check": "omtwarp.mesh.validate",
-    "conformal_map": "omtwarp.conformal",
-    "distortion": "omtwarp.metrics",
-    "film": "omtwarp.render.films",
-    "harmonic_points": "omtwarp.conformal",
-    "hierarchical_embedding": "omtwarp.start.hierarchical",
-    "map_optimality": "omtwarp.metrics.optimality",
-    "map_surface": "omtwarp.mapping.any_surface",
-    "map_to_sphere": "omtwarp.mapping.pipeline",
-    "mobius_centring": "omtwarp.conformal",
-    "moser_map": "omtwarp.moser",
-    "optimal_map": "omtwarp.optimal",
-    "optimal_transport": "omtwarp.transport.flow",
-    "optimality": "omtwarp.metrics.optimality",
-    "paint": "omtwarp.texturing",
-    "paper_flow": "omtwarp.transport.paper",
-    "preview": "omtwarp.render",
-    "read_mesh": "omtwarp.mesh.read",
-    "read_painted_mesh": "omtwarp.texturing",
-    "refine_map": "omtwarp.optimal.refinement",
-    "register": "omtwarp.registration",
-    "repair": "omtwarp.mesh.repair",
-    "resample": "omtwarp.resampling",
-    "texture": "omtwarp.texturing",
-    "transfer_texture": "omtwarp.transfer",
-    "transport_cost": "omtwarp.transport.cost",
-    "untangle": "omtwarp.untangling.untangle",
-    "unwrap_uv": "omtwarp.texturing",
-    "weighted_surface": "omtwarp.measures",
-    "write_report": "omtwarp.reporting",
-}
-
-_MODULES = {"benchmark": "omtwarp.benchmark", "shapes": "omtwarp.mesh.shapes"}
 
 if TYPE_CHECKING:
     __version__: str
@@ -91,26 +47,46 @@ if TYPE_CHECKING:
     from omtwarp.optimal import optimal_map as optimal_map
     from omtwarp.optimal.refinement import refine_map as refine_map
     from omtwarp.registration import register as register
-    from omtwarp.render import preview as preview
     from omtwarp.render.films import film as film
-    from omtwarp.reporting import write_report as write_report
+    from omtwarp.render.pictures import preview as preview
+    from omtwarp.reporting.page import write_report as write_report
     from omtwarp.resampling import resample as resample
     from omtwarp.start.hierarchical import hierarchical_embedding as hierarchical_embedding
-    from omtwarp.texturing import (
-        Material as Material,
-        PaintedMesh as PaintedMesh,
-        paint as paint,
-        read_painted_mesh as read_painted_mesh,
-        texture as texture,
-        unwrap_uv as unwrap_uv,
-    )
+    from omtwarp.texturing.export import Material as Material
+    from omtwarp.texturing.painted import PaintedMesh as PaintedMesh
+    from omtwarp.texturing.painter import paint as paint
+    from omtwarp.texturing.read import read_painted_mesh as read_painted_mesh
+    from omtwarp.texturing.textured import texture as texture
+    from omtwarp.texturing.unwrap import unwrap_uv as unwrap_uv
     from omtwarp.transfer import transfer_texture as transfer_texture
     from omtwarp.transport.cost import transport_cost as transport_cost
     from omtwarp.transport.flow import optimal_transport as optimal_transport
     from omtwarp.transport.paper import paper_flow as paper_flow
     from omtwarp.untangling.untangle import untangle as untangle
 
-__all__ = ["__version__", *_PUBLIC, *_MODULES]  # noqa: PLE0604 (ruff cannot see that all are texts)
+
+def _at_first_use(package: str) -> tuple[list[str], _Callable[[str], object]]:
+    """Return the names of a package, and a function that imports one of them.
+
+    The names, and the modules that they come from, are those of the package's block for type checkers: its text is
+    there, as that of kernels, which Warp reads, has to be.
+    """
+    text = _inspect.getsource(_sys.modules[package])
+    block = next(node for node in _ast.parse(text).body if isinstance(node, _ast.If))
+    imports = [node for node in block.body if isinstance(node, _ast.ImportFrom)]
+    homes = {alias.name: str(node.module) for node in imports for alias in node.names}
+
+    def imported(name: str) -> object:
+        if name not in homes:
+            raise AttributeError(f"module '{package}' has no attribute '{name}'")
+        home = vars(_importlib.import_module(homes[name]))
+        return home[name] if name in home else _importlib.import_module(f"{homes[name]}.{name}")
+
+    return [*homes], imported
+
+
+_names, _imported = _at_first_use(__name__)
+__all__ = ["__version__", *_names]  # noqa: PLE0604 (ruff cannot see that all are texts)
 
 
 def _viewers() -> _ModuleType:
@@ -125,13 +101,9 @@ _Displayable.viewers = _viewers
 
 def __getattr__(name: str) -> object:
     if name == "__version__":
-        value: object = importlib.import_module("omtwarp.version").package_version()
-    elif name in _PUBLIC:
-        value = getattr(importlib.import_module(_PUBLIC[name]), name)
-    elif name in _MODULES:
-        value = importlib.import_module(_MODULES[name])
+        value: object = _importlib.import_module("omtwarp.version").package_version()
     else:
-        raise AttributeError(f"module 'omtwarp' has no attribute '{name}'")
+        value = _imported(name)
     globals()[name] = value
     return value
 

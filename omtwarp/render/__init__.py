@@ -1,7 +1,8 @@
 """Pictures of surfaces, maps and fields without a display: pyrender through EGL, or a Warp ray caster."""
 
-import importlib
 from typing import TYPE_CHECKING
+
+from omtwarp import _at_first_use
 
 if TYPE_CHECKING:
     from omtwarp.render.camera import Camera as Camera, Light as Light
@@ -15,22 +16,8 @@ if TYPE_CHECKING:
     )
     from omtwarp.render.subject import as_surface_view as as_surface_view, map_view as map_view
 
-_NAMES = {
-    "camera": ["Camera", "Light"],
-    "films": ["film"],
-    "pictures": ["comparison", "preview", "sheet"],
-    "scene": ["Arrows", "ScalarField", "SurfaceView", "Wireframe"],
-    "subject": ["as_surface_view", "map_view"],
-}
-_HOMES = {name: module for module, names in _NAMES.items() for name in names}
-__all__ = list(_HOMES)
-
-
-def __getattr__(name: str) -> object:
-    # The drawing process imports this package too, and must not load what it does not use.
-    if name in _HOMES:
-        return getattr(importlib.import_module(f"omtwarp.render.{_HOMES[name]}"), name)
-    raise AttributeError(f"module 'omtwarp.render' has no attribute '{name}'")
+# The drawing process imports this package too, and must not load what it does not use.
+__all__, __getattr__ = _at_first_use(__name__)
 
 
 def __dir__() -> list[str]:

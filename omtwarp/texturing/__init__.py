@@ -3,8 +3,9 @@
 Names are imported at their first use, so that importing the package does not start Warp.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from omtwarp import _at_first_use
 
 if TYPE_CHECKING:
     from omtwarp.texturing.adaptive import rasterize as rasterize
@@ -31,28 +32,4 @@ if TYPE_CHECKING:
     from omtwarp.texturing.textured import TexturedSurface as TexturedSurface, texture as texture
     from omtwarp.texturing.unwrap import unwrap_uv as unwrap_uv
 
-
-_NAMES = {
-    "adaptive": ["rasterize"],
-    "atlas": ["ATLASES", "make_atlas"],
-    "bakes": ["BAKES"],
-    "baking": ["VertexValues", "bake", "bake_to_uv", "bake_vertex_values", "sample"],
-    "image": ["direction_to_image", "read_image", "rotation_matrix"],
-    "export": ["Material"],
-    "painted": ["PaintedMesh"],
-    "painter": ["paint"],
-    "patterns": ["Pattern", "pattern"],
-    "read": ["read_painted_mesh"],
-    "seams": ["unwrap"],
-    "textured": ["TexturedSurface", "texture"],
-    "unwrap": ["unwrap_uv"],
-}
-_HOMES = {name: module for module, names in _NAMES.items() for name in names}
-
-__all__ = list(_HOMES)
-
-
-def __getattr__(name: str) -> object:
-    if name not in _HOMES:
-        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+__all__, __getattr__ = _at_first_use(__name__)
