@@ -86,25 +86,14 @@ def data_uri(image: Image | list[Image], kind: str) -> str:
     return f"data:image/{kind};base64,{b64encode(stream.getvalue()).decode()}"
 
 
-def fill_page(template: str, **values: object) -> str:
-    """Put values in place of {{name}}, once and not within values; those that are plain text are escaped."""
-    pieces = template.split("{{")
+def fill_page(name: str, /, **values: object) -> Markup:
+    """Put values in place of {{name}} in a file of the package, once and not within values; plain text is escaped."""
+    pieces = str(asset(name)).split("{{")
     text = [pieces[0]]
     for piece in pieces[1:]:
-        name, _, rest = piece.partition("}}")
-        text += [str(Markup.escape(values[name])), rest]
-    return "".join(text)
-
-
-STYLE = Markup("""
-body { font: 16px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 72rem; padding: 0 1rem; color: #222;
-  overflow-wrap: anywhere }
-table { border-collapse: collapse; margin: 1rem 0; display: block; overflow-x: auto }
-th, td { padding: .2rem .8rem .2rem 0; text-align: left; overflow-wrap: normal }
-td.n { text-align: right; font-variant-numeric: tabular-nums } th { border-bottom: 1px solid #999 }
-.pictures { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(20rem, 100%), 1fr)); gap: 1rem }
-figure { margin: 0 } figure img { width: 100% } figcaption { font-size: .9rem }
-""")
+        place, _, rest = piece.partition("}}")
+        text += [str(Markup.escape(values[place])), rest]
+    return Markup("".join(text))  # noqa: S704
 
 
 def write_plain_page(path: Path, title: str, body: Sequence[str]) -> Path:
@@ -115,16 +104,7 @@ def write_plain_page(path: Path, title: str, body: Sequence[str]) -> Path:
         title: of the page, its first heading too.
         body: pieces of HTML, or text, below the heading.
     """
-    page = html(
-        '<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{}</title>'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; img-src data:; '
-        "style-src 'unsafe-inline'\"><style>{}</style></head><body>{}</body></html>",
-        title,
-        STYLE,
-        join([element("h1", title), *body]),
-    )
-    write_text(path, str(page))
+    write_text(path, str(fill_page("plain.html", title=title, body=join(body))))
     return path
 
 

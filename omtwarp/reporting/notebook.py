@@ -12,7 +12,7 @@ from omtwarp.maps.torus_map import TorusMap
 from omtwarp.render import Camera, SurfaceView, preview
 from omtwarp.render.pictures import PreviewOptions
 from omtwarp.render.subject import map_view, torus_view
-from omtwarp.reporting.markup import data_uri, html
+from omtwarp.reporting.markup import data_uri, fill_page, html
 from omtwarp.reporting.scene import make_scene, page_with_view, viewer_section
 from omtwarp.reporting.stages import Stage, stages_of
 from omtwarp.texturing.adaptive import rasterize
@@ -41,19 +41,8 @@ def notebook_view(result: MapResult | TorusMap) -> str:
         return str(html('<div><img alt="{}" src="{}">{}</div>', repr(result), data_uri(plot(result), "webp"), caption))
     stages = stages_of(result)
     poster = data_uri(plot(result, transparent=True, size=still, camera=Camera(margin=0.03)), "webp")
-    return str(
-        html(
-            '<div><div style="position:relative;height:{height}px;max-width:960px">'
-            '<img alt="{name}" src="{poster}" style="width:100%;height:100%;object-fit:contain">'
-            '<iframe title="{name}" srcdoc="{page}" sandbox="allow-scripts" '
-            'style="position:absolute;inset:0;width:100%;height:100%;border:0"></iframe></div>{caption}</div>',
-            height=height,
-            name=repr(result),
-            poster=poster,
-            page=view_page(result, stages, poster),
-            caption=caption,
-        )
-    )
+    page = view_page(result, stages, poster)
+    return str(fill_page("frame.html", height=height, name=repr(result), poster=poster, page=page, caption=caption))
 
 
 def view_page(result: MapResult, stages: list[Stage], poster: str) -> str:

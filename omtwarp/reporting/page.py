@@ -148,7 +148,7 @@ def _page(
         verdict=views.verdict(certificate.bijective, certificate.flips),
         view=view,
         sections=join(content, "\n"),
-        footer=sections.footer(report),
+        versions=", ".join(f"{name} {value}" for name, value in report.get("versions", {}).items()) or "omtwarp",
     )
 
 

@@ -9,6 +9,7 @@ import json
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -292,19 +293,6 @@ def levels(values: Floats, low: float, high: float) -> Bytes:
     return np.rint(np.clip((values - low) / (high - low), 0.0, 1.0) * 255.0).astype(np.uint8)
 
 
-# A tick on a disc, and a warning; drawn here so that they do not depend on fonts.
-_TICK = html(
-    '<svg viewBox="0 0 20 20" aria-hidden="true"><circle cx="10" cy="10" r="9" fill="currentColor" opacity=".18"/>'
-    '<path d="M5.8 10.4l2.8 2.8 5.6-6" fill="none" stroke="currentColor" stroke-width="2" stroke-linecap="round" '
-    'stroke-linejoin="round"/></svg>'
-)
-_WARNING = html(
-    '<svg viewBox="0 0 20 20" aria-hidden="true"><circle cx="10" cy="10" r="9" fill="currentColor" opacity=".18"/>'
-    '<path d="M10 5.4v5.6M10 13.6v.6" stroke="currentColor" stroke-width="2.2" stroke-linecap="round"/></svg>'
-)
-_ICON = "<svg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 24 24'><circle cx='12' cy='12' r='10.4' fill='%231f6f78'/><g fill='none' stroke='%23fff' stroke-width='1.3' opacity='.9'><ellipse cx='12' cy='12' rx='4.6' ry='10.4'/><path d='M1.6 12h20.8M3.2 6.8h17.6M3.2 17.2h17.6'/></g></svg>"  # noqa: E501
-
-
 def page_with_view(template: str, scene: Scene, **values: object) -> str:
     """Put a page together: one HTML file that needs nothing else.
 
@@ -314,27 +302,28 @@ def page_with_view(template: str, scene: Scene, **values: object) -> str:
         values: by the names of their places; see :func:`viewer_section` and :func:`verdict`.
     """
     three, viewer = script("three/three.min.js"), script("viewer.js")
-    return fill_page(
-        asset(template),
+    page = fill_page(
+        template,
         scripts=html("{} {}", source_hash(three), source_hash(viewer)),
         style=asset("page.css"),
-        icon=f"data:image/svg+xml,{_ICON.replace('<', '%3C').replace('>', '%3E').replace(' ', '%20')}",
+        icon=f"data:image/svg+xml,{quote(str(asset('icon.svg')).strip())}",
         scene=data_block(scene.header),
         data=data_block(scene.data),
         three=three,
         viewer=viewer,
         **values,
     )
+    return str(page)
 
 
 def verdict(bijective: bool, flips: int) -> Markup:
     """Say whether a map is one to one, or how many triangles it flips."""
     if bijective:
-        return html('<p class="verdict">{} Certified one to one: no flipped triangle, degree 1</p>', _TICK)
+        return html('<p class="verdict">{} Certified one to one: no flipped triangle, degree 1</p>', asset("tick.svg"))
     if flips:
         words = f"{flips:,} flipped triangle{'s' * (flips > 1)}: not one to one"
-        return html('<p class="verdict bad">{} {}</p>', _WARNING, words)
-    return html('<p class="verdict bad">{} Not certified</p>', _WARNING)
+        return html('<p class="verdict bad">{} {}</p>', asset("warning.svg"), words)
+    return html('<p class="verdict bad">{} Not certified</p>', asset("warning.svg"))
 
 
 def viewer_section(stages: Sequence[Stage], poster: str, poster_alt: str, texture: str) -> Markup:
@@ -346,18 +335,6 @@ def viewer_section(stages: Sequence[Stage], poster: str, poster_alt: str, textur
         poster_alt: what the picture shows.
         texture: name of the texture among the colourings.
     """
-    return Markup(
-        fill_page(
-            asset("viewer.html"),
-            poster=poster,
-            poster_alt=poster_alt,
-            controls=_controls(stages, texture),
-            legends=_legends(stages[-1].domain),
-        )
-    )
-
-
-def _controls(stages: Sequence[Stage], texture: str) -> Markup:
     last, domain = stages[-1].key, stages[-1].domain
     colourings = [
         ("picture", texture),
@@ -366,28 +343,24 @@ def _controls(stages: Sequence[Stage], texture: str) -> Markup:
         ("angle", "Angle"),
         ("plain", "Plain"),
     ]
-    return (
-        _segments("Map", "stage", [(stage.key, stage.label) for stage in stages], last)
-        + _segments("Colour", "colouring", colourings, "picture")
-        + html(
-            '<label class="slider"><span><em>Surface</em><em>{}</em></span>'
-            '<input type="range" name="morph" min="0" max="100" value="0" aria-label="From the surface to the {}">'
-            "</label>"
-            '<div class="buttons"><label class="toggle"><input type="checkbox" name="wireframe">Wireframe</label>'
-            '<button type="button" id="viewer-home">Reset view</button></div>',
-            domain.capitalize(),
-            domain,
-        )
+    choices = _segments("Map", "stage", [(stage.key, stage.label) for stage in stages], last)
+    return fill_page(
+        "viewer.html",
+        poster=poster,
+        poster_alt=poster_alt,
+        choices=choices + _segments("Colour", "colouring", colourings, "picture"),
+        domain=domain,
+        image=domain.capitalize(),
+        areas=_stops(colour_ramp(AREA_COLOURS, count=12)),
+        angles=_stops(colour_ramp(ANGLE_COLOURS, ANGLE_PART, count=12)),
+        most=f"{2.0**RANGE:.0f}",
+        half=f"{2.0 ** (RANGE / 2):.1f}",
     )
 
 
-def _legends(domain: str) -> Markup:
-    area, angle = 2.0**RANGE, 2.0**RANGE
-    area_ticks = (f"1/{area:.0f}", "1", f"{area:.0f}")
-    angle_ticks = ("1", f"{2 ** (RANGE / 2):.1f}", f"{angle:.0f} or more")
-    return _legend("area", f"Area: {domain} / surface", colour_ramp(AREA_COLOURS, count=12), area_ticks) + _legend(
-        "angle", "Larger / smaller stretch", colour_ramp(ANGLE_COLOURS, ANGLE_PART, count=12), angle_ticks
-    )
+def _stops(colours: str) -> str:
+    """Return the colours of a ramp, as those of a gradient."""
+    return ",".join(f"#{colours[k : k + 6]}" for k in range(0, len(colours), 6))
 
 
 def _segments(legend: str, name: str, options: Sequence[tuple[str, str]], chosen: str) -> Markup:
@@ -402,15 +375,3 @@ def _segments(legend: str, name: str, options: Sequence[tuple[str, str]], chosen
         for key, label in options
     )
     return html('<fieldset><legend>{}</legend><div class="segments">{}</div></fieldset>', legend, labels)
-
-
-def _legend(name: str, label: str, colours: str, ticks: Sequence[str]) -> Markup:
-    stops = ",".join(f"#{colours[k : k + 6]}" for k in range(0, len(colours), 6))
-    return html(
-        '<div class="legend" data-legend="{}" hidden><span>{}</span>'
-        '<i style="background:linear-gradient(90deg,{})"></i><b>{}</b></div>',
-        name,
-        label,
-        stops,
-        join(html("<em>{}</em>", tick) for tick in ticks),
-    )

@@ -14,7 +14,7 @@ from omtwarp.maps.result import MapReport
 from omtwarp.mesh.arrays import TINY, Floats
 from omtwarp.options import Record
 from omtwarp.render.annotate import nice_ticks
-from omtwarp.reporting.markup import Markup, element, html, join
+from omtwarp.reporting.markup import Markup, element, fill_page, html, join
 from omtwarp.reporting.scene import log2_angle_ratio, log2_area_ratio
 from omtwarp.reporting.stages import Stage
 
@@ -296,17 +296,9 @@ def distributions(stages: Sequence[Stage]) -> Markup:
         f"{angle[0].label}: {angle[0].remark}. {angle[-1].label}: {angle[-1].remark}.",
         mirrored=False,
     )
-    cards = html(
-        '<div class="card"><h3>Area ratio</h3><p>Area on the {} over area on the surface; 1 preserves area.</p>'
-        "{}</div>"
-        '<div class="card"><h3>Angle ratio</h3><p>Larger over smaller singular value; 1 preserves angles.</p>'
-        "{}</div>",
-        stages[-1].domain,
-        left,
-        right,
-    )
+    cards = fill_page("distributions.html", domain=stages[-1].domain, areas=left, angles=right)
     words = "How much of the surface is distorted how far, each distribution scaled to its own peak."
-    return section("Distortion", words, html('<div class="pair">{}</div>', cards))
+    return section("Distortion", words, cards)
 
 
 def transport(report: MapReport, history: Sequence[Record], stages: Sequence[Stage]) -> Markup:
@@ -403,19 +395,8 @@ def stage_table(stages: Sequence[Stage], report: MapReport) -> Markup:
                 join(html("<td>{}</td>", cell) for cell in cells),
             )
         )
-    single = ("Stage", "Time", "Steps", "Flips")
-    head = join(html("<th scope='col' rowspan='2'>{}</th>", name) for name in single)
-    for name in ("Area", "Angle"):
-        head += html("<th scope='colgroup' colspan='3' class='group'>{} distortion</th>", name)
-    head += html("<th scope='col' rowspan='2'>Transport<br>cost</th></tr><tr>")
     image = "torus" if stages[-1].domain == "torus" else "sphere"
-    head += 2 * html("<th scope='col'>surface</th><th scope='col'>95 %</th><th scope='col'>{}</th>", image)
-    table = html(
-        '<div class="scroll" tabindex="0" role="region" aria-label="What each stage did"><table><thead>'
-        "<tr>{}</tr></thead><tbody>{}</tbody></table></div>",
-        head,
-        join(rows),
-    )
+    table = fill_page("stages.html", rows=join(rows), image=image)
     words = (
         "Area distortion is σ₁σ₂ + 1/(σ₁σ₂) and angle distortion σ₁/σ₂ + σ₂/σ₁, with σ the singular values of the map "
         "on a triangle; 2 is perfect. Given are the mean weighted by area on the surface, the 95th percentile over the "
@@ -463,18 +444,6 @@ def certificate(report: MapReport, shown_faces: int, last: Stage, filled: bool) 
     if count and shown_faces < count:
         facts.append(("Interactive view", f"simplified to {shown_faces:,} triangles; figures are of the whole mesh"))
     return section("Certificate", words, html('<div class="card">{}</div>', _facts(facts)))
-
-
-def footer(report: MapReport) -> Markup:
-    """Show the versions of the packages and a reference to the paper."""
-    versions = report.get("versions", {})
-    names = ", ".join(f"{name} {value}" for name, value in versions.items())
-    return html(
-        "<p>Made with {}.</p>"
-        "<p>Method: A. Dominitz and A. Tannenbaum, Texture Mapping via Optimal Mass Transport, IEEE Transactions on "
-        "Visualization and Computer Graphics 16(3), 2010. The view uses three.js (MIT licence).</p>",
-        names or "omtwarp",
-    )
 
 
 def where(report: MapReport) -> str:
