@@ -191,12 +191,10 @@ def frame(
     clearance = 1e-3
     far_room = 1.2, 0.1  # factor and addition, by which the farthest plane of drawing lies behind the subject
     smallest_view = 1e-9  # radii: half the height of a view of a single point
-    shots: list[Shot] = []
-    placed: list[tuple[Camera, Floats, Floats, float]] = []
+    placed = []
     for camera in cameras:
         axes = camera_axes(camera, up or "y", front)
-        seen = points @ axes
-        x, y, z = seen.T
+        x, y, z = (points @ axes).T
         perspective = camera.projection == "perspective"
         depth = z if perspective else np.zeros_like(z)
         opening = np.tan(np.radians(camera.field_of_view) / 2.0) if perspective else 1.0
@@ -209,19 +207,17 @@ def frame(
             top, bottom = np.max(depth + y / tall), np.max(depth - y / tall)
             distance = float(max(right + left, top + bottom) / 2.0)
             shift = np.array([(right - left) / 2.0 * wide, (top - bottom) / 2.0 * tall])
-        placed.append((camera, axes, shift, distance))
-    shared = max(distance for *_, distance in placed)
-    for camera, axes, shift, _ in placed:
-        depth = points @ axes[:, 2]
-        perspective = camera.projection == "perspective"
-        half_height = np.tan(np.radians(camera.field_of_view) / 2.0) if perspective else max(shared, smallest_view)
-        half_height = half_height / camera.zoom
-        distance = max(shared, float(depth.max()) + clearance) if perspective else 3.0
+        placed.append((axes, shift, distance, perspective, opening / camera.zoom, float(z.min()), float(z.max())))
+    shared = max(distance for _, _, distance, *_ in placed)
+    shots: list[Shot] = []
+    for axes, shift, _, perspective, half_height, lowest, highest in placed:
+        half_height *= 1.0 if perspective else max(shared, smallest_view)
+        distance = max(shared, highest + clearance) if perspective else 3.0
         pose = np.eye(4)
         pose[:3, :3] = axes
-        pose[:3, 3] = axes @ np.array([shift[0], shift[1], distance])
-        near = max((distance - float(depth.max())) * 0.5, clearance)
-        far = (distance - float(depth.min())) * far_room[0] + far_room[1]
+        pose[:3, 3] = axes @ np.array([*shift, distance])
+        near = max((distance - highest) * 0.5, clearance)
+        far = (distance - lowest) * far_room[0] + far_room[1]
         shots.append(Shot(pose, perspective, float(half_height * aspect), float(half_height), near, far))
     return shots
 

@@ -76,18 +76,15 @@ def as_surface_view(subject: Subject, image: Picture | None = None) -> SurfaceVi
     Raises:
         OmtwarpError: the subject cannot be read or is nothing that can be drawn.
     """
-    if isinstance(subject, SurfaceView):
-        view = subject
-    elif isinstance(subject, (str, os.PathLike)):
+    if isinstance(subject, (str, os.PathLike)):
         path = Path(subject)
         if path.suffix.lower() == ".npz":
-            from omtwarp.maps.torus_map import read_map
-
-            found = read_map(path)
-            return torus_view(found, image) if is_torus_map(found) else map_view(cast(FinishedMap, found), image)
-        from omtwarp.texturing.read import read_painted_mesh
-
-        view = painted_view(read_painted_mesh(path))
+            from omtwarp.maps.torus_map import read_map as read
+        else:
+            from omtwarp.texturing.read import read_painted_mesh as read  # type: ignore[assignment]
+        subject = read(path)
+    if isinstance(subject, SurfaceView):
+        view = subject
     elif is_torus_map(subject):
         return torus_view(subject, image)
     elif isinstance(subject, FinishedMap):

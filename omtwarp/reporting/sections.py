@@ -145,60 +145,40 @@ def curve(
         return html("")
     values = [b for _, b in points] + ([level[0]] if level else [])
     ticks = nice_ticks(min(values), max(values), 5)
-    plot = _Plot(max(1.0, *(a for a, _ in points)), ticks)
-    parts = plot.axes(x_label, y_label)
+    last = max(1.0, *(a for a, _ in points))
+    left, right, top, bottom = 64.0, WIDTH - 12.0, 30.0, HEIGHT - 44.0
+
+    def across(value: float) -> float:
+        return left + value / last * (right - left)
+
+    def above(value: float) -> float:
+        return bottom - (value - ticks[0]) / (ticks[-1] - ticks[0]) * (bottom - top)
+
+    parts = [element("text", y_label, class_="axis-name", x=0, y=14)]
+    for tick in ticks:
+        at = above(tick)
+        parts.append(element("line", class_="grid", x1=left, x2=right, y1=at, y2=at))
+        parts.append(element("text", f"{tick:.6g}", class_="tick", x=left - 8, y=at + 4, text_anchor="end"))
+    for tick in (tick for tick in nice_ticks(0.0, last, 6) if tick <= last):
+        at, below = across(tick), f"{bottom + 18:.0f}"
+        parts.append(element("text", f"{tick:.6g}", class_="tick", x=at, y=below, text_anchor="middle"))
+    below = f"{bottom + 36:.0f}"
+    parts.append(element("text", x_label, class_="axis-name", x=right, y=below, text_anchor="end"))
     if level:
-        at = plot.y(level[0])
-        parts.append(element("line", class_="level", x1=plot.left, x2=plot.right, y1=at, y2=at))
-        parts.append(element("text", level[1], class_="remark", x=plot.right, y=at - 6, text_anchor="end"))
-    line = " ".join(f"{plot.x(a):.1f},{plot.y(b):.1f}" for a, b in points)
+        at = above(level[0])
+        parts.append(element("line", class_="level", x1=left, x2=right, y1=at, y2=at))
+        parts.append(element("text", level[1], class_="remark", x=right, y=at - 6, text_anchor="end"))
+    line = " ".join(f"{across(a):.1f},{above(b):.1f}" for a, b in points)
     ink = f"--ink:var({colour})"
     parts.append(element("polyline", class_="curve", style=ink, points=line))
     for a, b in (points[0], points[-1]):
-        parts.append(element("circle", class_="dot", style=ink, cx=plot.x(a), cy=plot.y(b), r=3.5))
+        parts.append(element("circle", class_="dot", style=ink, cx=across(a), cy=above(b), r=3.5))
     if mark and 0 <= mark[0] < len(points):
-        a, b = points[mark[0]]
-        anchor, shift = ("start", 10) if plot.x(a) < 0.6 * plot.right else ("end", -10)
-        parts.append(element("circle", class_="ring", style=ink, cx=plot.x(a), cy=plot.y(b), r=6))
-        at = plot.x(a) + shift
-        parts.append(element("text", mark[1], class_="remark", x=at, y=plot.y(b) - 10, text_anchor=anchor))
+        at, up = across(points[mark[0]][0]), above(points[mark[0]][1])
+        anchor, shift = ("start", 10) if at < 0.6 * right else ("end", -10)
+        parts.append(element("circle", class_="ring", style=ink, cx=at, cy=up, r=6))
+        parts.append(element("text", mark[1], class_="remark", x=at + shift, y=up - 10, text_anchor=anchor))
     return _svg(HEIGHT, title, description, parts)
-
-
-class _Plot:
-    """Where values lie in a chart of a curve.
-
-    Args:
-        last: the largest value of x; the least is 0.
-        ticks: values of y with a line across, ascending, which enclose all others.
-    """
-
-    def __init__(self, last: float, ticks: Sequence[float]):
-        self.last, self.ticks = last, ticks
-        self.left, self.right, self.top, self.bottom = 64.0, WIDTH - 12.0, 30.0, HEIGHT - 44.0
-
-    def x(self, value: float) -> float:
-        return self.left + value / self.last * (self.right - self.left)
-
-    def y(self, value: float) -> float:
-        low, high = self.ticks[0], self.ticks[-1]
-        return self.bottom - (value - low) / (high - low) * (self.bottom - self.top)
-
-    def axes(self, x_label: str, y_label: str) -> list[Markup]:
-        """Draw both axes with their lines, numbers and names."""
-        parts = [element("text", y_label, class_="axis-name", x=0, y=14)]
-        for tick in self.ticks:
-            at = self.y(tick)
-            name = f"{tick:.6g}"
-            parts.append(element("line", class_="grid", x1=self.left, x2=self.right, y1=at, y2=at))
-            parts.append(element("text", name, class_="tick", x=self.left - 8, y=at + 4, text_anchor="end"))
-        for tick in nice_ticks(0.0, self.last, 6):
-            if tick <= self.last:
-                below = f"{self.bottom + 18:.0f}"
-                name = f"{tick:.6g}"
-                parts.append(element("text", name, class_="tick", x=self.x(tick), y=below, text_anchor="middle"))
-        below = f"{self.bottom + 36:.0f}"
-        return [*parts, element("text", x_label, class_="axis-name", x=self.right, y=below, text_anchor="end")]
 
 
 def _svg(height: float, title: str, description: str, parts: Sequence[Markup]) -> Markup:
@@ -386,15 +366,8 @@ def stage_table(stages: Sequence[Stage], report: MapReport) -> Markup:
             *(_number(of[kind]) for of in (measured.area, measured.angle) for kind in ("surface", "p95", "sphere")),
             _number(record["transport_cost"]) if "transport_cost" in record else "–",
         ]
-        rows.append(
-            html(
-                "<tr><th scope='row'>{}{}{}</th>{}</tr>",
-                _swatch(stage),
-                stage.label,
-                remark,
-                join(html("<td>{}</td>", cell) for cell in cells),
-            )
-        )
+        head = element("th", _swatch(stage), stage.label, remark, scope="row")
+        rows.append(element("tr", head, *(element("td", cell) for cell in cells)))
     image = "torus" if stages[-1].domain == "torus" else "sphere"
     table = fill_page("stages.html", rows=join(rows), image=image)
     words = (

@@ -29,20 +29,15 @@ def cube_face(d: wp.vec3d):
 
 
 @wp.func
-def cube_direction(face: int, a: wp.float64, b: wp.float64):
-    """Return a point of a cube face's plane, a to the right and b up (frames as in omtwarp.texturing.atlas)."""
-    d = wp.vec3d(ONE, a, b)
-    if face == 1:
-        d = wp.vec3d(-a, ONE, b)
-    elif face == 2:
-        d = wp.vec3d(-ONE, -a, b)
-    elif face == 3:
-        d = wp.vec3d(a, -ONE, b)
-    elif face == 4:
-        d = wp.vec3d(-b, a, ONE)
-    elif face == 5:
-        d = wp.vec3d(b, a, -ONE)
-    return d
+def cube_frame(face: int):
+    """Return normal, right and up of a face of the cube as rows, as omtwarp.texturing.atlas has them."""
+    c = wp.float64(wp.where(face % 2 == 0, 1 - face, 0))
+    s = wp.float64(wp.where(face % 2 == 1, 2 - face, 0))
+    frame = wp.mat33d(c, s, ZERO, -s, c, ZERO, ZERO, ZERO, ONE)
+    if face > 3:
+        z = wp.float64(9 - 2 * face)
+        frame = wp.mat33d(ZERO, ZERO, z, ZERO, ONE, ZERO, -z, ZERO, ZERO)
+    return frame
 
 
 @wp.func
@@ -71,7 +66,8 @@ def picture_direction(
         right = (x - wp.float64(column) * cell - gutter) / half - ONE
         up = ONE - (y - wp.float64(row) * cell - gutter) / half
         quarter = wp.float64(0.25) * PI
-        d = cube_direction(row * columns + column, wp.tan(right * quarter), wp.tan(up * quarter))
+        local = wp.vec3d(ONE, wp.tan(right * quarter), wp.tan(up * quarter))
+        d = wp.transpose(cube_frame(row * columns + column)) * local
     elif kind == Kind.OCTAHEDRAL:
         half = HALF * (w - TWO * gutter)
         a = (x - gutter) / half - ONE
@@ -107,25 +103,14 @@ def picture_point(kind: int, d: wp.vec3d, width: int, height: int, offset: wp.fl
         cell = offset
         half = HALF * (cell - TWO * gutter)
         face = cube_face(d)
-        a = d[1]
-        b = d[2]
-        if face == 1:
-            a = -d[0]
-        elif face == 2:
-            a = -d[1]
-        elif face == 3:
-            a = d[0]
-        elif face == 4:
-            b = -d[0]
-        elif face == 5:
-            b = d[0]
-        largest = wp.max(wp.max(wp.max(wp.abs(d[0]), wp.abs(d[1])), wp.abs(d[2])), TINY)
+        local = cube_frame(face) * d
+        largest = wp.max(local[0], TINY)
         columns = cube_columns(width, height)
         column = face % columns
         row = face // columns
         quarter = wp.float64(0.25) * PI
-        x = wp.float64(column) * cell + gutter + (wp.atan2(a, largest) / quarter + ONE) * half
-        y = wp.float64(row) * cell + gutter + (ONE - wp.atan2(b, largest) / quarter) * half
+        x = wp.float64(column) * cell + gutter + (wp.atan2(local[1], largest) / quarter + ONE) * half
+        y = wp.float64(row) * cell + gutter + (ONE - wp.atan2(local[2], largest) / quarter) * half
     elif kind == Kind.OCTAHEDRAL:
         half = HALF * (w - TWO * gutter)
         total = wp.max(wp.abs(d[0]) + wp.abs(d[1]) + wp.abs(d[2]), TINY)

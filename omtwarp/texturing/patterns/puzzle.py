@@ -10,7 +10,7 @@ from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, PI, ZERO, wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import Floats
 from omtwarp.texturing.atlas import CUBE_FRAMES, normalised
-from omtwarp.texturing.kernels import cube_face
+from omtwarp.texturing.kernels import cube_face, cube_frame
 from omtwarp.texturing.patterns import Pattern, colour_groups, srgb_colours
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -41,7 +41,6 @@ def jigsaw_edge(s: wp.float64, t: wp.float64):
 @wp.kernel
 def puzzle_colours(
     directions: wp.array[wp.vec3d],
-    frames: wp.array[wp.mat33d],
     side: int,
     neighbours: wp.array2d[wp.int32],
     tabs: wp.array2d[wp.int32],
@@ -56,7 +55,7 @@ def puzzle_colours(
     i, _compiled_once = wp.tid()
     d = directions[i]
     face = cube_face(d)
-    local = frames[face] * d
+    local = cube_frame(face) * d
     # Equiangular coordinates: pieces of nearly the same size from the middle of a face of the cube to its corners.
     scale = wp.float64(side) * HALF
     x = (wp.atan2(local[1], local[0]) * wp.float64(4.0) / PI + ONE) * scale
@@ -155,7 +154,6 @@ class Puzzle(Pattern):
         neighbours, tabs, shifts = self._edges
         pairs = np.stack([np.repeat(np.arange(self.count), 4), neighbours.ravel()], axis=1)
         return [
-            (CUBE_FRAMES, wp.mat33d),
             self.side,
             (neighbours, wp.int32),
             (tabs, wp.int32),
