@@ -331,7 +331,12 @@ def align(
     def aligned(points: SpherePoints, ours: Mapping[str, ArrayLike] | None = features) -> Alignment:
         if by_vertices:
             return _by_vertices(points, fixed)
-        return _by_features(points, fixed, ours, to_features, degree)
+        here, there = common_features(points, fixed, ours, to_features)
+        if not here:
+            return _by_places(points, fixed)
+        best = feature_rotations(points, fixed, here, there, degree, most=1)[0]
+        turned = _own_turned(points, best.rotation)
+        return Alignment(best.rotation, turned, "features", best.score, best.runner_up, False, basis=", ".join(here))
 
     alignment = aligned(moving)
     check = check and alignment.method == "features"
@@ -398,22 +403,6 @@ def _by_vertices(moving: SpherePoints, fixed: SpherePoints) -> Alignment:
     rotation, agreement = fitted_rotation((moving.grid.points * weights[:, None]).T @ fixed.grid.points)
     turned, score = _own_turned(moving, rotation), agreement / float(weights.sum())
     return Alignment(rotation, turned, "vertices", score, -1.0, False, basis="equal faces, as asked for")
-
-
-def _by_features(
-    moving: SpherePoints,
-    fixed: SpherePoints,
-    features: Mapping[str, ArrayLike] | None,
-    to_features: Mapping[str, ArrayLike] | None,
-    degree: int,
-) -> Alignment:
-    ours, theirs = common_features(moving, fixed, features, to_features)
-    if not ours:
-        return _by_places(moving, fixed)
-    best = feature_rotations(moving, fixed, ours, theirs, degree, most=1)[0]
-    turned = _own_turned(moving, best.rotation)
-    basis = ", ".join(ours)
-    return Alignment(best.rotation, turned, "features", best.score, best.runner_up, False, basis=basis)
 
 
 def feature_rotations(

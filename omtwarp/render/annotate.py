@@ -120,7 +120,7 @@ def grid(
     transparent: bool = False,
     title: str = "",
 ) -> Image.Image:
-    """Put pictures of one size side by side, each over its caption."""
+    """Put pictures of one size side by side, each over its caption; the renderer is that of the last of them."""
     count = len(images)
     columns = columns or (count if count <= 3 else int(np.ceil(np.sqrt(count))))
     columns = max(1, min(columns, count))
@@ -155,4 +155,5 @@ def grid(
             )
     if head:
         draw.text((size[0] / 2, head * 0.55), title, font=font(letters * 1.25), fill=color, anchor="mm")
+    canvas.info["backend"] = next((image.info["backend"] for image in reversed(images) if "backend" in image.info), "")
     return canvas

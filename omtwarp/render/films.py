@@ -29,7 +29,7 @@ from omtwarp.options import Backend, BackendLike, PatternLike, Progress, tell
 from omtwarp.render import annotate, output
 from omtwarp.render.camera import Camera, Shot, as_light, as_view, camera_axes, frame
 from omtwarp.render.pictures import View, checked_rate, checked_size, render
-from omtwarp.render.scene import Part, RenderJob, SurfaceView, normalisation, smooth_parts, welded_normals
+from omtwarp.render.scene import Appearance, Part, RenderJob, SurfaceView, normalisation, smooth_parts, welded_normals
 from omtwarp.render.subject import FinishedMap, Picture, is_torus_map, map_view, posed, torus_view
 from omtwarp.texturing.adaptive import rasterize
 from omtwarp.texturing.image import PictureLike
@@ -326,15 +326,9 @@ class Story:
             fill = max(time - 1.0, 0.0) * (self.domain_points - self.weights @ self.domain)
             places, normals = self.weights @ places + fill, self.weights @ normals
             normals /= np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)[:, None]
-        return Part(
-            positions=places.astype(np.float32),
-            normals=normals.astype(np.float32),
-            faces=self.parts,
-            kind="uv" if self.on_torus else "sphere",
-            value=points.astype(np.float32),
-            image=self.image,
-            repeat_rows=self.on_torus,
-        )
+        look = Appearance(kind="uv" if self.on_torus else "sphere", value=points, image=self.image)
+        look.repeat_rows = self.on_torus
+        return Part(positions=places, normals=normals, faces=self.parts, **vars(look))
 
 
 def along_great_circles(first: Floats, last: Floats, time: float) -> Floats:

@@ -290,7 +290,10 @@ def preview(
     several = len(cameras) > 1
     names = _captions(chosen["captions"], cameras) if several else []
     images = _draw(subject, chosen, cameras, clear=chosen["transparent"] or several)
-    return _finished(images, names, target, chosen) if several else _written(images[0], target)
+    if not several:
+        return _written(images[0], target)
+    background, transparent = chosen["background"], chosen["transparent"]
+    return _written(annotate.grid(images, names, background=background, transparent=transparent), target)
 
 
 @takes(PanelOptions, PANEL_DEFAULTS | {"size": PANEL_SIZE})
@@ -339,7 +342,9 @@ def sheet(
             continue
         images.extend(_draw(panel, chosen, cameras, clear=True))
         names.append(str(getattr(panel, "caption", "")))
-    return _finished(images, list(captions or names), target, chosen, columns=columns, title=title)
+    background, transparent, words = chosen["background"], chosen["transparent"], list(captions or names)
+    drawn = annotate.grid(images, words, columns=columns, background=background, transparent=transparent, title=title)
+    return _written(drawn, target)
 
 
 @takes(PanelOptions, PANEL_DEFAULTS | {"size": PANEL_SIZE})
@@ -416,24 +421,6 @@ def _draw(subject: Subject, options: PreviewOptions, cameras: list[Camera], clea
         image.info["backend"] = renderer
         images.append(image)
     return images
-
-
-def _finished(
-    images: list[Image.Image],
-    captions: list[str],
-    target: Path | None,
-    options: PreviewOptions,
-    *,
-    columns: int | None = None,
-    title: str = "",
-) -> Image.Image:
-    """Join several pictures to a sheet, with the renderer of the last of them."""
-    background, transparent = options["background"], options["transparent"]
-    result = annotate.grid(
-        images, captions, columns=columns, background=background, transparent=transparent, title=title
-    )
-    result.info["backend"] = next((image.info["backend"] for image in reversed(images) if "backend" in image.info), "")
-    return _written(result, target)
 
 
 def _written(picture: Image.Image, target: Path | None) -> Image.Image:

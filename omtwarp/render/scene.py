@@ -248,7 +248,7 @@ class Appearance:
 class Part(Appearance):
     """One set of triangles as both renderers take it; picklable, single precision (it only ever becomes pixels).
 
-    Its ``value`` is float32 [N, 3], with 0 behind u and v.
+    Arrays are converted to that; ``value`` becomes float32 [N, 3], with 0 behind u and v.
 
     Attributes:
         positions: float32 [N, 3], normalised: centred at the origin, farthest point at distance 1.
@@ -257,10 +257,16 @@ class Part(Appearance):
         edges: draw the triangles' edges; needs N = 3F, corner k of face f in row 3f + k.
     """
 
-    positions: NDArray[np.float32]
-    normals: NDArray[np.float32]
-    faces: Ints
+    positions: NDArray[np.floating]
+    normals: NDArray[np.floating]
+    faces: NDArray[np.integer]
     edges: bool = False
+
+    def __post_init__(self) -> None:
+        self.value = np.pad(self.value, ((0, 0), (0, 3 - self.value.shape[1])))
+        for name in ("positions", "normals", "value"):
+            setattr(self, name, np.ascontiguousarray(getattr(self, name), dtype=np.float32))
+        self.faces = np.ascontiguousarray(self.faces, dtype=np.int32)
 
 
 @dataclass(frozen=True)
@@ -397,15 +403,7 @@ def _build_part(view: SurfaceView, edges: bool = False, whole: SurfaceView | Non
         divided = smooth_map(vertices, faces, value, parts)
         positions, faces, value = divided.weights @ positions, divided.faces, divided.sphere
         normals = normalised(divided.weights @ normals)
-    if value.shape[1] == 2:
-        value = np.column_stack([value, np.zeros(len(value))])
-    return Part(
-        positions=np.ascontiguousarray(positions, dtype=np.float32),
-        normals=np.ascontiguousarray(normals, dtype=np.float32),
-        faces=np.ascontiguousarray(faces, dtype=np.int32),
-        edges=edges,
-        **vars(look) | {"value": np.ascontiguousarray(value, dtype=np.float32)},
-    )
+    return Part(positions=positions, normals=normals, faces=faces, edges=edges, **vars(look) | {"value": value})
 
 
 def _look_of(view: SurfaceView) -> Appearance:
@@ -568,10 +566,5 @@ def _solid_arrows(feet: Floats, way: Floats, normal: Floats, size: Floats, longe
         facings.append(normalised(np.repeat(solid.face_normals, 3, axis=0) / stretch) @ frames)
     positions, normals = (np.concatenate(parts, axis=1).reshape(-1, 3) for parts in (places, facings))
     faces = np.arange(len(positions)).reshape(-1, 3)
-    return Part(
-        positions=positions.astype(np.float32),
-        normals=normals.astype(np.float32),
-        faces=faces.astype(np.int32),
-        kind="color",
-        value=np.broadcast_to(color, positions.shape).astype(np.float32),
-    )
+    value = np.broadcast_to(color, positions.shape)
+    return Part(positions=positions, normals=normals, faces=faces, kind="color", value=value)

@@ -164,6 +164,27 @@ class Part:
     belongs: Ints | None = None
 
 
+@dataclass(frozen=True)
+class Model:
+    """A mesh in parts of one material each, as files hold it.
+
+    Attributes:
+        vertices: shape [V, 3].
+        normals: unit vectors at them, shape [V, 3].
+        parts: its triangles.
+        colors: sRGB and opacity at the vertices, shape [V, 4].
+        wraps: whether pictures repeat to the right, and upwards.
+        objects: names of object and group that parts' triangles belong to, for ``.obj``.
+    """
+
+    vertices: Floats
+    normals: Floats
+    parts: Sequence[Part]
+    colors: Bytes | None = None
+    wraps: tuple[bool, bool] = (True, True)
+    objects: Sequence[tuple[str, str]] = ()
+
+
 def uv_of_corners(uv: ArrayLike, faces: NDArray) -> Floats:
     """Return texture coordinates of vertices, shape [V, 2], or of corners at the corners of faces, shape [F, 3, 2].
 
@@ -217,30 +238,16 @@ def split_corners(faces: Ints, values: Floats, count: int) -> tuple[Ints, Ints, 
 
 
 def export(
-    path: str | os.PathLike[str],
-    vertices: Floats,
-    normals: Floats,
-    parts: Sequence[Part],
-    *,
-    colors: Bytes | None = None,
-    wraps: tuple[bool, bool] = (True, True),
-    keep: Iterable[Path | None] = (),
-    texture_format: str = TextureFormat.PNG,
-    objects: Sequence[tuple[str, str]] = (),
+    path: str | os.PathLike[str], model: Model, keep: Iterable[Path | None], texture_format: str = TextureFormat.PNG
 ) -> list[Path]:
     """Write a mesh with materials in the format of the path's suffix.
 
     Args:
         path: ``.glb``, or ``.obj``, whose material library and pictures get free names in the same folder, or those of
             files that the package wrote there before.
-        vertices: shape [V, 3].
-        normals: unit vectors at them, shape [V, 3].
-        parts: its triangles.
-        colors: sRGB and opacity at the vertices, shape [V, 4].
-        wraps: whether pictures repeat to the right, and upwards.
+        model: the mesh.
         keep: files that must not be replaced, such as inputs.
         texture_format: ``png`` or, in a .glb, ``webp``.
-        objects: names of object and group that parts' triangles belong to, for ``.obj``.
 
     Returns:
         The files written, the named one last.
@@ -257,9 +264,9 @@ def export(
     encoding, kept = format_for(suffix, texture_format), tuple(keep)
     with staged(path, keep=kept) as file:
         if suffix == ".glb":
-            files = [(file, glb_bytes(vertices, normals, parts, colors, wraps, encoding))]
+            files = [(file, glb_bytes(model, encoding))]
         else:
-            files = obj_files(vertices, normals, parts, file, kept, objects)
+            files = obj_files(model, file, kept)
         for name, content in files:
             name.write_bytes(content)
     return [as_path(path).with_name(name.name) for name, _ in files[:-1]] + [as_path(path)]
@@ -362,35 +369,28 @@ class GltfFile:
         return head + struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(blob), b"BIN\0") + blob
 
 
-def glb_bytes(
-    vertices: Floats,
-    normals: Floats,
-    parts: Sequence[Part],
-    colors: Bytes | None,
-    wraps: tuple[bool, bool],
-    texture_format: TextureFormat,
-) -> bytes:
+def glb_bytes(model: Model, texture_format: TextureFormat) -> bytes:
     """Encode a mesh with materials as a binary glTF 2.0 file; arguments as of :func:`export`.
 
     Raises:
         OmtwarpError: positions are out of the range of single precision, the only one that the format has.
     """
-    file = GltfFile(wraps, texture_format)
-    positions = single_precision(vertices, "cannot write positions as GLB")
+    file = GltfFile(model.wraps, texture_format)
+    positions = single_precision(model.vertices, "cannot write positions as GLB")
     primitives: list[dict[str, object]] = []
-    for part in parts:
+    for part in model.parts:
         attributes = {
             "POSITION": file.accessor(positions[part.vertex], bounds=True),
-            "NORMAL": file.accessor(normals[part.vertex].astype(np.float32)),
+            "NORMAL": file.accessor(model.normals[part.vertex].astype(np.float32)),
         }
         if part.uv is not None:  # whose origin the format has at the top left
             attributes["TEXCOORD_0"] = file.accessor((part.uv * (1.0, -1.0) + (0.0, 1.0)).astype(np.float32))
         if part.tangents is not None:
             attributes["TANGENT"] = file.accessor(part.tangents.astype(np.float32))
-        if colors is not None:
-            attributes["COLOR_0"] = file.accessor(linear(colors[part.vertex] / 255.0).astype(np.float32))
+        if model.colors is not None:
+            attributes["COLOR_0"] = file.accessor(linear(model.colors[part.vertex] / 255.0).astype(np.float32))
         primitives.append({"attributes": attributes, "indices": file.accessor(part.faces.ravel().astype(np.uint32))})
-    return file.content(primitives, [_gltf_material(part.material, file, part.uv is not None) for part in parts])
+    return file.content(primitives, [_gltf_material(part.material, file, part.uv is not None) for part in model.parts])
 
 
 def _gltf_material(material: Material, file: GltfFile, with_uv: bool) -> dict[str, object]:
@@ -421,20 +421,13 @@ def _gltf_material(material: Material, file: GltfFile, with_uv: bool) -> dict[st
     return entry
 
 
-def obj_files(
-    vertices: Floats,
-    normals: Floats,
-    parts: Sequence[Part],
-    place: Path,
-    keep: Iterable[Path | None] = (),
-    objects: Sequence[tuple[str, str]] = (),
-) -> list[tuple[Path, bytes]]:
+def obj_files(model: Model, place: Path, kept: tuple[Path | None, ...]) -> list[tuple[Path, bytes]]:
     """Return the files of an OBJ: pictures and material library first, the OBJ last.
 
     Vertices are written once and in their order, faces object by object and material by material; only texture
     coordinates are doubled along seams, as the format allows. A picture that is the only one has the OBJ's own name.
     """
-    kept = tuple(keep)
+    parts = model.parts
     drawn = [
         (number, statement, getattr(part.material, own), ending)
         for number, part in enumerate(parts)
@@ -458,9 +451,12 @@ def obj_files(
         library += [f"{word} {written[id(picture)][0].name}" for number, word, picture, _ in drawn if number == k]
         library.append("")
     beside = companion(place, ".mtl", kept)
-    text = ["# omtwarp\n", f"mtllib {beside.name}\n", _lines("v", vertices, "%.17g"), _lines("vn", normals, "%.5f")]
-    text += [_lines("vt", part.uv, "%.9g") for part in parts if part.uv is not None]
-    text += _obj_faces(parts, names, objects or [("surface", "")])
+    text = ["# omtwarp\n", f"mtllib {beside.name}\n", _lines("v", model.vertices, "%.17g")]
+    text += [
+        _lines("vn", model.normals, "%.5f"),
+        *(_lines("vt", part.uv, "%.9g") for part in parts if part.uv is not None),
+    ]
+    text += _obj_faces(parts, names, model.objects or [("surface", "")])
     return [*written.values(), (beside, "\n".join(library).encode()), (place, "".join(text).encode())]
 
 

@@ -16,7 +16,7 @@ from omtwarp.mesh.arrays import WELD, Bytes, Floats, Ints, real_numbers, whole_n
 from omtwarp.mesh.read import compressed, seam_copies
 from omtwarp.mesh.surface import unit_normals, vertex_normals
 from omtwarp.options import TextureFormat
-from omtwarp.texturing.export import Material, Part, corner_tangents, export, split_corners, uv_of_corners
+from omtwarp.texturing.export import Material, Model, Part, corner_tangents, export, split_corners, uv_of_corners
 
 # Of the extent of the mesh: corners of two copies of a mesh that are farther apart are not the same corner.
 SAME_PLACE = 1e-5
@@ -141,9 +141,8 @@ class PaintedMesh:
             raise OmtwarpError(ELSEWHERE)
         materials = np.zeros(len(triangles), dtype=np.int32)
         materials[kept] = self.material_of[origin[kept]]
-        objects = None
-        if self.face_object is not None:
-            objects = np.zeros(len(triangles), dtype=np.int32)
+        objects = None if self.face_object is None else np.zeros(len(triangles), dtype=np.int32)
+        if objects is not None and self.face_object is not None:
             objects[kept] = self.face_object[origin[kept]]
         uv = None
         if self.uv is not None:
@@ -182,17 +181,9 @@ class PaintedMesh:
         """
         normals = unit_normals(vertex_normals(self.vertices, self.faces))
         parts = [self._part(int(number), normals) for number in np.unique(self.material_of)]
-        return export(
-            path,
-            self.vertices,
-            normals,
-            parts,
-            colors=self.vertex_colors,
-            wraps=(True, self.wraps_rows),
-            keep=(*keep, *self.source_files),
-            texture_format=texture_format,
-            objects=self.objects,
-        )
+        wraps = (True, self.wraps_rows)
+        model = Model(self.vertices, normals, parts, self.vertex_colors, wraps, self.objects)
+        return export(path, model, (*keep, *self.source_files), texture_format)
 
     def _part(self, number: int, normals: Floats) -> Part:
         """Return the triangles of one material; corners that agree in all attributes share a row."""

@@ -25,7 +25,7 @@ from omtwarp.texturing.adaptive import BentLook, bake_bytes
 from omtwarp.texturing.atlas import Atlas, Equirectangular
 from omtwarp.texturing.bakes import least_visible_meridian
 from omtwarp.texturing.baking import Look, sample
-from omtwarp.texturing.export import Material, Part, export, format_for, split_corners
+from omtwarp.texturing.export import Material, Model, Part, export, format_for, split_corners
 from omtwarp.texturing.image import PictureLike
 from omtwarp.texturing.patterns import Pattern, pattern as by_name
 from omtwarp.texturing.seams import unwrap
@@ -169,16 +169,10 @@ class TexturedSurface:
             return [as_path(path)]
         _, first = np.unique(self.welded, return_index=True)
         belongs = None if self.face_object is None else self.face_object[self.source_face]
-        return export(
-            path,
-            self.vertices[first],
-            self.normals[first],
-            [Part(Material("texture", picture=self.image), self.faces, self.welded, self.uv, belongs=belongs)],
-            wraps=(self.wraps, self.wraps_rows),
-            keep=(*keep, self.source_image),
-            texture_format=texture_format,
-            objects=self.objects,
-        )
+        part = Part(Material("texture", picture=self.image), self.faces, self.welded, self.uv, belongs=belongs)
+        wraps = (self.wraps, self.wraps_rows)
+        model = Model(self.vertices[first], self.normals[first], [part], None, wraps, self.objects)
+        return export(path, model, (*keep, self.source_image), texture_format)
 
 
 class SphereMap(HasTriangles, Protocol):
