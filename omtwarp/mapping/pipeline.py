@@ -723,9 +723,7 @@ class MapComputation:
         figures: dict[str, float | int | None] = measured.to_dict()
         # No bound, a gap above this says nothing of a map: it is reported as none
         if measured.gap > 1.0:
-            figures |= dict.fromkeys(("lower_bound", "gap", "uniform_lower_bound", "uniform_gap"))
-        if self.target is not None:  # the image does not have uniform density
-            figures = {name: value for name, value in figures.items() if not name.startswith("uniform")}
+            figures |= dict.fromkeys(("lower_bound", "gap"))
         transported = self.record_of(Stage.OMT)
         if transported is not None and self.sphere is not self.maps[Stage.OMT]:
             last = self.records[-1].transport_cost

@@ -33,7 +33,7 @@ from omtwarp.device.arrays import sent, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import Each, core_count, each, launch_parts
-from omtwarp.mesh.arrays import TINY, Floats, Ints, normalised
+from omtwarp.mesh.arrays import TINY, Floats, Ints
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics import optimality_kernels as kernels
 from omtwarp.metrics.tree_kernels import (
@@ -311,6 +311,7 @@ class TransportDual(MapDual):
     Attributes:
         x, y: the points on the device.
         log: log_y(x) at every vertex, shape [V, 3].
+        edge_terms: the quadratic terms of ψ on the edges of every triangle, vec3d, shape [F].
         shared: the points that stand for others; None where few are so close.
     """
 
@@ -328,7 +329,7 @@ class TransportDual(MapDual):
             wp.array(corners[order], dtype=wp.mat33d, device=self.device),
         ]
         self._faces = wp.array(surface.faces, dtype=wp.vec3i, device=self.device)
-        self._edge = wp.array(
+        self.edge_terms = wp.array(
             edge_bulges(y[surface.faces], self.log[surface.faces]), dtype=wp.vec3d, device=self.device
         )
         self._leaves = leaf_count(len(order))
@@ -345,11 +346,6 @@ class TransportDual(MapDual):
         # the time.
         self.shared = shared_sources(x, surface.edges, 0.05 * self.tolerance)
 
-    @property
-    def edge_terms(self) -> Floats:
-        """The quadratic terms of ψ on the edges of every triangle, shape [F, 3]."""
-        return self._edge.numpy()
-
     def admissible_differences(self, of_sources: bool = False) -> tuple[Floats, Floats]:
         """Return the least and the largest difference of ψ along every edge with which its ends do not swap partners.
 
@@ -364,7 +360,7 @@ class TransportDual(MapDual):
         """Compute φ, the c-transform of ψ, at every x_i."""
         parts, nodes = len(self._parts[0]), 2 * self._leaves
         nodal = wp.array(potential, dtype=wp.float64, device=self.device)
-        mesh = [self.y, self._faces, nodal, self._edge, *self._parts]
+        mesh = [self.y, self._faces, nodal, self.edge_terms, *self._parts]
         places = wp.empty(kernels.SAMPLES * parts, dtype=wp.vec3d, device=self.device)
         values = wp.empty(kernels.SAMPLES * parts, dtype=wp.float64, device=self.device)
         self._launch(kernels.sample_triangles, parts, mesh, [places, values])
@@ -395,28 +391,7 @@ class TransportDual(MapDual):
 
     def flatten(self) -> None:
         """Make ψ linear on every triangle from now on, which suits potentials that the map did not give."""
-        self._edge.zero_()
-
-    def integral(self, potential: Floats) -> float:
-        """Integrate ψ over the sphere: the mean of a quadratic on every triangle, times its solid angle."""
-        a, b, c = self.y.numpy()[self.surface.faces.T]
-        triple = np.einsum("ij,ij->i", a, np.cross(b, c))
-        solid = 2.0 * np.arctan2(triple, 1.0 + (a * b).sum(1) + (b * c).sum(1) + (c * a).sum(1))
-        return float(solid @ quadratic_means(potential, self.surface.faces, self.edge_terms))
-
-    def spread(self, transform: Floats) -> tuple[float, float]:
-        """Return the integrals of c(x, y) and of φ, given at the x_i, shape [V], over triangles that carry the masses.
-
-        The map y is taken between the vertices too. A triangle carries its share of the masses of its corners. Along an
-        edge φ is the quadratic with the slopes -log_x(y) at both ends, as ψ is.
-        """
-        surface = self.surface
-        x, y = (points.numpy()[surface.faces] for points in (self.x, self.y))
-        bulges = edge_bulges(x, log_maps(x, y))
-        middles = (normalised(points + np.roll(points, -1, axis=1)) for points in (x, y))
-        masses = surface.face_areas * (self.mass / surface.vertex_areas)[surface.faces].mean(axis=1)
-        duals = quadratic_means(transform, surface.faces, bulges)
-        return float(masses @ half_squares(*middles).mean(axis=1)), float(masses @ duals)
+        self.edge_terms.zero_()
 
     def _launch(self, kernel: wp.Kernel, count: int, inputs: list[object], outputs: list[object]) -> None:
         wp.launch(kernel, dim=count, inputs=inputs, outputs=outputs, device=self.device)
@@ -464,17 +439,6 @@ def edge_bulges(corners: Floats, logs: Floats) -> Floats:
     others, theirs = np.roll(corners, -1, axis=1), np.roll(logs, -1, axis=1)
     ahead, back = log_maps(corners, others), log_maps(others, corners)
     return -0.5 * ((theirs * back).sum(axis=2) + (logs * ahead).sum(axis=2))
-
-
-def quadratic_means(nodal: Floats, corners: Ints, edge_terms: Floats) -> Floats:
-    """Return the mean over every triangle of the quadratic w0 f0 + w1 f1 + w2 f2 + Σ w_k w_(k+1) e_k, shape [F].
-
-    Args:
-        nodal: the f, values at vertices, shape [V].
-        corners: vertices of the triangles, shape [F, 3].
-        edge_terms: the e, shape [F, 3]; the mean of a product of two barycentric coordinates is 1/12.
-    """
-    return nodal[corners].mean(axis=1) + edge_terms.sum(axis=1) / 12.0
 
 
 # Sources that are left out or looked at together: with 6,900 of them and 16,600 images a search takes 0.06 to 0.1 CPU

@@ -24,13 +24,7 @@ appendix A; the relative curl is ||J∇H|| / ||log_y(x)||.
   c(x_a, y_b) - c(x_a, y_a), or else a and b would gain by swapping partners. The middles of these intervals, weighted
   by one over their widths, are a Poisson problem on the mesh's graph. Ascent steps with the same matrix improve it.
 
-The target of that problem is the image of the masses, which is uniform as far as the map preserves area. The problem
-between the surface itself and the exactly uniform sphere is bounded too: with the surface's areas spread over its
-triangles on the conformal sphere, no plan costs less than ∫φ + ∫ψ, both integrals of quadratics on triangles. Beside it
-stands the cost of the map between the vertices too, ∫ d(x, y)², integrated from the middles of edges. A map whose cost
-lies below this bound is cheap because its areas are wrong. Sums over vertices would not do for this comparison: where
-large and small triangles are mapped to one size, as on a bust with a fine face, the sum over vertices differs from the
-integral by 2 to 5 % at 25,000 faces.
+The target of that problem is the image of the masses, which is uniform as far as the map preserves area.
 
 **On a flat torus** the method is the same, with c = |x - z|²/2 over the copies of all triangles: in a plane the least
 value on a triangle is found exactly, and a branch of triangles is skipped only where it is proven not to contain it.
@@ -100,9 +94,6 @@ class Optimality:
         cost: M = Σ m_i d(x_i, y_i)², radians² times area; the masses sum to 4π.
         lower_bound: a lower bound on the cost of every rearrangement, same unit.
         gap: cost / lower_bound - 1.
-        uniform_cost: ∫ d(x, y)² over the triangles, same unit: the cost of the map between the vertices too.
-        uniform_lower_bound: the bound between the triangles and the exactly uniform sphere (see the module's text).
-        uniform_gap: uniform_cost / uniform_lower_bound - 1; negative where areas are wrong and the map is cheap for it.
         swapped_edges: edges whose two ends would gain by swapping partners; 0 for an optimal map without flips.
         ascent_steps: improvements of the potential that were made.
         potential: ψ at the y_i, float64, shape [V].
@@ -114,9 +105,6 @@ class Optimality:
     cost: float
     lower_bound: float
     gap: float
-    uniform_cost: float
-    uniform_lower_bound: float
-    uniform_gap: float
     swapped_edges: int
     ascent_steps: int
     potential: Floats
@@ -282,8 +270,6 @@ def _measure(
         ascent_steps = 0
     best, steps = _ascended(dual, best, ascent_steps, enough, notify)
     transform, at_images = dual.cost - best.potential - best.vertex_gap, best.potential
-    spread_cost, spread_transform = dual.spread(transform)
-    uniform = spread_transform + dual.integral(best.potential)
     if far:
         # Uniform masses are the same on a turned sphere: what φ is there goes with some ψ here.
         turned = TransportDual(surface, x, turned_towards(y, x, mass), mass, device)
@@ -292,23 +278,17 @@ def _measure(
         largest = SourceDual(dual).bound(there).at_images
         if mass @ (there + largest) > mass @ (transform + at_images):
             transform, at_images = there, largest
-            uniform = turned.spread(there)[1] + turned.integral(other.potential)
     elif dual.shared is not None and _excess(cost, cost - 2.0 * best.excess) > closed_gap:
         raised, more = _raised_at_sources(dual, transform, source_steps if ascent_steps else 0, enough)
         transform, at_images, steps = raised.potential, raised.at_images, steps + more
     vertex_gap = 2.0 * mass * (dual.cost - transform - at_images)
     lower = max(cost - float(vertex_gap.sum()), 0.0)  # no plan costs less than nothing
-    uniform_cost = 2.0 * spread_cost
-    uniform *= 2.0
     notify(total, {"gap": _excess(cost, lower)})
     return Optimality(
         relative_curl=curl.relative,
         cost=cost,
         lower_bound=lower,
         gap=_excess(cost, lower),
-        uniform_cost=uniform_cost,
-        uniform_lower_bound=uniform,
-        uniform_gap=_excess(uniform_cost, uniform),
         swapped_edges=swapped,
         ascent_steps=steps,
         potential=at_images if far else best.potential,

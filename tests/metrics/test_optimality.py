@@ -55,52 +55,9 @@ def test_a_closed_form_optimum_has_neither_curl_nor_gap():
     assert fine.cost == pytest.approx(2 * np.pi * w @ turn**2, rel=2e-3)
 
 
-def cap_meshed_by_a_fan(rings: int):
-    """The upper half of a sphere in fine rings, the lower in long triangles to one vertex; moved along meridians.
-
-    Returns:
-        The places before and after the move, and the faces.
-    """
-    around = 4 * rings
-    height = np.concatenate([np.linspace(1.0, -0.6, rings)[1:], [-1.0]])
-    longitude = 2 * np.pi * np.arange(around) / around
-    levels = [place_at(np.full(around, z), longitude) for z in height[:-1]]
-    y = np.concatenate([[[0.0, 0.0, 1.0]], *levels, [[0.0, 0.0, -1.0]]])
-    one = np.arange(around)
-    nxt = (one + 1) % around
-    faces = [np.stack([0 * one, 1 + one, 1 + nxt], axis=1)]
-    for level in range(rings - 2):
-        above, below = 1 + level * around, 1 + (level + 1) * around
-        faces.append(np.stack([above + one, below + one, above + nxt], axis=1))
-        faces.append(np.stack([above + nxt, below + one, below + nxt], axis=1))
-    last = 1 + (rings - 2) * around
-    faces.append(np.stack([last + one, 0 * one + len(y) - 1, last + nxt], axis=1))
-    z = y[:, 2]
-    return place_at(z + 0.3 * (1 - z**2), np.arctan2(y[:, 1], y[:, 0])), y, np.concatenate(faces).astype(np.int32)
-
-
 def place_at(height, longitude):
     radius = np.sqrt(np.maximum(1.0 - height * height, 0.0))
     return np.stack([radius * np.cos(longitude), radius * np.sin(longitude), height], axis=1)
-
-
-def test_the_cost_between_vertices_is_the_closed_form_where_triangles_differ():
-    """Sums over the vertices are 2.4 % off where a fan of long triangles fills a cap, integrals 0.3 %."""
-    z, w = np.polynomial.legendre.leggauss(200)
-    turn = np.arcsin(z + 0.3 * (1 - z * z)) - np.arcsin(z)
-    exact = 2 * np.pi * w @ turn**2
-    x, y, faces = cap_meshed_by_a_fan(24)
-    masses = Surface(y, faces).sum_to_vertices(spherical_areas(y, faces))
-    report = optimality((y, faces), y, start=x, masses=masses, ascent_steps=0, device="cpu")
-    assert report.cost / exact - 1.0 > 0.02
-    assert report.uniform_cost == pytest.approx(exact, rel=4e-3)
-    assert report.uniform_gap == pytest.approx(0.0, abs=4e-3)
-
-
-def spherical_areas(points, faces):
-    a, b, c = (points[faces[:, k]] for k in range(3))
-    triple = np.einsum("ij,ij->i", a, np.cross(b, c))
-    return 2.0 * np.arctan2(triple, 1.0 + (a * b).sum(1) + (b * c).sum(1) + (c * a).sum(1))
 
 
 def test_a_twist_shows_as_curl_and_its_cost_as_the_gap():
@@ -164,7 +121,7 @@ def test_the_minimum_is_found_over_the_whole_sphere(roughness, monkeypatch):
     dual = TransportDual(surface, x, y, masses, "cpu")
     potential = dual.initial_potential()[0] + roughness * rng.normal(size=len(y))
     found = dual.bound(potential)
-    terms = dual.edge_terms
+    terms = dual.edge_terms.numpy()
     transform = dual.cost - potential - found.vertex_gap
     # At corners and middles of edges the bound is a theorem.
     assert (transform <= lattice_minimum(x, y, faces, potential, terms, 2) + 1e-12).all()
@@ -225,7 +182,7 @@ def test_triangles_of_any_width_are_bounded(count, tilt, seed, rough):
     z = samples @ y[here]
     z /= np.linalg.norm(z, axis=2)[:, :, None]
     psi = np.einsum("psk,pk->ps", samples, potential[here])
-    psi += np.einsum("psk,psk,pk->ps", samples, np.roll(samples, -1, axis=2), dual.edge_terms[triangles])
+    psi += np.einsum("psk,psk,pk->ps", samples, np.roll(samples, -1, axis=2), dual.edge_terms.numpy()[triangles])
     least = (0.5 * geodesic(x[:, None, None, :], z[None]) ** 2 - psi[None]).reshape(len(x), -1).min(axis=1)
     assert (transform <= np.minimum(least, dual.cost - potential) + 1e-12).all()
 
@@ -241,7 +198,7 @@ def test_points_of_a_shrunken_limb_share_their_transform(apart):
     dual = TransportDual(Surface(y, faces), x, y, masses, "cpu")
     potential = dual.initial_potential()[0] + 1e-3 * rng.normal(size=len(y))
     found = dual.bound(potential)
-    terms = dual.edge_terms
+    terms = dual.edge_terms.numpy()
     transform = dual.cost - potential - found.vertex_gap
     assert (transform <= lattice_minimum(x, y, faces, potential, terms, 2) + 1e-12).all()
     # What is conceded: the search's tolerance, and as much again between the points that share it.
@@ -457,21 +414,19 @@ def test_of_a_map_with_and_without_masses_are_one():
     for name, value in of_surface.to_dict().items():
         assert getattr(with_masses, name) == pytest.approx(value, rel=1e-9, abs=1e-12)
         assert getattr(of_map, name) == pytest.approx(value, rel=1e-9, abs=1e-12)
-    assert of_surface.uniform_lower_bound == pytest.approx(of_surface.lower_bound, rel=0.05)
 
 
 def test_cells_of_the_mesh_against_ever_finer_samplings_of_the_sphere():
-    """POT's plan from the mesh's cells converges to the map's cost and to both bounds, and costs more than they say."""
+    """POT's plan from the mesh's cells converges to the map's cost, and costs more than the bound says."""
     x, y, _, faces = latitude_map(5)
     masses = Surface(y, faces).vertex_areas
     report = optimality((y, faces), y, start=x, masses=masses, device="cpu")
-    assert report.uniform_gap == pytest.approx(0.0, abs=1e-4)
     excess = []
     for samples in (1000, 4000):
         total, mean = exact_transport(x, masses, golden_spiral(samples), np.ones(samples))
         # Spreading the mass of a cell over it adds the variance of a hexagon of that area.
         hexagons = 4.0 * np.pi / len(x) * 5.0 / (18.0 * np.sqrt(3.0)) * 4.0 * np.pi
         assert total - mean == pytest.approx(hexagons, rel=0.1)
-        assert total > report.uniform_lower_bound
+        assert total > report.lower_bound
         excess.append(mean / report.cost - 1.0)
     assert 0.0 < excess[1] < excess[0] / 2 and excess[1] < 5e-3
