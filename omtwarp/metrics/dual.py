@@ -5,17 +5,6 @@ where best images change triangles, and the matrix that a potential is fitted wi
 With that matrix as the initial one, steps are those of limited-memory BFGS: pairs of steps and changes of the slope
 correct it (Nocedal and Wright 2006, algorithm 7.4). On a cortex of 2,500 vertices seven bounds come as near as 28 with
 steps along smoothed slopes.
-
-For shrunken limbs the potential is at the points that are transported: where the conformal map shrinks limbs to points,
-much of the mass lies on a few points x, each of which is spread over the whole image of a limb (semi-discrete
-transport). There every image is as good as every other for such a point, so that ψ has to be c(x, ·) up to a constant
-all over the limb's image. A potential that is fitted at the images is far from that. With φ given at the x_j in place
-of ψ, and
-
-    ψ(y_i) = min over j of c(x_j, y_i) - φ(x_j),
-
-it is so by itself, and φ has one unknown for a whole limb. The bound Σ m_i (φ(x_i) + ψ(y_i)) is concave in φ, its slope
-the mass of x_j less that of the images whose minimum is at x_j (Kitagawa, Mérigot and Thibert 2019).
 """
 
 from __future__ import annotations
@@ -24,7 +13,6 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +21,7 @@ from omtwarp.device.arrays import sent, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import Each, core_count, each, launch_parts
-from omtwarp.mesh.arrays import TINY, Floats, Ints
+from omtwarp.mesh.arrays import TINY, Floats
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics import optimality_kernels as kernels
 from omtwarp.metrics.tree_kernels import (
@@ -53,37 +41,9 @@ from omtwarp.solvers.poisson import EdgeLaplacianSolver
 FEW_STEPS, LONGEST, LARGE_GAIN = 3, 3, 0.25
 
 
-class Bounded(Protocol):
-    """A potential, and the lower bound on the cost that it gives."""
-
-    @property
-    def potential(self) -> Floats:
-        """The potential that the bound belongs to."""
-
-    @property
-    def excess(self) -> float:
-        """Half of what the bound lies below the cost."""
-
-
-Found = TypeVar("Found", bound=Bounded)
-
-
-class DualProblem(Protocol[Found]):
-    """Kantorovich's dual problem of a map, whose bounds steps raise."""
-
-    def bound(self, potential: Floats) -> Found:
-        """Return the lower bound on the cost that a potential gives."""
-
-    def slope(self, current: Found) -> Floats:
-        """Return the derivative of the bound by the potential."""
-
-    def smoothed(self, slope: Floats) -> Floats:
-        """Return the change of the potential that a slope asks for, by the matrix of the fit."""
-
-
 def ascend(
-    dual: DualProblem[Found], best: Found, most: int, enough: float, notify: Callable[[int, Found], None] | None = None
-) -> tuple[Found, int]:
+    dual: MapDual, best: Bound, most: int, enough: float, notify: Callable[[int, Bound], None] | None = None
+) -> tuple[Bound, int]:
     """Raise a bound by steps, each of which is shortened until it raises the bound.
 
     Args:
@@ -126,7 +86,7 @@ def _goes_on(excesses: list[float], most: int) -> bool:
     return most <= FEW_STEPS and 0 < done < LONGEST * most and excesses[-1] < (1.0 - LARGE_GAIN) * excesses[-2]
 
 
-def _step(dual: DualProblem[Found], pairs: _Pairs, best: Found, slope: Floats, most: int) -> Found | None:
+def _step(dual: MapDual, pairs: _Pairs, best: Bound, slope: Floats, most: int) -> Bound | None:
     """Return the bound after one step, or None where no length raises it."""
     trials, shorter = 6, 0.4  # lengths of a step that are tried, each so many times the one before
     # The first step is this long, in units of what would bring a straight line to zero. Above so many points it is as
@@ -157,7 +117,7 @@ class _Pairs:
         dual: the problem.
     """
 
-    def __init__(self, dual: DualProblem[Found]):
+    def __init__(self, dual: MapDual):
         self._smoothed = dual.smoothed
         # Most pairs, of steps and changes of the slope; 3 to 20 are usual (Nocedal and Wright 2006, chapter 7)
         self._pairs: deque[tuple[Floats, Floats, float]] = deque(maxlen=10)
@@ -211,38 +171,6 @@ class Bound:
     weights: Floats
 
 
-@dataclass(frozen=True)
-class SharedSources:
-    """Points that stand for others so close that their transforms are nearly the same.
-
-    Attributes:
-        chosen: the points that stand for others and themselves, shape [N].
-        of: which of these stands for each point, shape [V].
-        lowered: how much the transform of a point can lie below that of its stand-in, shape [V].
-    """
-
-    chosen: NDArray[np.intp]
-    of: NDArray[np.intp]
-    lowered: Floats
-
-    def spread(
-        self, own: Floats, proven: Floats, face: NDArray[np.int64], weights: Floats, surface: Surface
-    ) -> tuple[Floats, NDArray[np.int64], Floats]:
-        """Return bounds, triangles and weights of all points from those of the chosen; ``own`` is of all."""
-        everywhere = np.minimum(proven[self.of] - self.lowered, own)
-        triangle, share, least = face[self.of], weights[self.of].copy(), own[self.chosen]
-        # Where a stand-in's best image is its own, that is a corner of a triangle for the others.
-        corner = np.empty(surface.vertex_count, dtype=np.int64)
-        corner[surface.faces.ravel()] = np.arange(surface.faces.size)
-        at = corner[self.chosen][self.of]
-        others = (triangle < 0) & (own > least[self.of] + self.lowered)
-        triangle[others] = at[others] // 3
-        share[others] = np.eye(3)[at[others] % 3]
-        # A point's own image is as good as any that lowers the value by less than rounding of the points could.
-        triangle[own - self.lowered <= proven[self.of]] = -1
-        return everywhere, triangle, share
-
-
 class MapDual(ABC):
     """The dual problem of a map x_i -> y_i with masses m_i, on a sphere or a torus.
 
@@ -261,6 +189,10 @@ class MapDual(ABC):
     @abstractmethod
     def admissible_differences(self) -> tuple[Floats, Floats]:
         """Return the least and the largest difference of ψ along every edge with which its ends swap no partners."""
+
+    @abstractmethod
+    def bound(self, potential: Floats) -> Bound:
+        """Return the lower bound on the cost that a potential ψ gives, with its c-transform φ."""
 
     @property
     def tolerance(self) -> float:
@@ -312,7 +244,6 @@ class TransportDual(MapDual):
         x, y: the points on the device.
         log: log_y(x) at every vertex, shape [V, 3].
         edge_terms: the quadratic terms of ψ on the edges of every triangle, vec3d, shape [F].
-        shared: the points that stand for others; None where few are so close.
     """
 
     def __init__(self, surface: Surface, x: Floats, y: Floats, mass: Floats, device: str | None):
@@ -339,21 +270,11 @@ class TransportDual(MapDual):
         self._nodes = wp.array(nodes, dtype=wp.int32, device=self.device)
         self._segments = wp.array(segments[spread], dtype=wp.vec2i, device=self.device)
         self._offsets = wp.array(offsets, dtype=wp.int32, device=self.device)
-        # Where the conformal map shrinks limbs to points, all points of a limb have nearly the same transform, and all
-        # of its image is a candidate for each: 8,000 nodes of the tree where others take 200. The transform is then
-        # computed once for the points in each cube of this side, in units of the tolerance, and lowered for the others
-        # by what it can differ, at most 0.43 of the tolerance. For a person of 27,000 vertices that takes a third of
-        # the time.
-        self.shared = shared_sources(x, surface.edges, 0.05 * self.tolerance)
 
-    def admissible_differences(self, of_sources: bool = False) -> tuple[Floats, Floats]:
-        """Return the least and the largest difference of ψ along every edge with which its ends do not swap partners.
-
-        Args:
-            of_sources: return those of φ, which belongs to the x_i.
-        """
+    def admissible_differences(self) -> tuple[Floats, Floats]:
+        """Return the least and the largest difference of ψ along every edge with which its ends swap no partners."""
         a, b = self.surface.edges.T
-        x, y = (points.numpy() for points in ((self.y, self.x) if of_sources else (self.x, self.y)))
+        x, y = self.x.numpy(), self.y.numpy()
         return self.cost[b] - half_squares(x[b], y[a]), half_squares(x[a], y[b]) - self.cost[a]
 
     def bound(self, potential: Floats) -> Bound:
@@ -373,50 +294,18 @@ class TransportDual(MapDual):
         launch_parts(kernels.measure_segments, extremes.size, inputs, [extremes], self.device)
         self._launch(kernels.bound_nodes, nodes, [self._offsets, extremes], [tree[2]])
         own = self.cost - potential
-        asked = slice(None) if self.shared is None else self.shared.chosen
-        sources, seeds = (
-            wp.array(values[asked], dtype=kind, device=self.device)
-            for values, kind in ((self.x.numpy(), wp.vec3d), (own, wp.float64))
-        )
+        seeds = wp.array(own, dtype=wp.float64, device=self.device)
         minimum = (wp.float64, wp.int32, wp.vec3d)
         lowest = [wp.empty(len(seeds), dtype=kind, device=self.device) for kind in minimum]
-        inputs = [*each(sources, seeds), *mesh, places, values, self._leaves, self.tolerance, *tree]
+        inputs = [*each(self.x, seeds), *mesh, places, values, self._leaves, self.tolerance, *tree]
         # Points whose transforms are worth a launch of their own on another core: each takes 10 microseconds.
         launch_parts(kernels.c_transform, len(seeds), inputs, each(*lowest), self.device, 128)
         proven, face, weights = (array.numpy() for array in lowest)
-        if self.shared is not None:
-            proven, face, weights = self.shared.spread(own, proven, face, weights, self.surface)
         gap = own - proven
         return Bound(potential, gap, float(self.mass @ gap), face.astype(np.int64), weights)
 
-    def flatten(self) -> None:
-        """Make ψ linear on every triangle from now on, which suits potentials that the map did not give."""
-        self.edge_terms.zero_()
-
     def _launch(self, kernel: wp.Kernel, count: int, inputs: list[object], outputs: list[object]) -> None:
         wp.launch(kernel, dim=count, inputs=inputs, outputs=outputs, device=self.device)
-
-
-def shared_sources(points: Floats, edges: Ints, side: float) -> SharedSources | None:
-    """Choose one point in each cube of a grid to stand for the others there; None where few points are so close.
-
-    Args:
-        points: on the sphere, shape [V, 3].
-        edges: of the mesh, shape [E, 2].
-        side: of a cube.
-    """
-    if not side > 0.0:
-        return None
-    short = np.abs(points[edges[:, 0]] - points[edges[:, 1]]).max(axis=1) < side
-    # Min shared, of the edges shorter than the cube, below which there is little to share
-    if short.mean() < 0.05:
-        return None
-    cells = np.floor(points / side)
-    _, chosen, of = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-    of = of.reshape(-1)
-    apart = np.linalg.norm(points - points[chosen[of]], axis=1)
-    # The gradient of half the squared distance is at most π long; arcs are at most π/2 times as long as chords.
-    return SharedSources(chosen, of, 0.5 * np.pi**2 * apart)
 
 
 def log_maps(base: Floats, target: Floats) -> Floats:
@@ -439,100 +328,6 @@ def edge_bulges(corners: Floats, logs: Floats) -> Floats:
     others, theirs = np.roll(corners, -1, axis=1), np.roll(logs, -1, axis=1)
     ahead, back = log_maps(corners, others), log_maps(others, corners)
     return -0.5 * ((theirs * back).sum(axis=2) + (logs * ahead).sum(axis=2))
-
-
-# Sources that are left out or looked at together: with 6,900 of them and 16,600 images a search takes 0.06 to 0.1 CPU
-# seconds, a third of what it takes one by one.
-BLOCK = 16
-
-
-@dataclass(frozen=True)
-class SourceBound:
-    """A potential at the x_i, and the largest one at the y_i that goes with it.
-
-    Attributes:
-        potential: φ(x_i), shape [V].
-        at_images: ψ(y_i), shape [V].
-        excess: Σ m_i (c(x_i, y_i) - φ(x_i) - ψ(y_i)), never negative.
-        nearest: which stand-in attains the minimum at every image, shape [V].
-    """
-
-    potential: Floats
-    at_images: Floats
-    excess: float
-    nearest: NDArray[np.int64]
-
-
-class SourceDual:
-    """The dual problem of a map, as a function of φ at the points that it moves.
-
-    Args:
-        dual: the problem.
-    """
-
-    def __init__(self, dual: TransportDual):
-        x, shared, count = dual.x.numpy(), dual.shared, len(dual.mass)
-        self._dual = dual
-        self._lowered = np.zeros(count) if shared is None else shared.lowered
-        chosen = np.arange(count) if shared is None else shared.chosen
-        order = order_by_halves(x[chosen])
-        self._chosen = chosen[order]
-        place = np.empty(len(order), dtype=np.int64)
-        place[order] = np.arange(len(order))
-        self._of = place if shared is None else place[shared.of]
-        sources = x[self._chosen]
-        self._first = np.arange(0, len(sources), BLOCK)
-        sizes = np.diff(np.r_[self._first, len(sources)])
-        centres = np.add.reduceat(sources, self._first) / sizes[:, None]
-        apart = np.linalg.norm(sources - np.repeat(centres, sizes, axis=0), axis=1)
-        self._sources, self._centres = vectors(sources, dual.device), vectors(centres, dual.device)
-        self._radii = wp.array(np.maximum.reduceat(apart, self._first), dtype=wp.float64, device=dual.device)
-        ends = x[dual.surface.edges]
-        # The second derivative of the bound couples neighbours x_a and x_b by the length of the border between their
-        # images over |x_a - x_b|. Distances are at least this, in radians: after ten steps on an octopus the gap is
-        # 0.61 % with this and with a tenth of it, 0.63 % with ten times as much; with the weights that ψ is fitted with
-        # it is above 3 % after 40.
-        weights = 1.0 / np.maximum(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1), 1e-5)
-        self._solver = EdgeLaplacianSolver(dual.surface, weights / weights.mean())
-
-    def initial_potential(self) -> Floats:
-        """Fit φ to the middles of the differences along edges with which neither end would swap partners, shape [V]."""
-        low, high = self._dual.admissible_differences(of_sources=True)
-        return self._solver.fit(0.5 * (low + high))
-
-    def bound(self, potential: Floats) -> SourceBound:
-        """Compute the largest ψ that goes with φ, shape [V], after points were raised to what their stand-in allows.
-
-        With it φ(x_j) + ψ(y_i) <= c(x_j, y_i) for all i and j, whatever φ is.
-        """
-        dual, count = self._dual, len(potential)
-        # c of a point is less than that of its stand-in by ``lowered`` at most.
-        values = np.full(len(self._chosen), -np.inf)
-        np.maximum.at(values, self._of, potential + self._lowered)
-        potential = values[self._of] - self._lowered
-        highest = np.maximum.reduceat(values, self._first)
-        of_sources = [wp.array(array, dtype=wp.float64, device=dual.device) for array in (values, highest)]
-        given = [BLOCK, self._sources, of_sources[0], self._centres, self._radii, of_sources[1]]
-        seeds = wp.array(dual.cost - potential, dtype=wp.float64, device=dual.device)
-        lowest = [wp.empty(count, dtype=kind, device=dual.device) for kind in (wp.float64, wp.int32)]
-        launch_parts(kernels.largest_potentials, count, [*each(dual.y, seeds), *given], each(*lowest), dual.device)
-        at_images, nearest = (array.numpy() for array in lowest)
-        excess = float(dual.mass @ (dual.cost - potential - at_images))
-        return SourceBound(potential, at_images, excess, np.where(nearest < 0, self._of, nearest))
-
-    def slope(self, current: SourceBound) -> Floats:
-        """Return the derivative of the bound by φ: the mass of each stand-in less that of the images nearest to it."""
-        count = len(self._chosen)
-        out = np.zeros(len(self._dual.mass))
-        masses = np.bincount(self._of, self._dual.mass, count)
-        out[self._chosen] = masses - np.bincount(current.nearest, self._dual.mass, count)
-        return out
-
-    def smoothed(self, slope: Floats) -> Floats:
-        """Return the change of φ that a slope asks for, the same for all points of a stand-in."""
-        mass, count = self._dual.mass, len(self._chosen)
-        means = np.bincount(self._of, mass * self._solver.solve(slope), count) / np.bincount(self._of, mass, count)
-        return means[self._of]
 
 
 class TorusDual(MapDual):

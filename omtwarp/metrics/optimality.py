@@ -44,7 +44,6 @@ from numpy.typing import ArrayLike
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError, choose
-from omtwarp.geometry.axes import turned_towards
 from omtwarp.mesh.arrays import TINY, Floats, Ints, real_number, real_numbers, whole_number
 from omtwarp.mesh.surface import (
     SPHERE_AREA,
@@ -53,7 +52,7 @@ from omtwarp.mesh.surface import (
     as_sphere,
     as_surface,
 )
-from omtwarp.metrics.dual import Bound, SourceBound, SourceDual, TorusDual, TransportDual, ascend, log_maps
+from omtwarp.metrics.dual import Bound, TorusDual, TransportDual, ascend, log_maps
 from omtwarp.options import Cost, Progress, Record, tell
 from omtwarp.solvers.poisson import EdgeLaplacianSolver
 
@@ -237,12 +236,6 @@ def _measure(
     enough: float = GOOD_ENOUGH,
     curl: Curl | None = None,
 ) -> Optimality:
-    # Above this gap, and where the x_i of whole limbs are nearly one point, φ at the x_i is raised in place of ψ, by so
-    # many steps (:mod:`omtwarp.metrics.dual`): on an octopus the gap is 53 % with the fitted ψ, 3.3 %
-    # with the fitted φ, and 0.69 % after these. With smaller gaps it would hide curl that shifts points by less than
-    # half an edge, as only the x_i limit ψ. Of the octopus it hides little: after ten steps the gap is 0.60 %, and 0.63
-    # % with its triangles quartered.
-    closed_gap, source_steps = 0.01, 6
     # Of the cost, what a first bound must reach for steps to be taken: one below cannot be raised to a gap that says
     # anything of the map, and each step takes as long. Fans of 20,000 triangles begin at a thirtieth of the cost, and
     # nine bounds brought them to a seventh; fans of 8,000 begin above this, and end at two thirds.
@@ -262,26 +255,10 @@ def _measure(
     notify(2, {})
     best = _better_of(dual, fitted, potential)
     cost = 2.0 * float(mass @ dual.cost)
-    far = 2.0 * best.excess >= cost > 0.0  # where points are far apart a potential fitted to them may bound nothing
-    if far:
-        dual.flatten()
-        best = dual.bound(np.zeros_like(mass))
-    elif cost - 2.0 * best.excess < worth_raising * cost:
+    if cost - 2.0 * best.excess < worth_raising * cost:
         ascent_steps = 0
     best, steps = _ascended(dual, best, ascent_steps, enough, notify)
-    transform, at_images = dual.cost - best.potential - best.vertex_gap, best.potential
-    if far:
-        # Uniform masses are the same on a turned sphere: what φ is there goes with some ψ here.
-        turned = TransportDual(surface, x, turned_towards(y, x, mass), mass, device)
-        other, steps = _ascended(turned, turned.bound(turned.initial_potential()[0]), ascent_steps, enough, notify)
-        there = turned.cost - other.potential - other.vertex_gap
-        largest = SourceDual(dual).bound(there).at_images
-        if mass @ (there + largest) > mass @ (transform + at_images):
-            transform, at_images = there, largest
-    elif dual.shared is not None and _excess(cost, cost - 2.0 * best.excess) > closed_gap:
-        raised, more = _raised_at_sources(dual, transform, source_steps if ascent_steps else 0, enough)
-        transform, at_images, steps = raised.potential, raised.at_images, steps + more
-    vertex_gap = 2.0 * mass * (dual.cost - transform - at_images)
+    vertex_gap = 2.0 * mass * best.vertex_gap
     lower = max(cost - float(vertex_gap.sum()), 0.0)  # no plan costs less than nothing
     notify(total, {"gap": _excess(cost, lower)})
     return Optimality(
@@ -291,7 +268,7 @@ def _measure(
         gap=_excess(cost, lower),
         swapped_edges=swapped,
         ascent_steps=steps,
-        potential=at_images if far else best.potential,
+        potential=best.potential,
         vertex_gap=vertex_gap,
         stream=curl.stream,
     )
@@ -317,15 +294,6 @@ def _ascended(
         notify(STEPS_BEFORE + done, {"gap": 2.0 * ascent.excess / cost})
 
     return ascend(dual, best, most, _excess_at(cost, enough), before_step)
-
-
-def _raised_at_sources(dual: TransportDual, transform: Floats, most: int, enough: float) -> tuple[SourceBound, int]:
-    """Raise the better of a bound with φ given and one with φ fitted, by at most so many steps."""
-    cost = 2.0 * float(dual.mass @ dual.cost)
-    sources = SourceDual(dual)
-    given, fitted = sources.bound(transform), sources.bound(sources.initial_potential())
-    first = fitted if fitted.excess < given.excess else given
-    return ascend(sources, first, most, _excess_at(cost, enough))
 
 
 def _excess_at(cost: float, gap: float) -> float:

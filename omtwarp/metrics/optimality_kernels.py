@@ -47,45 +47,6 @@ def sample_weights(s: int) -> wp.vec3d:
     return b
 
 
-@wp.kernel
-def largest_potentials(
-    images: wp.array[wp.vec3d],
-    seeds: wp.array[wp.float64],
-    # Sources in blocks of so many, with the centre and radius of each block and the largest transform in it:
-    block: int,
-    sources: wp.array[wp.vec3d],
-    transform: wp.array[wp.float64],
-    centres: wp.array[wp.vec3d],
-    radii: wp.array[wp.float64],
-    largest: wp.array[wp.float64],
-    # Data out:
-    potential_out: wp.array[wp.float64],
-    source_out: wp.array[wp.int32],
-):
-    """Compute ψ(y_i) = min over j of c(x_j, y_i) - φ(x_j), which no larger ψ satisfies, and a source that attains it.
-
-    Seeds are values to beat; where none does the source is -1. Half the squared chord, which is less than c, leaves
-    most blocks and sources out.
-    """
-    i = wp.tid()
-    image = images[i]
-    least = seeds[i]
-    best = int(-1)
-    for k in range(centres.shape[0]):
-        near = wp.max(wp.length(image - centres[k]) - radii[k], ZERO)
-        if HALF * near * near - largest[k] < least:
-            for j in range(k * block, wp.min((k + 1) * block, sources.shape[0])):
-                apart = image - sources[j]
-                if HALF * wp.dot(apart, apart) - transform[j] < least:
-                    distance = geodesic_distance(image, sources[j])
-                    value = HALF * distance * distance - transform[j]
-                    if value < least:
-                        least = value
-                        best = j
-    potential_out[i] = least
-    source_out[i] = best
-
-
 @wp.func
 def solve_definite(matrix: mat66d, right: vec6d) -> vec6d:
     """Return the solution of a symmetric positive definite system of six equations, by Cholesky's factorisation."""

@@ -10,7 +10,7 @@ from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.metrics import dual as problem
-from omtwarp.metrics.dual import SourceDual, TransportDual, ascend
+from omtwarp.metrics.dual import TransportDual
 from omtwarp.metrics.optimality import map_optimality, optimality, relative_curl
 from omtwarp.metrics.tree_kernels import LONGEST_EDGE, SEGMENT, narrow_parts, order_by_halves, tree_segments
 
@@ -187,82 +187,6 @@ def test_triangles_of_any_width_are_bounded(count, tilt, seed, rough):
     assert (transform <= np.minimum(least, dual.cost - potential) + 1e-12).all()
 
 
-@pytest.mark.parametrize("apart", [0.0, 1e-9, 1e-7])
-def test_points_of_a_shrunken_limb_share_their_transform(apart):
-    """The points of a limb, nearly one on the conformal sphere, get the bound of an exhaustive search."""
-    x, y, masses, faces = latitude_map(8)
-    limb = x[:, 2] > 0.5
-    rng = np.random.default_rng(3)
-    x[limb] = [0.0, 0.0, 1.0] + apart * rng.normal(size=(limb.sum(), 3))
-    x /= np.linalg.norm(x, axis=1)[:, None]
-    dual = TransportDual(Surface(y, faces), x, y, masses, "cpu")
-    potential = dual.initial_potential()[0] + 1e-3 * rng.normal(size=len(y))
-    found = dual.bound(potential)
-    terms = dual.edge_terms.numpy()
-    transform = dual.cost - potential - found.vertex_gap
-    assert (transform <= lattice_minimum(x, y, faces, potential, terms, 2) + 1e-12).all()
-    # What is conceded: the search's tolerance, and as much again between the points that share it.
-    face, w = np.maximum(found.face, 0), found.weights
-    point = np.einsum("vk,vkd->vd", w, y[faces[face]])
-    value = (w * potential[faces[face]]).sum(axis=1)
-    value += sum(w[:, k] * w[:, (k + 1) % 3] * terms[face, k] for k in range(3))
-    with np.errstate(invalid="ignore"):
-        point /= np.linalg.norm(point, axis=1)[:, None]
-        attained = 0.5 * geodesic(x, point) ** 2 - value
-    attained = np.where(found.face >= 0, attained, dual.cost - potential)
-    assert np.abs(attained - transform).max() <= 2.0 * dual.tolerance
-    assert dual.shared is not None
-    alone = np.bincount(dual.shared.of)[dual.shared.of] == 1
-    assert alone[~limb].all() and np.isin(np.flatnonzero(limb), dual.shared.chosen).mean() < 0.5
-
-
-@pytest.mark.parametrize("apart", [1.0, 1e-7, 0.0])
-def test_the_largest_potential_is_the_c_transform_of_any_function(apart):
-    """It is the least c(x_j, y_i) - φ(x_j) over all pairs, and hardly less where points of a limb share theirs.
-
-    Of points in one place all have the largest φ among them.
-    """
-    x, y, masses, faces = latitude_map(8)
-    rng = np.random.default_rng(4)
-    limb = x[:, 2] > 0.5
-    x[limb] = [0.0, 0.0, 1.0] + apart * rng.normal(size=(limb.sum(), 3))
-    x /= np.linalg.norm(x, axis=1)[:, None]
-    dual = TransportDual(Surface(y, faces), x, y, masses, "cpu")
-    assert (dual.shared is not None) == (apart < 1.0)
-    transform = 0.1 * rng.normal(size=len(y))
-    costs = 0.5 * geodesic(x[None], y[:, None]) ** 2
-    exact = (costs - transform).min(axis=1)
-    found = SourceDual(dual).bound(transform)
-    assert (found.potential + found.at_images[:, None] <= costs + 1e-12).all()
-    assert (found.potential >= transform - 1e-12).all()
-    assert (found.at_images <= exact + 1e-12).all()
-    assert (found.at_images >= exact - (dual.tolerance if apart < 1.0 else 1e-12)).all()
-    assert found.excess == pytest.approx(masses @ (np.diag(costs) - found.potential - found.at_images))
-    if apart == 1.0:
-        np.testing.assert_array_equal(found.potential, transform)
-        nearest = np.argmin(costs - transform, axis=1)
-        chosen = order_by_halves(x)
-        np.testing.assert_array_equal(chosen[found.nearest], nearest)
-
-
-def test_a_bound_raised_at_the_sources_comes_near_the_exact_optimum():
-    """A limb shrunken to a point, mapped by the latitude map with a twist: the optimum is known from all pairs."""
-    ot = pytest.importorskip("ot")
-    x, y, masses, faces = latitude_map(8, twist=0.3)
-    x[x[:, 2] > 0.5] = [0.0, 0.0, 1.0]
-    dual = TransportDual(Surface(y, faces), x, y, masses, "cpu")
-    assert dual.shared is not None
-    least = ot.emd2(masses / masses.sum(), masses / masses.sum(), 0.5 * geodesic(x[:, None], y[None]) ** 2)
-    own = float(masses @ dual.cost) / masses.sum()
-    sources = SourceDual(dual)
-    first = sources.bound(sources.initial_potential())
-    raised, steps = ascend(sources, first, 20, float((own - 0.9992 * least) * masses.sum()))
-    bounds = [own - found.excess / masses.sum() for found in (first, raised)]
-    assert 0 < steps <= 20
-    assert bounds[0] < bounds[1] <= least * (1.0 + 1e-9)
-    assert bounds[1] > 0.999 * least
-
-
 @pytest.mark.parametrize("leaves", [2, 64, 256, 2048])
 def test_segments_are_the_leaves_below_a_node_once(leaves):
     """No thread goes through more than SEGMENT triangles; found by walking down from the node to its leaves."""
@@ -314,16 +238,18 @@ def test_the_bound_never_exceeds_the_exact_optimum(seed, noise, spread):
     assert (report.vertex_gap >= -1e-13).all()
 
 
-@pytest.mark.parametrize(("angle", "steps"), [(0.5, 3), (1.5, 0), (3.0, 0), (3.0, 3), (np.pi, 3)])
-def test_a_bound_is_found_where_points_are_far_apart(angle, steps):
-    """A sphere turned as a whole, where a potential fitted to the displacement bounds nothing."""
+@pytest.mark.parametrize("angle", [0.5, 1.5, 3.0, np.pi])
+def test_points_that_are_far_apart_get_no_bound_that_is_wrong(angle):
+    """A sphere turned as a whole, where a potential fitted to the displacement says little or nothing."""
     surface = shapes.blob(seed=3, sphere=shapes.icosphere_near(320))
     turned = surface.vertices @ [[np.cos(angle), np.sin(angle), 0], [-np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
     turned, start = (points / np.linalg.norm(points, axis=1, keepdims=True) for points in (turned, surface.vertices))
-    found = optimality(surface, turned, start=start, ascent_steps=steps, device="cpu")
+    found = optimality(surface, turned, start=start, device="cpu")
     masses = surface.vertex_areas
     exact, _ = exact_transport(start, masses, turned, masses)
-    assert 0.1 * exact < found.lower_bound <= exact and np.isfinite(found.gap)
+    assert 0.0 <= found.lower_bound <= exact
+    assert found.gap == pytest.approx(found.cost / found.lower_bound - 1.0 if found.lower_bound else np.inf)
+    assert found.relative_curl > 0.9
 
 
 def test_the_identity_is_optimal():
