@@ -58,11 +58,8 @@ class Geometry:
 @wp.struct
 class Picture:
     texels: wp.array2d[wp.uint8]  # every level, one after the other, [texels, 3], rows from the top
-    offsets: wp.array[wp.int32]
-    widths: wp.array[wp.int32]
-    heights: wp.array[wp.int32]
+    sizes: wp.array2d[wp.int32]  # width, height and first texel of every level
     decode: wp.array[wp.float32]  # sRGB byte to linear
-    levels: wp.int32
     repeat: wp.int32
     repeat_rows: wp.int32
     tint: wp.vec3  # linear
@@ -70,8 +67,7 @@ class Picture:
 
 @wp.struct
 class Look:
-    directions: wp.array[wp.vec3]  # towards the lights, in the camera's frame
-    powers: wp.array[wp.float32]
+    lights: wp.array[wp.vec4]  # directions towards them, in the camera's frame, and their powers
     sky: wp.float32
     ground: wp.float32
     roughness: wp.float32
@@ -106,7 +102,7 @@ def wrapped(index: int, count: int, repeat: int):
 
 @wp.func
 def texel(picture: Picture, level: int, column: int, row: int):
-    at = picture.offsets[level] + row * picture.widths[level] + column
+    at = picture.sizes[level, 2] + row * picture.sizes[level, 0] + column
     return wp.vec3(
         picture.decode[int(picture.texels[at, 0])],
         picture.decode[int(picture.texels[at, 1])],
@@ -116,7 +112,7 @@ def texel(picture: Picture, level: int, column: int, row: int):
 
 @wp.func
 def bilinear(picture: Picture, u: float, v: float, level: int):
-    width, height = picture.widths[level], picture.heights[level]
+    width, height = picture.sizes[level, 0], picture.sizes[level, 1]
     x, y = u * float(width) - 0.5, (1.0 - v) * float(height) - 0.5
     column, row = int(wp.floor(x)), int(wp.floor(y))
     s, t = x - wp.floor(x), y - wp.floor(y)
@@ -129,7 +125,7 @@ def bilinear(picture: Picture, u: float, v: float, level: int):
 
 @wp.func
 def trilinear(picture: Picture, u: float, v: float, level: float):
-    clamped = wp.clamp(level, 0.0, float(picture.levels - 1))
+    clamped = wp.clamp(level, 0.0, float(picture.sizes.shape[0] - 1))
     lower = int(wp.floor(clamped))
     blend = clamped - float(lower)
     found = bilinear(picture, u, v, lower)
@@ -144,7 +140,7 @@ def filtered(picture: Picture, uv: wp.vec2, along_x: wp.vec2, along_y: wp.vec2):
 
     Samples are taken along its long axis, at the mip level of the short one.
     """
-    width, height = float(picture.widths[0]), float(picture.heights[0])
+    width, height = float(picture.sizes[0, 0]), float(picture.sizes[0, 1])
     ax, ay = along_x[0] * width, along_x[1] * height
     bx, by = along_y[0] * width, along_y[1] * height
     xx, yy, xy = ax * ax + bx * bx, ay * ay + by * by, ax * ay + bx * by
@@ -208,8 +204,9 @@ def lit(look: Look, albedo: wp.vec3, n: wp.vec3, v: wp.vec3):
     high = 0.5 + 0.5 * n[1]
     diffuse = look.ground * (1.0 - high) + look.sky * high
     shine = float(0.0)
-    for i in range(look.powers.shape[0]):
-        way = look.directions[i]
+    for i in range(look.lights.shape[0]):
+        light = look.lights[i]
+        way = wp.vec3(light[0], light[1], light[2])
         incident = wp.dot(n, way)
         nl = wp.clamp(incident, 0.0, 1.0)
         both = 1.0 + wp.dot(v, way)
@@ -218,7 +215,7 @@ def lit(look: Look, albedo: wp.vec3, n: wp.vec3, v: wp.vec3):
         nh = wp.clamp((incident + facing) * scale, 0.0, 1.0)
         fresnel = 0.04 + 0.96 * wp.pow(1.0 - wp.clamp(both * scale, 0.0, 1.0), 5.0)
         spread = nh * nh * (alpha2 - 1.0) + 1.0
-        power = nl * look.powers[i]
+        power = nl * light[3]
         diffuse += power * (1.0 - fresnel) / PI_F
         shine += power * fresnel * gloss / (spread * spread * (nl * (1.0 - k) + k) * shadow)
     return diffuse * albedo + wp.vec3(shine, shine, shine)
@@ -301,7 +298,7 @@ def sample(view: View, shape: Geometry, pictures: wp.array[Picture], look: Look,
     kind = shape.kinds[face]
     albedo = wp.vec3(light_of(value[0]), light_of(value[1]), light_of(value[2]))
     if kind == Kind.UV:
-        if picture.levels == 1:
+        if picture.sizes.shape[0] == 1:
             albedo = bilinear(picture, value[0], value[1], 0)
         else:
             grad_x, grad_y = wp.vec2(along_x[0], along_x[1]), wp.vec2(along_y[0], along_y[1])
@@ -438,15 +435,12 @@ def _picture(part: Appearance, where: wp.Device) -> Picture:
             light = np.add.reduceat(light, starts, axis) / np.expand_dims(counts, (1 - axis, 2))
         levels.append(as_bytes(to_srgb(light)))
     heights, widths = np.array([level.shape[:2] for level in levels], dtype=np.int32).T
-    offsets = np.cumsum(heights * widths) - heights * widths
+    sizes = np.column_stack([widths, heights, np.cumsum(heights * widths) - heights * widths])
     texels = np.concatenate([level.reshape(-1, 3) for level in levels])
     picture = Picture()
     picture.texels = wp.array(texels, dtype=wp.uint8, device=where)
     picture.decode = wp.array(decode, dtype=wp.float32, device=where)
-    picture.offsets, picture.widths, picture.heights = (
-        wp.array(numbers, dtype=wp.int32, device=where) for numbers in (offsets, widths, heights)
-    )
-    picture.levels = len(levels)
+    picture.sizes = wp.array(sizes, dtype=wp.int32, device=where)
     picture.repeat, picture.repeat_rows = int(part.repeat), int(part.repeat_rows)
     tint = to_linear(np.array(part.tint))
     picture.tint = wp.vec3(*(float(channel) for channel in tint))
@@ -454,12 +448,9 @@ def _picture(part: Appearance, where: wp.Device) -> Picture:
 
 
 def _look(job: RenderJob, where: wp.Device) -> Look:
-    lights = job.light.unit_directions()
     look = Look()
-    look.directions = wp.array(
-        np.array([way for way, _ in lights], np.float32).reshape(-1, 3), dtype=wp.vec3, device=where
-    )
-    look.powers = wp.array(np.array([power for _, power in lights], np.float32), dtype=wp.float32, device=where)
+    lights = np.array([[*way, power] for way, power in job.light.unit_directions()], np.float32).reshape(-1, 4)
+    look.lights = wp.array(lights, dtype=wp.vec4, device=where)
     look.sky, look.ground, look.roughness = job.light.sky, job.light.ground, job.light.roughness
     look.unlit = int(job.light.unlit)
     look.edge_color = wp.vec3(*(float(channel) for channel in parse_color(job.wireframe.color)))

@@ -6,7 +6,7 @@ import io
 import os
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -41,62 +41,24 @@ _OPTIONS = {
 }  # fmt: skip
 
 
-@dataclass
-class _Statements:
-    """The statements of an OBJ file, sorted by what they say.
-
-    Attributes:
-        points: words behind ``v``.
-        coordinates: the first two words behind ``vt``.
-        corners: words behind ``f``, of all faces one after another.
-        sizes: how many of them each face has.
-        before: how many points and coordinates stand before each face, from which negative numbers count.
-        used: number of each face's material.
-        names: number of every material used, by its name.
-        libraries: words behind ``mtllib``.
-        belongs: number of each face's object and group.
-        objects: number of every pair of words behind ``o`` and ``g`` that faces belong to.
-    """
-
-    points: list[list[bytes]] = field(default_factory=list)
-    coordinates: list[list[bytes]] = field(default_factory=list)
-    corners: list[bytes] = field(default_factory=list)
-    sizes: list[int] = field(default_factory=list)
-    before: list[tuple[int, int]] = field(default_factory=list)
-    used: list[int] = field(default_factory=list)
-    names: dict[str, int] = field(default_factory=dict)
-    libraries: list[str] = field(default_factory=list)
-    belongs: list[int] = field(default_factory=list)
-    objects: dict[tuple[str, str], int] = field(default_factory=dict)
+def _statements(data: bytes) -> tuple[NDArray[np.bytes_], list[bytes]]:
+    """Return the kinds of an OBJ file's statements, shape [N], and what stands behind each."""
+    joined = utf8(data).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").replace(b"\r", b"\n")
+    found = [(match[1] or match[3], match[2] or b"") for match in _STATEMENT.finditer(joined)]
+    return np.array([kind for kind, _ in found], dtype="S6"), [rest for _, rest in found]
 
 
-def _statements(text: bytes) -> _Statements:
-    """Sort the statements of an OBJ file."""
-    statements = _Statements()
-    joined = text.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").replace(b"\r", b"\n")
-    current, of = "", ("", "")
-    for match in _STATEMENT.finditer(joined):
-        kind, rest = match.group(1) or match.group(3), match.group(2) or b""
-        if kind == b"v":
-            statements.points.append(rest.split())
-        elif kind == b"vt":
-            statements.coordinates.append(rest.split()[:2])
-        elif kind == b"f":
-            words = rest.split()
-            statements.corners += words
-            statements.sizes.append(len(words))
-            statements.before.append((len(statements.points), len(statements.coordinates)))
-            statements.used.append(statements.names.setdefault(current, len(statements.names)))
-            statements.belongs.append(statements.objects.setdefault(of, len(statements.objects)))
-        else:
-            name = rest.decode("utf-8", "replace").strip()
-            if kind == b"usemtl":
-                current = name
-            elif kind == b"mtllib":
-                statements.libraries.append(name)
-            else:
-                of = (name, of[1]) if kind == b"o" else (of[0], name)
-    return statements
+def _named(kinds: NDArray[np.bytes_], rests: list[bytes], *names: bytes) -> tuple[list[tuple[str, ...]], Ints]:
+    """Return what the last statements of some kinds say before each face: each once, and the number of every face's."""
+    rows = np.arange(len(kinds))
+    last = np.stack([np.maximum.accumulate(np.where(kinds == name, rows, -1)) for name in names], axis=1)
+    places, which = np.unique(last[kinds == b"f"], axis=0, return_inverse=True)
+    known: dict[tuple[str, ...], int] = {}
+    numbers = []
+    for place in places.tolist():  # in the order of the file
+        said = tuple("" if row < 0 else rests[row].decode("utf-8", "replace").strip() for row in place)
+        numbers.append(known.setdefault(said, len(known)))
+    return [*known], np.array(numbers, dtype=np.int32)[which.reshape(-1)]
 
 
 _PHONG = {name.lower(): name for name in ("Ns", "Ka", "Ks", "Ke", "Ni", "Tf", "illum")}
@@ -210,37 +172,6 @@ def read_painted_mesh(path: str | os.PathLike[str]) -> PaintedMesh:
     return replace(painted, source_files=(file, *painted.source_files))
 
 
-def _obj_corners(statements: _Statements) -> tuple[NDArray[np.int64], Floats | None, NDArray[np.intp], list[str]]:
-    """Return vertices [F, 3] and coordinates [F, 3, 2] of an OBJ's triangles, their faces in the file, and notes.
-
-    Raises:
-        OmtwarpError: no faces, or one with fewer than three corners.
-        ValueError: words where numbers belong.
-    """
-    if not statements.sizes:
-        raise OmtwarpError("not a triangle mesh: no faces in it")
-    counts = np.array(statements.sizes)
-    split = [word.split(b"/") for word in statements.corners]
-    ahead = np.repeat(np.array(statements.before), counts, axis=0)
-    vertex = np.array([int(parts[0]) for parts in split], dtype=np.int64)
-    require_counted_from_one(vertex)
-    vertex = np.where(vertex < 0, vertex + ahead[:, 0], vertex - 1)
-    which = np.array([int(parts[1]) if len(parts) > 1 and parts[1] else 0 for parts in split], dtype=np.int64)
-    given = which != 0
-    which = np.where(which < 0, which + ahead[:, 1], which - 1)
-    rows, notes = fans(np.arange(len(vertex)), counts)
-    face = np.repeat(np.arange(len(counts)), counts)[rows[:, 0]]
-    uv = None
-    if given.any() and statements.coordinates:
-        table = np.array([[*row, b"0"][:2] for row in statements.coordinates], dtype=np.float64)
-        if which[given].max() >= len(table) or which[given].min() < 0:
-            raise OmtwarpError(f"a face refers to texture coordinates {which[given].max() + 1} of {len(table)}")
-        at_corner = np.full((len(vertex), 2), np.nan)
-        at_corner[given] = table[which[given]]
-        uv = at_corner[rows]
-    return vertex[rows], uv, face, notes
-
-
 def read_objects(path: str | os.PathLike[str]) -> tuple[tuple[tuple[str, str], ...], Ints | None]:
     """Read the names of object and group of an OBJ file, and the number of these of every triangle, shape [F].
 
@@ -252,45 +183,67 @@ def read_objects(path: str | os.PathLike[str]) -> tuple[tuple[tuple[str, str], .
     data, suffix = mesh_content(Path(path))
     if suffix != "obj":
         return (), None
-    statements = _statements(utf8(data))
-    belongs = np.repeat(np.array(statements.belongs, dtype=np.int32), np.maximum(np.array(statements.sizes) - 2, 0))
-    return tuple(statements.objects), belongs
+    kinds, rests = _statements(data)
+    objects, number = _named(kinds, rests, b"o", b"g")
+    corners = np.array([len(rests[row].split()) for row in np.flatnonzero(kinds == b"f")], dtype=np.int64)
+    return tuple((name, group) for name, group in objects), np.repeat(number, np.maximum(corners - 2, 0))
 
 
 def _from_obj(data: bytes, file: Path) -> PaintedMesh:
     """Read an OBJ file and its material libraries."""
-    statements = _statements(utf8(data))
-    corners, uv, face, notes = _obj_corners(statements)
+    kinds, rests = _statements(data)
+    words = {kind: [rests[row].split() for row in np.flatnonzero(kinds == kind)] for kind in (b"v", b"vt", b"f")}
+    split = [word.split(b"/") for face in words[b"f"] for word in face]
+    counts = np.array([len(face) for face in words[b"f"]], dtype=np.int64)
+    # How many points and coordinates stand before each corner, from which negative numbers count.
+    ahead = [np.repeat(np.cumsum(kinds == kind)[kinds == b"f"], counts) for kind in (b"v", b"vt")]
+    vertex = np.array([int(parts[0]) for parts in split], dtype=np.int64)
+    require_counted_from_one(vertex)
+    vertex = np.where(vertex < 0, vertex + ahead[0], vertex - 1)
+    rows, notes = fans(np.arange(len(vertex)), counts)
+    face = np.repeat(np.arange(len(counts)), counts)[rows[:, 0]]
+    which = np.array([int(parts[1]) if len(parts) > 1 and parts[1] else 0 for parts in split], dtype=np.int64)
+    given = which != 0
+    which = np.where(which < 0, which + ahead[1], which - 1)
+    uv = None
+    if given.any() and words[b"vt"]:
+        table = np.array([[*row, b"0"][:2] for row in words[b"vt"]], dtype=np.float64)
+        if which[given].max() >= len(table) or which[given].min() < 0:
+            raise OmtwarpError(f"a face refers to texture coordinates {which[given].max() + 1} of {len(table)}")
+        at_corner = np.full((len(vertex), 2), np.nan)
+        at_corner[given] = table[which[given]]
+        uv = at_corner[rows]
     named: list[Path] = []
     picture = _pictures_beside(file, named, notes)
     known: dict[str, Material] = {}
-    for library in statements.libraries:
+    for row in np.flatnonzero(kinds == b"mtllib"):
+        library = rests[row].decode("utf-8", "replace").strip()
         there = file_beside(file, library)
         if there is None:
             notes.append(f"the material library '{library}' is not there")
         else:
             named.append(there)
             known |= read_mtl(read_bytes(there, LARGEST_MESH_FILE).decode("utf-8", "replace"), picture)
-    materials = tuple(known.get(name, Material(name or "material")) for name in statements.names)
-    points = np.array([row[:3] for row in statements.points], dtype=np.float64)
+    names, used = _named(kinds, rests, b"usemtl")
+    materials = tuple(known.get(name, Material(name or "material")) for (name,) in names)
+    points = np.array([row[:3] for row in words[b"v"]], dtype=np.float64)
     colors = None
-    if statements.points and all(len(row) >= 6 for row in statements.points):
-        given_colors = np.array([row[3:6] for row in statements.points], dtype=np.float64)
+    if words[b"v"] and all(len(row) >= 6 for row in words[b"v"]):
+        given_colors = np.array([row[3:6] for row in words[b"v"]], dtype=np.float64)
         scaled = given_colors * (255.0 if given_colors.max() <= 1.0 else 1.0)
         colors = with_opacity(np.rint(np.clip(scaled, 0, 255)).astype(np.uint8))
-    used = np.array(statements.used, dtype=np.int32)[face]
-    faces = corners_of(corners, len(points))
+    objects, number = _named(kinds, rests, b"o", b"g")
     return PaintedMesh(
         points,
-        faces,
+        corners_of(vertex[rows], len(points)),
         uv,
         materials,
-        used,
+        used[face],
         colors,
         tuple(notes),
         source_files=tuple(named),
-        objects=tuple(statements.objects),
-        face_object=np.array(statements.belongs, dtype=np.int32)[face],
+        objects=tuple((name, group) for name, group in objects),
+        face_object=number[face],
     )
 
 

@@ -12,7 +12,6 @@ A new pattern is a file here with a class, and its name in :class:`omtwarp.optio
 
 from __future__ import annotations
 
-import heapq
 from abc import ABC, abstractmethod
 from functools import lru_cache
 from importlib import import_module
@@ -127,21 +126,13 @@ def colour_groups(neighbours: NDArray, colours: int) -> Ints:
     for one, other in neighbours.tolist():  # a few hundred cells of a pattern, not elements of a mesh
         around[one].add(other)
         around[other].add(one)
-    degree = [len(x) for x in around]
-    queue = [(degree[cell], cell) for cell in range(count)]
-    heapq.heapify(queue)
-    removed = [False] * count
+    degree = np.array([len(x) for x in around])
     order = []
-    while queue:
-        d, cell = heapq.heappop(queue)
-        if removed[cell] or d != degree[cell]:
-            continue
-        removed[cell] = True
+    for _ in range(count):
+        cell = int(np.argmin(degree))
         order.append(cell)
-        for other in around[cell]:
-            if not removed[other]:
-                degree[other] -= 1
-                heapq.heappush(queue, (degree[other], other))
+        degree[list(around[cell])] -= 1
+        degree[cell] = 2 * count  # taken: it stays above all others
     group = np.full(count, -1, dtype=np.int32)
     used = np.zeros(colours, dtype=np.int64)
     for cell in reversed(order):
