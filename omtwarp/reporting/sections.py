@@ -230,18 +230,12 @@ def pictures(stages: Sequence[Stage], stills: Mapping[str, str], shown: str) -> 
         ("sphere ", f"The triangles on the {stage.domain}", f", on the {stage.domain}", stage, gained) for stage in pair
     ]
     figures = [
-        html(
-            '<figure><img src="{}" alt="{}, {} map" loading="lazy"><figcaption>{}<b>{}{}.</b> {}</figcaption></figure>',
-            stills[kind + stage.key],
-            alternative,
-            stage.label,
-            _swatch(stage),
-            stage.label,
-            where,
-            words,
+        fill_page(
+            "figure.html", source=stills[kind + stage.key], alternative=f"{alternative}, {stage.label} map",
+            swatch=_swatch(stage), name=f"{stage.label}{where}.", words=words,
         )
         for kind, alternative, where, stage, words in drawn
-    ]
+    ]  # fmt: skip
     maps = "two maps" if len(pair) > 1 else "the map"
     words = f"{shown} on the sphere, carried to the surface by {maps}."
     return section("Before and after", words, html('<div class="pair pictures">{}</div>', join(figures)))
@@ -276,9 +270,7 @@ def distributions(stages: Sequence[Stage]) -> Markup:
         f"{angle[0].label}: {angle[0].remark}. {angle[-1].label}: {angle[-1].remark}.",
         mirrored=False,
     )
-    cards = fill_page("distributions.html", domain=stages[-1].domain, areas=left, angles=right)
-    words = "How much of the surface is distorted how far, each distribution scaled to its own peak."
-    return section("Distortion", words, cards)
+    return fill_page("distributions.html", domain=stages[-1].domain, areas=left, angles=right)
 
 
 def transport(report: MapReport, history: Sequence[Record], stages: Sequence[Stage]) -> Markup:
@@ -368,14 +360,7 @@ def stage_table(stages: Sequence[Stage], report: MapReport) -> Markup:
         ]
         head = element("th", _swatch(stage), stage.label, remark, scope="row")
         rows.append(element("tr", head, *(element("td", cell) for cell in cells)))
-    image = "torus" if stages[-1].domain == "torus" else "sphere"
-    table = fill_page("stages.html", rows=join(rows), image=image)
-    words = (
-        "Area distortion is σ₁σ₂ + 1/(σ₁σ₂) and angle distortion σ₁/σ₂ + σ₂/σ₁, with σ the singular values of the map "
-        "on a triangle; 2 is perfect. Given are the mean weighted by area on the surface, the 95th percentile over the "
-        f"triangles, and the mean weighted by area on the {image}."
-    )
-    return section("Stages", words, table)
+    return fill_page("stages.html", rows=join(rows), image="torus" if stages[-1].domain == "torus" else "sphere")
 
 
 def certificate(report: MapReport, shown_faces: int, last: Stage, filled: bool) -> Markup:

