@@ -29,17 +29,8 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import flipped_faces
 from omtwarp.geometry.sphere_hierarchy import sphere_hierarchy
-from omtwarp.mesh.arrays import (
-    TINY,
-    Floats,
-    Ints,
-    direction_from_angles,
-    in_range,
-    normalised,
-    octahedral_directions,
-    real_numbers,
-    whole_numbers,
-)
+from omtwarp.mesh import arrays
+from omtwarp.mesh.arrays import TINY, Floats, Ints, normalised
 
 NAMES = "ico0 to ico8, fsaverage3 to fsaverage7, healpix:NSIDE, healpix-nested:NSIDE, equiangular:HxW, octahedral:N"
 
@@ -152,7 +143,7 @@ def unit_sphere(points: ArrayLike, name: str = "the sphere") -> Floats:
     Raises:
         OmtwarpError: not three finite numbers per vertex, or distances from the origin that differ by more than 0.1 %.
     """
-    array = in_range(real_numbers(points, f"{name}: vertices", (None, 3)))
+    array = arrays.in_range(arrays.real_numbers(points, f"{name}: vertices", (None, 3)))
     if len(array) == 0:
         raise OmtwarpError(f"{name}: there are no vertices")
     radii = np.linalg.norm(array, axis=1)
@@ -181,7 +172,7 @@ def mesh_grid(
     """
     whole_cover = 1e-6  # of the sphere: coverings are whole numbers but for the round-off of a million solid angles
     unit = unit_sphere(points, name)
-    corners = whole_numbers(faces, f"{name}: faces", (None, 3), below=len(unit)).astype(np.int32)
+    corners = arrays.whole_numbers(faces, f"{name}: faces", (None, 3), below=len(unit)).astype(np.int32)
     if len(corners) == 0:
         raise OmtwarpError(f"{name}: there are no faces")
     a, b, c = (unit[corners[:, k]] for k in range(3))
@@ -340,11 +331,11 @@ def equiangular(height: int, width: int) -> SphereGrid:
     latitude = np.pi / 2.0 - np.pi * np.arange(height + 1) / height
     latitude[[0, -1]] = np.pi / 2.0, -np.pi / 2.0
     longitude = -np.pi + 2.0 * np.pi * np.arange(width + 1) / width
-    nodes = direction_from_angles(longitude[None], latitude[:, None])
+    nodes = arrays.direction_from_angles(longitude[None], latitude[:, None])
     nodes[0], nodes[-1], nodes[:, -1] = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0), nodes[:, 0]  # the same to the bit
     corners = np.stack([nodes[1:, :-1], nodes[1:, 1:], nodes[:-1, 1:], nodes[:-1, :-1]], axis=2).reshape(-1, 4, 3)
     middle = (latitude[:-1] + latitude[1:]) / 2.0, (longitude[:-1] + longitude[1:]) / 2.0
-    points = direction_from_angles(middle[1][None], middle[0][:, None]).reshape(-1, 3)
+    points = arrays.direction_from_angles(middle[1][None], middle[0][:, None]).reshape(-1, 3)
     owners = np.arange(len(points), dtype=np.int32)
     return SphereGrid(f"equiangular:{height}x{width}", points, None, (height, width), corners, owners)
 
@@ -358,10 +349,10 @@ def octahedral(size: int) -> SphereGrid:
     """
     steps = np.arange(size + 1) * 2.0 / size - 1.0
     x, y = np.meshgrid(steps, steps[::-1])  # the top row has the largest y
-    nodes = octahedral_directions(x, y)
+    nodes = arrays.octahedral_directions(x, y)
     square = np.stack([nodes[1:, :-1], nodes[1:, 1:], nodes[:-1, 1:], nodes[:-1, :-1]], axis=2).reshape(-1, 4, 3)
     centres = x[:-1, :-1] + 1.0 / size, y[:-1, :-1] - 1.0 / size
-    points = octahedral_directions(*centres).reshape(-1, 3)
+    points = arrays.octahedral_directions(*centres).reshape(-1, 3)
     owners = np.arange(size * size, dtype=np.int32)
     # The fold |x| + |y| = 1 cuts the squares on it in two, from corner to corner.
     across = np.isclose(np.abs(centres[0]) + np.abs(centres[1]), 1.0).ravel()

@@ -123,18 +123,12 @@ def _reporting(quiet: bool, verbose: bool = False) -> Iterator[Progress | None]:
         yield None
         return
     if sys.stderr.isatty() and not verbose:
+        from rich import progress as shown
         from rich.console import Console
-        from rich.progress import (
-            BarColumn,
-            MofNCompleteColumn,
-            Progress as Bars,
-            TextColumn,
-            TimeElapsedColumn,
-            TimeRemainingColumn,
-        )
 
-        columns = (BarColumn(30), MofNCompleteColumn(), TextColumn("{task.fields[failed]} failed"), TimeElapsedColumn())
-        with Bars(*columns, TextColumn("left"), TimeRemainingColumn(), console=Console(stderr=True)) as bars:
+        columns = [shown.BarColumn(30), shown.MofNCompleteColumn(), shown.TextColumn("{task.fields[failed]} failed")]
+        columns += [shown.TimeElapsedColumn(), shown.TextColumn("left"), shown.TimeRemainingColumn()]
+        with shown.Progress(*columns, console=Console(stderr=True)) as bars:
             task = bars.add_task("cohort", total=None, failed=0)
 
             def draw(stage: str, done: int, total: int, info: Record) -> None:

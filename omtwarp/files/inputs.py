@@ -22,15 +22,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError, brief
-from omtwarp.files.limits import (
-    LARGEST_ARRAYS,
-    LARGEST_DIRECTORY,
-    LARGEST_MESH_FILE,
-    LARGEST_REPORT,
-    MOST_TEXELS,
-    amount,
-    memory_for_file,
-)
+from omtwarp.files import limits
+from omtwarp.files.limits import LARGEST_ARRAYS, LARGEST_MESH_FILE, LARGEST_REPORT, MOST_TEXELS, amount
 from omtwarp.files.output import as_path, note_input, staged
 
 if TYPE_CHECKING:
@@ -51,7 +44,7 @@ def reading(file: Path, kind: str, size: int | None) -> Iterator[None]:
     Raises:
         OmtwarpError: the file cannot be read as that.
     """
-    bounded = contextlib.nullcontext() if size is None else memory_for_file(size)
+    bounded = contextlib.nullcontext() if size is None else limits.memory_for_file(size)
     try:
         with warnings.catch_warnings(action="ignore"), bounded:
             yield
@@ -237,8 +230,8 @@ def _check_directory(source: BinaryIO) -> None:
         if end[place - 76 : place - 72] != b"PK\6\6":
             raise OmtwarpError("damaged: its list of arrays is not where it should be")
         size = max(size, int.from_bytes(end[place - 36 : place - 28], "little"))
-    if size > LARGEST_DIRECTORY:
-        raise OmtwarpError(f"its list of arrays has {amount(size)}, and {amount(LARGEST_DIRECTORY)} is the most")
+    if size > limits.LARGEST_DIRECTORY:
+        raise OmtwarpError(f"its list of arrays has {amount(size)}, and {amount(limits.LARGEST_DIRECTORY)} is the most")
 
 
 def _read_array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, name: str) -> NDArray:

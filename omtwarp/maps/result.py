@@ -19,16 +19,7 @@ from omtwarp.files.inputs import holds_array, open_input, read_arrays, write_arr
 from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.files.output import as_path
 from omtwarp.maps import Displayable
-from omtwarp.mesh.arrays import (
-    Floats,
-    Ints,
-    Layout,
-    fitting_arrays,
-    owned,
-    real_numbers,
-    require_unit_length,
-    whole_numbers,
-)
+from omtwarp.mesh.arrays import Floats, Ints, Layout, fitting_arrays, real_numbers, require_unit_length, whole_numbers
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.mesh.validate import Topology
@@ -198,7 +189,7 @@ class StoredMap(Displayable):
         faces = whole_numbers(arrays["faces"], "'faces'", (None, 3), below=len(vertices))
         fitting = fitting_arrays(arrays, self.layout, {"V": len(vertices), "F": len(faces)})
         for name, value in fitting.items():
-            object.__setattr__(self, name, owned(value, self.layout[name][0]))
+            object.__setattr__(self, name, value)
 
     @classmethod
     def _require(cls, arrays: Mapping[str, object]) -> None:

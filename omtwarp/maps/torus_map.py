@@ -12,16 +12,8 @@ from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import flipped_faces
-from omtwarp.maps.result import (
-    OF_TORUS_MAPS,
-    MapResult,
-    MeshReport,
-    StageReport,
-    StoredMap,
-    layout_of,
-    read_map_arrays,
-    stored,
-)
+from omtwarp.maps import result
+from omtwarp.maps.result import MapResult, MeshReport, StageReport, StoredMap
 from omtwarp.mesh.arrays import Floats, Ints
 from omtwarp.mesh.surface import plane_areas
 from omtwarp.metrics.distortion import Distortion, measure_corners
@@ -98,14 +90,14 @@ class TorusMap(StoredMap):
         (0, 1)
     """
 
-    vertices: Floats = field(metadata=stored(np.float64, "V", 3))
-    faces: Ints = field(metadata=stored(np.int32, "F", 3))
-    coordinates: Floats = field(metadata=stored(np.float64, "V", 2))
-    wraps: NDArray[np.int64] = field(metadata=stored(np.int64, "F", 3, 2))
-    lattice: Floats = field(metadata=stored(np.float64, 2, 2))
-    conformal: Floats = field(metadata=stored(np.float64, "V", 2))
-    vertex_origin: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "V"))
-    face_origin: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "F"))
+    vertices: Floats = field(metadata=result.stored(np.float64, "V", 3))
+    faces: Ints = field(metadata=result.stored(np.int32, "F", 3))
+    coordinates: Floats = field(metadata=result.stored(np.float64, "V", 2))
+    wraps: NDArray[np.int64] = field(metadata=result.stored(np.int64, "F", 3, 2))
+    lattice: Floats = field(metadata=result.stored(np.float64, 2, 2))
+    conformal: Floats = field(metadata=result.stored(np.float64, "V", 2))
+    vertex_origin: NDArray[np.int64] | None = field(default=None, metadata=result.stored(np.int64, "V"))
+    face_origin: NDArray[np.int64] | None = field(default=None, metadata=result.stored(np.int64, "F"))
 
     history: list[Record] = field(default_factory=list)
     report: TorusReport = field(default_factory=lambda: cast(TorusReport, {}))
@@ -162,7 +154,7 @@ class TorusMap(StoredMap):
         return ring_torus(self.coordinates, self.lattice)
 
 
-TorusMap.layout = layout_of(TorusMap)
+TorusMap.layout = result.layout_of(TorusMap)
 
 
 def tube_radius(lattice: Floats) -> float:
@@ -201,6 +193,6 @@ def read_map(path: str | os.PathLike[str]) -> MapResult | TorusMap:
     Raises:
         OmtwarpError: the file is missing, or is no map.
     """
-    arrays = read_map_arrays(path, MapResult, TorusMap)
-    kind = TorusMap if any(name in arrays for name in OF_TORUS_MAPS) else MapResult
+    arrays = result.read_map_arrays(path, MapResult, TorusMap)
+    kind = TorusMap if any(name in arrays for name in result.OF_TORUS_MAPS) else MapResult
     return kind.from_arrays(arrays, path)

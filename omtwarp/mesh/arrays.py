@@ -145,7 +145,9 @@ def whole_numbers(values: object, name: str, shape: Shape, *, below: int | None 
 def fitting_arrays(
     arrays: Mapping[str, object], layout: Layout, counts: Mapping[str, int]
 ) -> dict[str, NDArray[np.generic]]:
-    """Convert arrays that belong together to the types and shapes of a table; None and missing ones are skipped.
+    """Make read-only copies, of the types and shapes of a table, of arrays that belong together.
+
+    None and missing ones are skipped. An array that is such a copy itself is returned as it is.
 
     Args:
         arrays: by name; arrays that the table does not name are ignored.
@@ -163,7 +165,7 @@ def fitting_arrays(
             continue
         shape = tuple(known.get(letter) if isinstance(letter, str) else letter for letter in letters)
         take = whole_numbers if issubclass(dtype, np.integer) else real_numbers
-        fitting[name] = take(values, f"'{name}'", shape)
+        fitting[name] = _owned(take(values, f"'{name}'", shape), dtype)
         for letter, length in zip(letters, fitting[name].shape, strict=True):
             if isinstance(letter, str):
                 known.setdefault(letter, length)
@@ -186,7 +188,7 @@ def summed(values: NDArray[np.floating], places: NDArray[np.integer], count: int
     return np.stack([np.bincount(places, column, count) for column in values.T], axis=1)
 
 
-def owned(values: object, dtype: type[np.generic]) -> NDArray[np.generic]:
+def _owned(values: object, dtype: type[np.generic]) -> NDArray[np.generic]:
     """Return a read-only copy, or the array itself if it is one already."""
     array = np.asarray(values)
     if array.dtype != dtype or array.flags.writeable or not array.flags.owndata or not array.flags.c_contiguous:

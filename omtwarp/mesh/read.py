@@ -28,19 +28,11 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import read_arrays, read_bytes, read_up_to, reading
 from omtwarp.files.limits import LARGEST_MESH_FILE, MOST_FACES, amount
 from omtwarp.files.output import as_path, scratch
+from omtwarp.mesh import other_formats
 from omtwarp.mesh.arrays import whole_number, whole_numbers
 from omtwarp.mesh.neuro import load_gifti, nibabel_module
 from omtwarp.mesh.origins import Origins
-from omtwarp.mesh.other_formats import (
-    MESHIO_FORMATS,
-    WAYS_ROUND,
-    Triangles,
-    read_by_meshio,
-    read_freesurfer_text,
-    read_mni,
-    read_mz3,
-    read_plates,
-)
+from omtwarp.mesh.other_formats import MESHIO_FORMATS, WAYS_ROUND, Triangles
 from omtwarp.mesh.ply import read_ply
 from omtwarp.mesh.polygons import Polygons, fans, taken_together
 from omtwarp.mesh.scenes import load_scene, placed_meshes, scene_formats
@@ -318,12 +310,15 @@ _OWN: dict[str, Callable[[bytes], Triangles]] = {
     "vtk": _of_polygons(read_vtk),
     "vtp": _of_polygons(read_vtk_xml),
     "vtu": _of_polygons(read_vtk_xml),
-    "mz3": read_mz3,
-    "tab": read_plates,
+    "mz3": other_formats.read_mz3,
+    "tab": other_formats.read_plates,
     "freesurfer": _read_freesurfer,
-    "freesurfer text": read_freesurfer_text,
-    "mni": _of_polygons(read_mni),
-    **{suffix: _of_polygons(partial(read_by_meshio, name=name)) for suffix, name in MESHIO_FORMATS.items()},
+    "freesurfer text": other_formats.read_freesurfer_text,
+    "mni": _of_polygons(other_formats.read_mni),
+    **{
+        suffix: _of_polygons(partial(other_formats.read_by_meshio, name=name))
+        for suffix, name in MESHIO_FORMATS.items()
+    },
 }
 """The formats that are read neither through trimesh nor, as GIFTI, with other files that they name; by suffix."""
 

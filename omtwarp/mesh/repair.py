@@ -8,20 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh import validate
 from omtwarp.mesh.arrays import TINY, WELD, Floats, edge_keys
 from omtwarp.mesh.origins import Origins
-from omtwarp.mesh.validate import (
-    MeshLike,
-    Topology,
-    as_arrays,
-    check,
-    components_of,
-    duplicate_faces,
-    mesh_arrays,
-    number,
-    unit_coordinates,
-    zero_area_faces,
-)
+from omtwarp.mesh.validate import MeshLike, Topology, check, components_of, number
 
 LARGEST_HOLE = 64
 """Holes with more edges than this are left open: their filling would be arbitrary."""
@@ -87,7 +77,7 @@ def repair(mesh: MeshLike | ArrayLike, faces: ArrayLike | None = None, *, whole:
         >>> omtwarp.check(repaired)
         []
     """
-    points, triangles = as_arrays(*mesh_arrays(mesh, faces))
+    points, triangles = validate.as_arrays(*validate.mesh_arrays(mesh, faces))
     work = _Work(points, triangles)
     if check(points, triangles):
         _require_counted_from_zero(triangles, len(points))
@@ -151,8 +141,8 @@ class _Work:
         candidate[topology.edges[topology.edge_face_count == 1]] = True
         used = np.unique(self.faces)
         unit = np.zeros_like(self.points)
-        unit[used] = unit_coordinates(self.points[used])
-        candidate[self.faces[zero_area_faces(unit, self.faces)]] = True
+        unit[used] = validate.unit_coordinates(self.points[used])
+        candidate[self.faces[validate.zero_area_faces(unit, self.faces)]] = True
         among = np.flatnonzero(candidate)
         if not len(among):
             return
@@ -168,11 +158,11 @@ class _Work:
     def drop_repeated_faces(self) -> None:
         repeated = self.faces == np.roll(self.faces, -1, axis=1)
         self.keep(np.logical_not(repeated.any(axis=1)), "with a repeated vertex")
-        again = duplicate_faces(self.faces, len(self.points))
+        again = validate.duplicate_faces(self.faces, len(self.points))
         if again.any():
             # A face on top of a valid mesh is dropped alone. Two faces that form a flap, without which no edge would
             # lack a face, are both dropped.
-            before = duplicate_faces(self.faces[::-1], len(self.points))[::-1]
+            before = validate.duplicate_faces(self.faces[::-1], len(self.points))[::-1]
             topology = Topology(self.faces, len(self.points))
             flap = (again ^ before) & (topology.edge_face_count[topology.face_edges] % 2 == 0).all(axis=1)
             self.repeated[self.face_origin[again | flap]] = True
@@ -185,8 +175,8 @@ class _Work:
         for _ in range(1000):
             used = np.unique(self.faces)
             unit = np.zeros_like(self.points)
-            unit[used] = unit_coordinates(self.points[used])
-            flat = np.flatnonzero(zero_area_faces(unit, self.faces))
+            unit[used] = validate.unit_coordinates(self.points[used])
+            flat = np.flatnonzero(validate.zero_area_faces(unit, self.faces))
             if not any(self._flip(unit, int(face)) for face in flat):
                 break
             flipped += 1
@@ -382,7 +372,7 @@ def _patch(points: Floats, loop: list[int], known: set[tuple[int, int]]) -> list
     Source: G. Barequet and M. Sharir, Filling gaps in the boundary of a polyhedron, CAGD 12 (1995).
     """
     n = len(loop)
-    corners = unit_coordinates(points[loop])
+    corners = validate.unit_coordinates(points[loop])
 
     def free(i: int, j: int) -> bool:
         beside = j - i == 1 or (i == 0 and j == n - 1)

@@ -14,16 +14,8 @@ from omtwarp.device.arrays import sent
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import (
-    ROUND_OFF,
-    Floats,
-    Ints,
-    in_range,
-    real_numbers,
-    require_unit_length,
-    summed,
-    whole_numbers,
-)
+from omtwarp.mesh import arrays
+from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints, real_numbers, whole_numbers
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.validate import MeshLike, mesh_arrays, require_valid
 
@@ -96,8 +88,8 @@ class Surface:
         other.origins = self.origins
         kept = {name: value for name, value in self.__dict__.items() if name in _UNWEIGHTED}
         other.__dict__.update(kept)
-        for device, arrays in self._sent.items():
-            other._sent[device] = {name: array for name, array in arrays.items() if name not in _WEIGHTED}
+        for device, sent_there in self._sent.items():
+            other._sent[device] = {name: array for name, array in sent_there.items() if name not in _WEIGHTED}
         return other
 
     @property
@@ -119,7 +111,7 @@ class Surface:
     @property
     def moderate_vertices(self) -> Floats:
         """The vertices, times a power of two where squares of their coordinates would overflow or vanish, [V, 3]."""
-        return in_range(self.vertices)
+        return arrays.in_range(self.vertices)
 
     @cached_property
     def scaled_vertices(self) -> Floats:
@@ -270,7 +262,7 @@ def scaled_areas(areas: ArrayLike, count: int) -> Floats:
 
 def _on_device(name: str, dtype: type) -> property:
     """Return a property that is a surface's array of a name, on the device."""
-    return property(lambda arrays: arrays._array(name, dtype))
+    return property(lambda owner: owner._array(name, dtype))
 
 
 class SurfaceArrays:
@@ -358,7 +350,7 @@ def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
     scaled = (vertices - low) / max(float((high - low).max()), np.finfo(float).tiny)
     p0, p1, p2 = (scaled[faces[:, k]] for k in range(3))
     weighted = np.cross(p1 - p0, p2 - p0)
-    total = summed(np.repeat(weighted, 3, axis=0), faces.ravel(), len(vertices))
+    total = arrays.summed(np.repeat(weighted, 3, axis=0), faces.ravel(), len(vertices))
     length = np.linalg.norm(total, axis=1, keepdims=True)
     return total / np.where(length > 0, length, 1.0)
 
@@ -462,7 +454,7 @@ def as_unit_vectors(points: ArrayLike, count: int | None = None, name: str = "ma
         OmtwarpError: another shape or type, coordinates that are not finite, or points off the unit sphere.
     """
     given = real_numbers(points, f"the {name}", (count, 3))
-    require_unit_length(given, f"the {name}")
+    arrays.require_unit_length(given, f"the {name}")
     lengths = np.linalg.norm(given, axis=1)
     if np.abs(lengths - 1.0).max(initial=0.0) > ROUND_OFF:
         given = given / lengths[:, None]

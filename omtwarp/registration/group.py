@@ -18,16 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.alignment.align import checked_features, feature_coefficients
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
+from omtwarp.files import output
 from omtwarp.files.inputs import read_arrays, write_arrays
-from omtwarp.files.output import (
-    RECORD,
-    as_path,
-    digest_of,
-    folder_of_results,
-    make_folder,
-    write_table,
-    written_by_omtwarp,
-)
+from omtwarp.files.output import as_path, digest_of
 from omtwarp.geometry.harmonics import power_per_degree
 from omtwarp.location import Locator
 from omtwarp.maps.result import MapResult
@@ -144,7 +137,7 @@ class Kept:
     """
 
     def __init__(self, folder: Path):
-        make_folder(folder)
+        output.make_folder(folder)
         self._folder = folder
         self._files: list[Path] = []
 
@@ -166,7 +159,7 @@ class Kept:
 
     def remove(self) -> None:
         """Remove the files of all steps, and their folder where nothing else is in it."""
-        for file in (*self._files, self._folder / RECORD):
+        for file in (*self._files, self._folder / output.RECORD):
             file.unlink(missing_ok=True)
         with contextlib.suppress(OSError):
             self._folder.rmdir()
@@ -184,7 +177,7 @@ def key_of(*parts: object) -> str:
 def write_facts(path: Path, table: Mapping[str, Mapping[str, float]]) -> None:
     """Write facts about maps as ``.csv``, a line for each, with its name as ``id``."""
     columns = list(dict.fromkeys(column for row in table.values() for column in row))
-    write_table(path, ["id", *columns], [[name, *map(row.get, columns)] for name, row in table.items()])
+    output.write_table(path, ["id", *columns], [[name, *map(row.get, columns)] for name, row in table.items()])
 
 
 ROUNDS = 3  # that a template is made anew
@@ -249,7 +242,7 @@ def register_group(
     template = _most_usual(files)
     steps, done = (rounds + 1) * len(files), 0
     results = ("template.npz", "table.csv", *(f"{name}.npz" for name in files))
-    with folder_of_results(target, *results), folder_of_results(target / STEPS):
+    with output.folder_of_results(target, *results), output.folder_of_results(target / STEPS):
         kept = Kept(target / STEPS)
         for number in range(rounds):
             total: dict[str, Floats] = {}
@@ -282,7 +275,7 @@ def _finished(folder: Path, origin: str, names: Collection[str]) -> GroupRegistr
     """Return what a folder holds where a run on the same maps ended in it, and its files were not changed since."""
     files = [folder / name for name in ("template.npz", "table.csv", *(f"{name}.npz" for name in names))]
     with contextlib.suppress(OSError, OmtwarpError, ValueError):
-        if all(written_by_omtwarp(file) for file in files):
+        if all(output.written_by_omtwarp(file) for file in files):
             with open(files[0], "rb") as stream:
                 known = str(read_arrays(stream, ["origin"]).get("origin", ""))
             if known == origin:
