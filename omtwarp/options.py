@@ -7,18 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
-from typing import (
-    Annotated,
-    Literal,
-    NamedTuple,
-    NotRequired,
-    TypeAlias,
-    TypedDict,
-    Unpack,
-    cast,
-    get_args,
-    get_type_hints,
-)
+from typing import Annotated, Literal, NamedTuple, TypeAlias, TypedDict, Unpack, cast, get_args, get_type_hints
 
 from omtwarp.device import Solver, parse_device
 from omtwarp.errors import OmtwarpError, choose, shown
@@ -223,14 +212,14 @@ def parse_refinement(value: object) -> Refinement | AreaMatch | float | None:
     return number
 
 
-class ChosenOptions(TypedDict):
+class ChosenOptions(TypedDict, total=False):
     """The options that shape a map, as a report has them; ``exact`` where it was asked for."""
 
     method: str
     cost: str
     scheme: str
     refine: str | float | None
-    exact: NotRequired[bool]
+    exact: bool
 
 
 class MapKeywords(TypedDict, total=False):
@@ -342,15 +331,10 @@ class MapOptions:
 
     def to_dict(self) -> ChosenOptions:
         """Return the options that shape a map, for a report; without those that the method does not use."""
-        if self.method in (Method.TUTTE, Method.MEAN_VALUE):
-            return {"method": str(self.method), "cost": "", "scheme": "", "refine": None}
-        weight = str(self.refine) if isinstance(self.refine, Refinement | AreaMatch) else self.refine
-        chosen: ChosenOptions = {
-            "method": str(self.method),
-            "cost": str(self.cost),
-            "scheme": str(self.scheme),
-            "refine": weight,
-        }
+        chosen: ChosenOptions = {"method": str(self.method), "cost": "", "scheme": "", "refine": None}
+        if self.method not in (Method.TUTTE, Method.MEAN_VALUE):
+            weight = str(self.refine) if isinstance(self.refine, Refinement | AreaMatch) else self.refine
+            chosen |= {"cost": str(self.cost), "scheme": str(self.scheme), "refine": weight}
         if self.exact:
             chosen["exact"] = True
         return chosen

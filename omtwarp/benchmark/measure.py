@@ -69,13 +69,18 @@ class PeakMemory:
 
 
 def _resident(field: str) -> int | None:
-    try:
-        for line in Path("/proc/self/status").read_text().splitlines():
-            if line.startswith(field + ":"):
-                return 1024 * int(line.split()[1])
-    except OSError:
-        pass
-    return None
+    kilobytes = _from_system("/proc/self/status", field).removesuffix("kB")
+    return 1024 * int(kilobytes) if kilobytes else None
+
+
+def _from_system(file: str, field: str) -> str:
+    """Return what stands behind a name and a colon in a file of Linux; nothing where it is not there."""
+    with contextlib.suppress(OSError):
+        for line in Path(file).read_text().splitlines():
+            name, _, value = line.partition(":")
+            if name.strip() == field:
+                return value.strip()
+    return ""
 
 
 def splu_reference(laplacian: sparse.csc_matrix, right: Floats) -> tuple[float, float]:
@@ -100,26 +105,10 @@ def machine(devices: tuple[str, ...]) -> Facts:
         if device.is_cuda:
             gpus.append({"name": device.name, "memory": int(device.total_memory), "arch": int(device.arch)})
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
-    return {
-        "processor": _processor(),
-        "cores": core_count(),
-        "memory": _total_memory(),
-        "system": f"{platform.system()} {platform.release()}",
-        "gpus": gpus,
-        "load_before": load,
-        "blas_threads": os.environ.get("OPENBLAS_NUM_THREADS", "all"),
-        "versions": versions(),
-    }
-
-
-def _processor() -> str:
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine()
+    processor = _from_system("/proc/cpuinfo", "model name") or platform.processor() or platform.machine()
+    system, threads = f"{platform.system()} {platform.release()}", os.environ.get("OPENBLAS_NUM_THREADS", "all")
+    about: Facts = {"processor": processor, "cores": core_count(), "memory": _total_memory(), "system": system}
+    return about | {"gpus": gpus, "load_before": load, "blas_threads": threads, "versions": versions()}
 
 
 def _total_memory() -> int | None:
@@ -129,6 +118,13 @@ def _total_memory() -> int | None:
         return None
 
 
+FIRST_USE = {
+    "compile_seconds": "all kernels compiled", "compile_cpu_seconds": "the same, CPU", "load_seconds": "loaded again",
+    "import_seconds": "`import omtwarp`", "help_seconds": "`omtwarp --help`",
+}  # fmt: skip
+"""What a new machine does once, with the heads of a table."""
+
+
 def first_use(device: str = "cpu") -> dict[str, float]:
     """Time what a new machine does once, each in its own process: compilation into an empty cache, and starts.
 
@@ -136,8 +132,7 @@ def first_use(device: str = "cpu") -> dict[str, float]:
         device: what kernels are compiled for.
 
     Returns:
-        ``compile_seconds`` and ``compile_cpu_seconds`` (all kernels, empty cache), ``load_seconds`` (the same again,
-        from the cache), ``import_seconds`` (``import omtwarp``) and ``help_seconds`` (``omtwarp --help``).
+        Seconds under the names of :data:`FIRST_USE`.
     """
     with tempfile.TemporaryDirectory(prefix="omtwarp-benchmark-") as folder:
         empty = os.environ | {"WARP_CACHE_PATH": folder}
@@ -147,13 +142,7 @@ def first_use(device: str = "cpu") -> dict[str, float]:
     plain = dict(os.environ)
     imported = min(_run(interpreter("import omtwarp"), plain)[0] for _ in range(3))
     helped = min(_run(interpreter("from omtwarp.__main__ import main; main()", "--help"), plain)[0] for _ in range(3))
-    return {
-        "compile_seconds": compiled,
-        "compile_cpu_seconds": compiled_cpu,
-        "load_seconds": loaded,
-        "import_seconds": imported,
-        "help_seconds": helped,
-    }
+    return dict(zip(FIRST_USE, (compiled, compiled_cpu, loaded, imported, helped), strict=True))
 
 
 def _run(command: list[str], environment: dict[str, str]) -> tuple[float, float]:
@@ -232,17 +221,11 @@ def maps_table(result: Facts) -> str:
 
 
 def _kernels(kernels: Facts) -> str:
-    rows = [
-        [
-            f"`{row['name']}`",
-            str(row["launches"]),
-            _number(1e3 * row["seconds"]),
-            _number(row["bytes"] / 1e6),
-            _number(row["bytes_per_second"] / 1e9),
-            f"{100 * row['part_of_copy']:.0f} %",
-        ]
-        for row in kernels["kernels"]
-    ]
+    rows = []
+    for row in kernels["kernels"]:
+        figures = 1e3 * row["seconds"], row["bytes"] / 1e6, row["bytes_per_second"] / 1e9
+        share = f"{100 * row['part_of_copy']:.0f} %"
+        rows.append([f"`{row['name']}`", str(row["launches"]), *map(_number, figures), share])
     head = (
         f"Kernels on {kernels['device']}, {kernels['faces']} faces; a plain copy moves "
         f"{kernels['bandwidth'] / 1e9:.0f} GB/s there:"
@@ -252,14 +235,8 @@ def _kernels(kernels: Facts) -> str:
 
 
 def _first_use(first: dict[str, dict[str, float]]) -> str:
-    rows = [
-        [device]
-        + [_number(one[key]) for key in ("compile_seconds", "compile_cpu_seconds", "load_seconds")]
-        + [_number(one[key]) for key in ("import_seconds", "help_seconds")]
-        for device, one in first.items()
-    ]
-    times = ["all kernels compiled", "the same, CPU", "loaded again", "`import omtwarp`", "`omtwarp --help`"]
-    heads = ["device", *(f"{time}, s" for time in times)]
+    rows = [[device, *(_number(one[key]) for key in FIRST_USE)] for device, one in first.items()]
+    heads = ["device", *(f"{words}, s" for words in FIRST_USE.values())]
     return "First use:\n\n" + table(heads, rows)
 
 

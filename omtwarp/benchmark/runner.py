@@ -132,20 +132,16 @@ def run(
         raise OmtwarpError("nothing to measure: give sizes and shapes, or meshes")
     names = tuple(str(resolve_device(device)) for device in devices)
     notify = progress or (lambda text: None)
+    settings: Facts = {"repeats": repeats, "refine": refine, "largest_reference": largest_reference}
     # Format, of the file of results; to be raised when a field changes its meaning
-    result: Facts = {
-        "format": 1,
-        "machine": machine(names),
-        "settings": {"repeats": repeats, "refine": refine, "largest_reference": largest_reference},
-        "meshes": [],
-    }
+    result: Facts = {"format": 1, "machine": machine(names), "settings": settings, "meshes": []}
     for name in names:
         notify(f"warming up {name}")
         # Warm up faces, of the map that is made first, so that every kernel is loaded before times are taken
         measure_map(made("blob", 2000), name, refine)
     largest: Surface | None = None
     for family, label, surface in all_meshes(tuple(shapes), tuple(sizes), tuple(meshes), subdivisions):
-        result["meshes"].append(measure_mesh(family, label, surface, names, repeats, refine, largest_reference, notify))
+        result["meshes"].append(measure_mesh(family, label, surface, names, settings, notify))
         if kernels and (largest is None or surface.face_count > largest.face_count):
             largest = surface
     if kernels and largest is not None:
@@ -158,17 +154,11 @@ def run(
 
 
 def measure_mesh(
-    family: str,
-    label: str,
-    surface: Surface,
-    devices: tuple[str, ...],
-    repeats: int,
-    refine: str | float | None,
-    largest_reference: int,
-    notify: Callable[[str], None],
+    family: str, label: str, surface: Surface, devices: Sequence[str], settings: Facts, notify: Callable[[str], None]
 ) -> Facts:
-    """Measure the reference factorisation and the maps of one mesh."""
-    system = reference_system(surface) if surface.face_count <= largest_reference else None
+    """Measure the reference factorisation and the maps of one mesh, with settings as of :func:`run`."""
+    repeats, refine = settings["repeats"], settings["refine"]
+    system = reference_system(surface) if surface.face_count <= settings["largest_reference"] else None
     references: list[tuple[float, float]] = []
     runs: list[Facts] = []
     for device in devices:
@@ -194,14 +184,8 @@ def measure_mesh(
     if references:
         wall, cpu = (float(np.median([pair[k] for pair in references])) for k in range(2))
         reference = {"seconds": wall, "cpu_seconds": cpu}
-    return {
-        "family": family,
-        "name": label,
-        "vertices": surface.vertex_count,
-        "faces": surface.face_count,
-        "splu": reference,
-        "runs": runs,
-    }
+    mesh: Facts = {"family": family, "name": label, "vertices": surface.vertex_count, "faces": surface.face_count}
+    return mesh | {"splu": reference, "runs": runs}
 
 
 def measure_map(surface: Surface, device: str, refine: str | float | None) -> Facts:
@@ -225,28 +209,14 @@ def measure_map(surface: Surface, device: str, refine: str | float | None) -> Fa
     before = 0.0
     for stage in mapped.report["stages"]:
         now = marks.get(stage["name"], math.nan)
-        stages.append(
-            {
-                "name": stage["name"],
-                "seconds": stage["seconds"],
-                "cpu_seconds": now - before,
-                "iterations": stage["iterations"],
-                "flips": stage["flips"],
-                "area": stage["area"]["surface"],
-            }
-        )
+        known: Facts = {name: stage.get(name) for name in ("name", "seconds", "iterations", "flips")}
+        stages.append(known | {"cpu_seconds": now - before, "area": stage["area"]["surface"]})
         before = now
     other = {"name": "other", "seconds": wall - sum(stage["seconds"] for stage in stages)}
     stages.append(stages[-1] | other | {"cpu_seconds": cpu - before, "iterations": 1})
-    return {
-        "seconds": wall,
-        "cpu_seconds": cpu,
-        "peak_bytes": memory.read(),
-        "device_bytes": used if used > used_before else None,
-        "flips": mapped.certificate.flips,
-        "bijective": mapped.bijective,
-        "stages": stages,
-    }
+    times: Facts = {"seconds": wall, "cpu_seconds": cpu, "peak_bytes": memory.read()}
+    times["device_bytes"] = used if used > used_before else None
+    return times | {"flips": mapped.certificate.flips, "bijective": mapped.bijective, "stages": stages}
 
 
 def most_used(device: wp.Device) -> int:

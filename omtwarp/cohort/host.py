@@ -123,17 +123,11 @@ def numbers_of(result: MapResult) -> Row:
     surface = Surface(result.vertices, result.faces, result.measure)
     image = triangle_areas(result.sphere, surface.faces)
     around = surface.sum_to_vertices(image) / 3.0 * (SPHERE_AREA / image.sum()) / surface.vertex_areas
-    return {
-        "vertices": surface.vertex_count,
-        "faces": surface.face_count,
-        "flips": result.report["certificate"]["flips"],
-        "degree": last["degree"],
-        "area": last["area"]["surface"],
-        "area_p95": last["area"]["p95"],
-        "angle": last["angle"]["surface"],
-        "ring": float(np.sqrt(np.average((around - 1.0) ** 2, weights=surface.vertex_areas))),
-        "gap": result.report.get("optimality", {}).get("gap"),
-    }
+    numbers: Row = {"vertices": surface.vertex_count, "faces": surface.face_count, "degree": last["degree"]}
+    numbers |= {"flips": result.report["certificate"]["flips"]}
+    numbers |= {"area": last["area"]["surface"], "area_p95": last["area"]["p95"], "angle": last["angle"]["surface"]}
+    numbers["ring"] = float(np.sqrt(np.average((around - 1.0) ** 2, weights=surface.vertex_areas)))
+    return numbers | {"gap": result.report.get("optimality", {}).get("gap")}
 
 
 def _peak_memory() -> int:

@@ -229,11 +229,8 @@ def _register_all(rows: list[Row], folder: Path, progress: Progress | None) -> N
 
 def _row(item: Item, job: Job) -> Row:
     record = read_record(job) or {"status": "waiting", "message": ""}
-    return (
-        {"id": item.id, "path": str(item.path)}
-        | item.fields
-        | {k: v for k, v in record.items() if k not in ("id", "path")}
-    )
+    own: Row = {"id": item.id, "path": str(item.path)}
+    return own | item.fields | record | own  # the path as it was given
 
 
 @contextlib.contextmanager

@@ -45,13 +45,9 @@ def facts_of(result: AnyMap, output: Path, report: Path | None = None) -> dict:
     errors = [stage.get("largest_area_error") for each in reports for stage in each["stages"]]
     apart = getattr(result, "cap_centres", None) is None  # not side by side on one sphere
     gaps = [each.get("optimality", {}).get("gap") for each in reports]  # the bound is on squared distances only
-    return {
-        "output": str(output),
-        "report": None if report is None else str(report),
-        **_counts(result),
-        "bijective": certificate.bijective,
-        "flips": certificate.flips,
-        "degree": last["degree"],
+    facts: dict = {"output": str(output), "report": None if report is None else str(report), **_counts(result)}
+    facts |= {"bijective": certificate.bijective, "flips": certificate.flips, "degree": last["degree"]}
+    return facts | {
         "degree_of_parts": [part["stages"][-1]["degree"] for part in parts] if parts and apart else None,
         "domain": str(getattr(result, "domain", Domain.SPHERE)),
         "area": last["area"]["surface"],

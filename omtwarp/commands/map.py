@@ -10,21 +10,10 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 import omtwarp
+from omtwarp.commands import _work
 from omtwarp.commands._options import ROUTE, Only, Printing, named, output_option
 from omtwarp.commands._streams import input_file
-from omtwarp.commands._work import (
-    AnyMap,
-    facts_of,
-    make_map,
-    outputs_of,
-    read_sound_mesh,
-    report_text,
-    require_bijective,
-    say_stages,
-    show_each,
-    start_device,
-    summary,
-)
+from omtwarp.commands._work import AnyMap, make_map, require_bijective
 from omtwarp.commands.texture import standing
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output, folder_of_results, make_folder, staged, write_text
@@ -174,29 +163,23 @@ def run_map(
 
     if topology.torus and beside:
         raise OmtwarpError("--beside is for maps to the sphere: a ring torus is written by itself")
-    targets = outputs_of(meshes, output, ".ply" if beside else ".npz")
-    reports = outputs_of(meshes, report, ".json")
+    targets = _work.outputs_of(meshes, output, ".ply" if beside else ".npz")
+    reports = _work.outputs_of(meshes, report, ".json")
     for target, report_target in zip(targets, reports, strict=True):
         check_output(target, (".ply",) if beside else (".npz", *SUFFIXES), *meshes)
         check_output(report_target, (".json",), *meshes, target)
-    any_surface = topology.keywords()
-    start_device(mapping.device)
+    kind = topology.keywords()
+    _work.start_device(mapping.device)
     goal = mass.target()
 
     def map_one(mesh: Path | None, files: tuple[Path, Path | None]) -> tuple[dict, str]:
         assert mesh is not None
         target, report_target = files
-        sound = read_sound_mesh(mesh, repair, any_surface=any_surface is not None, smoothing=smoothing)
+        sound = _work.read_sound_mesh(mesh, repair, any_surface=kind is not None, smoothing=smoothing)
         structure = structure_of(mesh)
-        weights, belong = weights_of(mass, sound, structure)
+        weights, at = weights_of(mass, sound, structure)
         result = make_map(
-            sound.surface,
-            mapping,
-            quiet=printing.quiet,
-            any_surface=any_surface,
-            weights=weights,
-            weights_at=belong,
-            target=goal,
+            sound.surface, mapping, quiet=printing.quiet, any_surface=kind, weights=weights, weights_at=at, target=goal
         )
         require_bijective(result)
         if up is not None or front is not None:
@@ -204,20 +187,20 @@ def run_map(
         if structure is not None:
             result.report["structure"] = structure
         file_faces = None  # where vertices that are doubled along seams are to be written as in the file
-        joined = sound.vertex_of_file is not None and any_surface is None
+        joined = sound.vertex_of_file is not None and kind is None
         if joined and isinstance(result, omtwarp.MapResult) and len(result.vertices) == sound.surface.vertex_count:
             result, file_faces = replace(result, vertex_of_file=sound.vertex_of_file), sound.file_faces
         with staged(target) as file:
             save(result, file, like=mesh, radius=radius, beside=beside, file_faces=file_faces)
         if report_target is not None:
             read = {"path": str(mesh), "notes": sound.notes}
-            write_text(report_target, report_text({"input": read, **result.report, "history": result.history}))
+            write_text(report_target, _work.report_text({"input": read, **result.report, "history": result.history}))
         if printing.verbose:
-            say_stages(result)
-        facts = facts_of(result, target, report_target)
-        return facts, summary(facts)
+            _work.say_stages(result)
+        facts = _work.facts_of(result, target, report_target)
+        return facts, _work.summary(facts)
 
-    show_each(meshes, zip(targets, reports, strict=True), map_one, printing)
+    _work.show_each(meshes, zip(targets, reports, strict=True), map_one, printing)
 
 
 def weights_of(mass: Mass, sound: Input, structure: str | None) -> tuple[NDArray[np.float64] | None, WeightsAt]:
@@ -323,7 +306,7 @@ def run_demo(
         output: Folder of the results.
         faces: Roughly how many faces the shape has.
     """
-    start_device(device)
+    _work.start_device(device)
     make_folder(output)
     with folder_of_results(output, *NAMES):
         _make(output, faces, device, printing)
@@ -352,11 +335,11 @@ def _make(output: Path, faces: int, device: str, printing: Printing) -> None:
     result = cast("omtwarp.MapResult", make_map(surface, MapOptions(device=device), quiet=printing.quiet))
     with staged(map_file) as file:
         save(result, file)
-    write_text(report_file, report_text({**result.report, "history": result.history}))
+    write_text(report_file, _work.report_text({**result.report, "history": result.history}))
     if printing.verbose:
-        say_stages(result)
-    facts = facts_of(result, map_file, report_file)
-    notify(summary(facts_of(result, map_file)))
+        _work.say_stages(result)
+    facts = _work.facts_of(result, map_file, report_file)
+    notify(_work.summary(_work.facts_of(result, map_file)))
     globe = omtwarp.texture(result, pattern="globe", rotate=[0.0, -90.0, 0.0], device=device)  # Africa on its flank
     globe.export(model_file)
     notify(f"{model_file}: a globe pulled back to it")
@@ -368,4 +351,4 @@ def _make(output: Path, faces: int, device: str, printing: Printing) -> None:
     comparison(result, comparison_file, image=circles_picture, up=UP, front=FRONT, views=VIEW, device=device)
     notify(f"{comparison_file}: the conformal and the area-preserving map")
     if printing.as_json:
-        print(report_text(facts | {"output": str(output), "files": [str(file) for file in files]}), end="")
+        print(_work.report_text(facts | {"output": str(output), "files": [str(file) for file in files]}), end="")

@@ -9,17 +9,8 @@ from typing import Annotated
 import typer
 
 import omtwarp
-from omtwarp.commands._options import (
-    ROUTE,
-    Only,
-    Printing,
-    RouteOptions,
-    Shown,
-    Source,
-    as_size,
-    output_option,
-    picture_size,
-)
+from omtwarp.commands import _options
+from omtwarp.commands._options import ROUTE, Only, Printing, RouteOptions, Shown, Source
 from omtwarp.commands._streams import input_file, progress_bar, step_times
 from omtwarp.commands._work import map_from, show_each, start_device, targets_of
 from omtwarp.errors import OmtwarpError
@@ -75,10 +66,10 @@ class PictureLook:
 
 def run_preview(
     *,
-    output: Annotated[Path, output_option(".png")],
+    output: Annotated[Path, _options.output_option(".png")],
     subjects: Annotated[list[Path] | None, typer.Argument(metavar="MESH", callback=input_file)] = None,
     finished: Annotated[Path | None, typer.Option("--map", metavar="NPZ", callback=input_file)] = None,
-    size: Annotated[str, typer.Option(metavar="WIDTHxHEIGHT", callback=picture_size)] = DEFAULT_SIZE,
+    size: Annotated[str, typer.Option(metavar="WIDTHxHEIGHT", callback=_options.picture_size)] = DEFAULT_SIZE,
     view: list[str] | None = None,
     lens: Lens,
     look: PictureLook,
@@ -118,19 +109,10 @@ def run_preview(
         shown = subject or finished
         assert shown is not None
         with step_times(printing.verbose) as done:
-            drawn = omtwarp.preview(
-                shown,
-                target,
-                size=as_size(size),
-                views=(view[0] if len(view) == 1 else view) if view else None,
-                camera=Camera(**vars(lens)),
-                image=image,
-                frames=frames,
-                fps=fps,
-                backend=backend,
-                device=device,
-                **vars(look),
-            )
+            views = (view[0] if len(view) == 1 else view) if view else None
+            asked = vars(look) | {"views": views, "frames": frames, "fps": fps, "image": image, "device": device}
+            asked |= {"size": _options.as_size(size), "camera": Camera(**vars(lens)), "backend": backend}
+            drawn = omtwarp.preview(shown, target, **asked)
             done("draw")
         first, count = (drawn[0], len(drawn)) if isinstance(drawn, list) else (drawn, 1)
         facts: dict[str, object] = {"output": str(target), "width": first.width, "height": first.height}
@@ -170,10 +152,10 @@ class FilmLook:
 
 def run_film(
     *,
-    output: Annotated[Path, output_option(".gif")],
+    output: Annotated[Path, _options.output_option(".gif")],
     source: Source,
     shown: Shown,
-    size: Annotated[str | None, typer.Option(metavar="WIDTHxHEIGHT", callback=picture_size)] = None,
+    size: Annotated[str | None, typer.Option(metavar="WIDTHxHEIGHT", callback=_options.picture_size)] = None,
     look: FilmLook,
     mapping: Annotated[MapOptions, Only(name for name in ROUTE if name != "until")],
     printing: Printing,
@@ -209,15 +191,8 @@ def run_film(
                 frames = total if stage == "film" else frames
                 tell(progress, stage, done, total, facts)
 
-            omtwarp.film(
-                result,
-                target,
-                size=None if size is None else as_size(size),
-                device=mapping.device,
-                progress=notify,
-                **picture,
-                **vars(look),
-            )
+            asked = vars(look) | picture | {"size": None if size is None else _options.as_size(size)}
+            omtwarp.film(result, target, device=mapping.device, progress=notify, **asked)
         length = target.stat().st_size
         drawn = time.perf_counter() - begun
         facts: dict[str, object] = {"output": str(target), "frames": frames, "bytes": length}
@@ -228,7 +203,7 @@ def run_film(
 
 def run_report(
     *,
-    output: Annotated[Path, output_option(".html")],
+    output: Annotated[Path, _options.output_option(".html")],
     source: Source,
     picture: Shown,
     title: str | None = None,
@@ -259,14 +234,8 @@ def run_report(
 
     def report_one(mesh: Path | None, target: Path) -> tuple[dict[str, object], str]:
         result, shown = map_from(mesh, source, mapping, printing), mesh or source.finished
-        omtwarp.write_report(
-            result,
-            target,
-            title=title or (shown.stem if shown is not None else None),
-            up=up,
-            device=mapping.device,
-            **keywords,
-        )
+        heading = title or (shown.stem if shown is not None else None)
+        omtwarp.write_report(result, target, title=heading, up=up, device=mapping.device, **keywords)
         length = target.stat().st_size
         facts: dict[str, object] = {"output": str(target), "bytes": length}
         facts |= {"vertices": len(result.vertices), "faces": len(result.faces)}

@@ -194,17 +194,9 @@ def _write(output: Path, resampling: Resampling, given: VertexData, as_labels: b
 
 
 def _record(resampling: Resampling, output: Path, given: VertexData | None) -> dict[str, object]:
-    record: dict[str, object] = {
-        "output": str(output),
-        "method": str(resampling.method),
-        "source": resampling.source.grid.name,
-        "target": resampling.target.grid.name,
-        "shape": list(resampling.target.grid.shape),
-        "empty": int(resampling.empty.sum()),
-        "matrix": {
-            "rows": resampling.matrix.shape[0],
-            "columns": resampling.matrix.shape[1],
-            "entries": int(resampling.matrix.nnz),
-        },
-    }
+    source, target, (rows, columns) = resampling.source.grid, resampling.target.grid, resampling.matrix.shape
+    record: dict[str, object] = {"output": str(output), "method": str(resampling.method)}
+    record |= {"source": source.name, "target": target.name, "shape": list(target.shape)}
+    record["empty"] = int(resampling.empty.sum())
+    record["matrix"] = {"rows": rows, "columns": columns, "entries": int(resampling.matrix.nnz)}
     return record if given is None else record | {"columns": list(given.names), "structure": given.structure}

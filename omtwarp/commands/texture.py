@@ -9,42 +9,19 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 import omtwarp
+from omtwarp import options
+from omtwarp.commands import _work
 from omtwarp.commands._options import Only, Printing, RouteOptions, Source, output_option
 from omtwarp.commands._streams import input_file, step_times, warnings_as_lines
-from omtwarp.commands._work import (
-    AnyMap,
-    make_map,
-    map_from,
-    require_bijective,
-    require_whole,
-    say_made,
-    show_each,
-    show_facts,
-    sizes,
-    sound_surface,
-    start_device,
-    targets_of,
-    with_files,
-)
+from omtwarp.commands._work import AnyMap
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output
-from omtwarp.options import (
-    AtlasName,
-    Coordinates,
-    Device,
-    Domain,
-    Keep,
-    MapOptions,
-    PatternName,
-    ProjectionName,
-    TextureFormat,
-)
+from omtwarp.options import Coordinates, Device, Domain, MapOptions
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from omtwarp.options import MapOptions
     from omtwarp.texturing import TexturedSurface
 
 
@@ -55,7 +32,7 @@ def read_sound_painted(path: Path, repair: bool) -> tuple[omtwarp.PaintedMesh, o
         OmtwarpError: the file cannot be read, or its mesh cannot be mapped.
     """
     mesh = omtwarp.read_painted_mesh(path)
-    surface, repaired = sound_surface(path, mesh.vertices, mesh.faces, list(mesh.notes), repair)
+    surface, repaired = _work.sound_surface(path, mesh.vertices, mesh.faces, list(mesh.notes), repair)
     if repaired is not None:
         surface.origins = replace(repaired.origins, given=len(mesh.vertices))
         mesh = mesh.on(repaired.vertices, repaired.faces, repaired.face_origin)
@@ -96,7 +73,7 @@ def painted_with_map(
     from omtwarp.maps.torus_map import read_map
 
     result = read_map(of_map)
-    require_bijective(result, of_map)
+    _work.require_bijective(result, of_map)
     mesh = omtwarp.read_painted_mesh(path)
     if repair and len(mesh.faces) != len(result.faces):
         mesh, _ = read_sound_painted(path, repair)
@@ -111,10 +88,10 @@ def mapped(found: AnyMap | omtwarp.Surface, path: Path, mapping: MapOptions, pri
     """Return the map of a file; that of a surface is made, and it is said how well."""
     if not isinstance(found, omtwarp.Surface):
         return found
-    start_device(mapping.device)
-    made = make_map(found, mapping, quiet=printing.quiet)
-    require_bijective(made)
-    say_made(made, path, printing)
+    _work.start_device(mapping.device)
+    made = _work.make_map(found, mapping, quiet=printing.quiet)
+    _work.require_bijective(made)
+    _work.say_made(made, path, printing)
     return made
 
 
@@ -181,9 +158,9 @@ class Look:
         rotate (YAW[,PITCH,ROLL]|auto): Turn the texture on the sphere, in degrees.
     """
 
-    pattern: PatternName | None = None
-    projection: ProjectionName = ProjectionName.EQUIRECTANGULAR
-    atlas: AtlasName = AtlasName.CUBE
+    pattern: options.PatternName | None = None
+    projection: options.ProjectionName = options.ProjectionName.EQUIRECTANGULAR
+    atlas: options.AtlasName = options.AtlasName.CUBE
     rotate: str = ""
 
 
@@ -201,7 +178,7 @@ class Painting:
     """
 
     uv: Annotated[Coordinates, typer.Option("--uv")] = Coordinates.ATLAS
-    keep_materials: Keep | None = None
+    keep_materials: options.Keep | None = None
     opacity: Annotated[float, typer.Option(min=0.0, max=1.0)] = 0.5
     bake: list[str] | None = None
     detail: Path | None = None
@@ -228,7 +205,7 @@ class Picture:
     image: Path | None = None
     seam: str = "180"
     size: Annotated[str | None, typer.Option(metavar="TEXELS|WxH|auto", callback=texture_width)] = None
-    texture_format: TextureFormat = TextureFormat.PNG
+    texture_format: options.TextureFormat = options.TextureFormat.PNG
     up: str | None = None
     front: str | None = None
 
@@ -284,7 +261,7 @@ def run_texture(
     from omtwarp.texturing.export import SUFFIXES, format_for
 
     inputs = (*source.files, picture.image, painting.detail)
-    targets = targets_of(source, output, ".glb", SUFFIXES, *inputs)
+    targets = _work.targets_of(source, output, ".glb", SUFFIXES, *inputs)
     by_materials = painting.of_the_mesh or bool(painting.bake)
     for target in targets:
         format_for(target.suffix.lower(), picture.texture_format)
@@ -302,7 +279,7 @@ def run_texture(
         raise OmtwarpError("--detail is for --bake normal: add that")
     # What cannot be read is refused before the work
     looks, seam = vars(look) | {"rotate": rotation(look.rotate)}, picture.cut()
-    start_device(mapping.device)
+    _work.start_device(mapping.device)
     image = None if picture.image is None else read_image(picture.image)
 
     def texture_one(mesh: Path | None, target: Path) -> tuple[dict[str, object], str]:
@@ -326,9 +303,9 @@ def run_texture(
         files = made.export(target, keep=inputs, texture_format=picture.texture_format)
         facts: dict[str, object] = {"output": str(target), "files": [str(file) for file in files]}
         facts |= {"vertices": len(result.vertices), "faces": len(result.faces), "pictures": pictures}
-        return facts, f"{target}: {sizes(result)}, {words}{with_files(files)}"
+        return facts, f"{target}: {_work.sizes(result)}, {words}{_work.with_files(files)}"
 
-    show_each(source.meshes, targets, texture_one, printing)
+    _work.show_each(source.meshes, targets, texture_one, printing)
 
 
 def _mapped(
@@ -344,8 +321,8 @@ def _mapped(
             raise OmtwarpError(
                 "a mesh beside --map is for --uv own or --keep-materials: add one of them, or leave the mesh out"
             )
-        result = map_from(mesh, source, mapping, printing)
-        require_bijective(result, source.finished)
+        result = _work.map_from(mesh, source, mapping, printing)
+        _work.require_bijective(result, source.finished)
         return None, result
     if mesh is None or mesh.suffix.lower() == ".npz":
         raise OmtwarpError("--uv own and --keep-materials need the mesh itself: give it together with the map")
@@ -395,19 +372,9 @@ def _painted(
         finer = omtwarp.read_mesh(painting.detail, together=True)
         fine = (finer.vertices, finer.faces)
     with warnings_as_lines():
-        made = omtwarp.paint(
-            result,
-            painted,
-            image,
-            uv=painting.uv,
-            keep=painting.keep_materials,
-            opacity=painting.opacity,
-            bake=painting.bake or (),
-            detail=fine,
-            size=size,
-            device=device,
-            **vars(look) | {"rotate": rotation(look.rotate)},
-        )
+        asked = vars(look) | vars(painting) | {"rotate": rotation(look.rotate), "bake": painting.bake or ()}
+        asked |= {"keep": asked.pop("keep_materials"), "detail": fine}
+        made = omtwarp.paint(result, painted, image, size=size, device=device, **asked)
     pictures = _pictures(made)
     wanted = size or max((int(one["width"]) for one in pictures), default=0)
     drawn = [f"{one['material']} {one['what']} {one['width']} x {one['height']}" for one in pictures]
@@ -478,12 +445,12 @@ def run_unwrap(
     """
     from omtwarp.texturing.unwrap import laid_out
 
-    targets = targets_of(source, output, ".glb", (".glb", ".obj"))
-    start_device(mapping.device)
+    targets = _work.targets_of(source, output, ".glb", (".glb", ".obj"))
+    _work.start_device(mapping.device)
 
     def unwrap_one(mesh: Path | None, target: Path) -> tuple[dict[str, object], str]:
-        result = map_from(mesh, source, mapping, printing)
-        require_bijective(result, source.finished)
+        result = _work.map_from(mesh, source, mapping, printing)
+        _work.require_bijective(result, source.finished)
         result = standing(result, source.finished or mesh, up, front)
         made, charts = laid_out(result, aspect=aspect, margin=margin)
         named = with_objects(mesh, result)
@@ -492,9 +459,9 @@ def run_unwrap(
         facts = {"output": str(target), "files": [str(file) for file in files], "vertices": len(made.vertices)}
         facts |= {"faces": len(made.faces), "charts": charts}
         line = f"{target}: {len(made.vertices)} vertices, {len(made.faces)} faces, "
-        return facts, line + f"{charts} chart{'s' if charts > 1 else ''}{with_files(files)}"
+        return facts, line + f"{charts} chart{'s' if charts > 1 else ''}{_work.with_files(files)}"
 
-    show_each(source.meshes, targets, unwrap_one, printing)
+    _work.show_each(source.meshes, targets, unwrap_one, printing)
 
 
 @dataclass(frozen=True)
@@ -512,7 +479,7 @@ class How:
     aligned: bool = False
     mirror: bool = False
     uv: Annotated[Coordinates, typer.Option("--uv")] = Coordinates.ATLAS
-    atlas: AtlasName = AtlasName.CUBE
+    atlas: options.AtlasName = options.AtlasName.CUBE
     size: Annotated[int | None, typer.Option(min=16)] = None
 
 
@@ -547,7 +514,7 @@ def run_transfer(
     pairs = [painted_with_map(*one, repair) for one in given]  # all are read before the first is mapped
     for (_, known), (_, of_map) in zip(pairs, given, strict=True):
         if of_map is not None:
-            require_whole(cast("AnyMap", known), of_map)
+            _work.require_whole(cast("AnyMap", known), of_map)
     mapping = MapOptions(device=device)
     maps = [mapped(found, path, mapping, printing) for (_, found), (path, _) in zip(pairs, given, strict=True)]
     (painted, plain), (result, other) = (mesh for mesh, _ in pairs), cast("list[omtwarp.MapResult]", maps)
@@ -556,4 +523,6 @@ def run_transfer(
     files = made.export(output, keep=(source, target, map_of_source, map_of_target))
     facts: dict[str, object] = {"output": str(output), "files": [str(file) for file in files], "from": str(source)}
     facts |= {"vertices": len(other.vertices), "faces": len(other.faces)}
-    show_facts(facts, f"{output}: {sizes(other)}, with the texture of {source}{with_files(files)}", printing)
+    _work.show_facts(
+        facts, f"{output}: {_work.sizes(other)}, with the texture of {source}{_work.with_files(files)}", printing
+    )

@@ -27,12 +27,9 @@ class Origins:
 
     def compose(self, later: "Origins") -> "Origins":
         """Return the origins, in the surface that this one was made from, of another that was made from this one."""
-        return Origins(
-            np.where(later.vertex_origin >= 0, self.vertex_origin[later.vertex_origin], -1),
-            np.where(later.face_origin >= 0, self.face_origin[later.face_origin], -1),
-            split_edges=later.split_edges,
-            given=self.given,
-        )
+        vertices = np.where(later.vertex_origin >= 0, self.vertex_origin[later.vertex_origin], -1)
+        faces = np.where(later.face_origin >= 0, self.face_origin[later.face_origin], -1)
+        return Origins(vertices, faces, split_edges=later.split_edges, given=self.given)
 
     def prolong(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
         """Carry data at the vertices of the surface that this one was made from to the vertices of this one.

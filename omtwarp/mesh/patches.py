@@ -116,12 +116,5 @@ class Patches:
         freed[: self.free] = kept[self.vertex_patch]
         places, own = _numbered_anew(self.faces[triangles], freed)
         inside, number = np.flatnonzero(freed), np.cumsum(kept) - 1
-        return Patches(
-            self.vertices[places],
-            len(inside),
-            self.triangles[triangles],
-            own,
-            number[self.vertex_patch[inside]],
-            number[self.face_patch[triangles]],
-            int(kept.sum()),
-        ), places
+        numbers = number[self.vertex_patch[inside]], number[self.face_patch[triangles]], int(kept.sum())
+        return Patches(self.vertices[places], len(inside), self.triangles[triangles], own, *numbers), places

@@ -69,6 +69,10 @@ class Registration:
     features: tuple[dict[str, Floats], dict[str, Floats]] = field(default_factory=lambda: ({}, {}))
 
     @property
+    def _strains(self) -> dict[str, Floats]:
+        return {"area": self.area_strain, "stretch": self.stretch_strain}
+
+    @property
     def largest_strain(self) -> float:
         """The largest of both strains, in size."""
         return float(max(np.abs(self.area_strain).max(), self.stretch_strain.max()))
@@ -98,20 +102,10 @@ class Registration:
             sizes = np.abs(strain)
             return {f"p{k}": float(np.percentile(sizes, k)) for k in (50, 95)} | {"max": float(sizes.max())}
 
-        return {
-            "score": self.start.score,
-            "runner_up": self.start.runner_up,
-            "doubtful": self.doubtful,
-            "starts": self.starts,
-            "correlations": self.correlations,
-            "area_strain": percentiles(self.area_strain),
-            "stretch_strain": percentiles(self.stretch_strain),
-            "most_strain": self.most_strain,
-            "area_changes": self.area_changes,
-            "landmarks": self.landmarks,
-            "certificate": self.certificate.to_dict(),
-            "levels": self.levels,
-        }
+        names = ("doubtful", "starts", "correlations", "most_strain", "area_changes", "landmarks", "levels")
+        start = {"score": self.start.score, "runner_up": self.start.runner_up}
+        plain = {name: getattr(self, name) for name in names} | {"certificate": self.certificate.to_dict()}
+        return start | plain | {f"{name}_strain": percentiles(strain) for name, strain in self._strains.items()}
 
     def facts(self) -> dict[str, float]:
         """Return the numbers by which registrations are told apart, for a table.
@@ -119,16 +113,10 @@ class Registration:
         They are the score and margin of the start, whether it is doubtful (1), flips and degree, both strains at 95 %
         of the triangles and the largest, and every feature's correlation at the end.
         """
-        values = (
-            self.start.score,
-            self.start.score - self.start.runner_up,
-            self.doubtful,
-            self.certificate.flips,
-            self.certificate.degree,
-            np.percentile(np.abs(self.area_strain), 95),
-            np.percentile(self.stretch_strain, 95),
-            self.largest_strain,
-        )
+        start, certificate = self.start, self.certificate
+        ends = [np.percentile(np.abs(strain), 95) for strain in self._strains.values()]
+        of_map = start.score, start.score - start.runner_up, self.doubtful, certificate.flips, certificate.degree
+        values = (*of_map, *ends, self.largest_strain)
         agreement = {name: found["after"] for name, found in self.correlations.items()}
         facts = {**dict(zip(FACTS, values, strict=True)), **agreement}
         return {f"registration_{name}": float(value) for name, value in facts.items()}
@@ -228,12 +216,10 @@ def register(
     by_area, by_stretch = octaves(before, sphere, grids[0].own_triangles)
     _warn_of_strain(np.maximum(np.abs(by_area), by_stretch), max_strain)
     agreement = [side.agreement(there) for side in (best.turned, best.turned.moved(sphere))]
-    start, basis = best.rotation, ", ".join(here.features)
+    turn, own, basis = best.rotation, before[: counts[0]], ", ".join(here.features)
     return Registration(
         sphere=sphere[: counts[0]],
-        start=Alignment(
-            start.rotation, before[: counts[0]], "features", start.score, start.runner_up, False, basis=basis
-        ),
+        start=Alignment(turn.rotation, own, "features", turn.score, turn.runner_up, False, basis=basis),
         doubtful=doubtful,
         starts=[{"score": one.rotation.score, "energy": one.warp.energy} for one in tried],
         correlations={name: {"before": agreement[0][name], "after": agreement[1][name]} for name in here.features},

@@ -147,14 +147,8 @@ class Warping:
                 while pulls.pulled_on(found.sphere):
                     found = minimised(found.sphere)
             energy = float(found.history[-1]["energy"]) / scale
-            record: Record = {
-                "vertices": grid.vertex_count,
-                "width": width,
-                "stiffness": stiffer * self._stiffness,
-                "energy": energy,
-                "iterations": len(found.history) - 1,
-                "converged": found.converged,
-            }
+            record: Record = {"vertices": grid.vertex_count, "width": width, "stiffness": stiffer * self._stiffness}
+            record |= {"energy": energy, "iterations": len(found.history) - 1, "converged": found.converged}
             warp = Warp(grid, found.sphere, energy, [*(warp.levels if warp else []), record])
         assert warp is not None
         return warp

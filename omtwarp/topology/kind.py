@@ -128,14 +128,8 @@ def numbered_in_space(part: Part) -> Part:
     """
     ordered = in_space_order(Surface(part.vertices, part.faces))
     surface, origins = ordered.surface, part.compose(ordered)
-    return replace(
-        part,
-        vertices=surface.vertices,
-        faces=surface.faces,
-        vertex_origin=origins.vertex_origin,
-        face_origin=origins.face_origin,
-        loops=boundary_loops(surface.faces, surface.vertex_count) if part.loops else [],
-    )
+    loops = boundary_loops(surface.faces, surface.vertex_count) if part.loops else []
+    return replace(part, vertices=surface.vertices, faces=surface.faces, loops=loops, **vars(origins))
 
 
 def places_of(parts: list[Part]) -> NDArray[np.int64]:
