@@ -3,7 +3,6 @@
 import contextlib
 import json
 import os
-import queue
 import subprocess
 import threading
 from collections.abc import Generator, Sequence
@@ -135,6 +134,9 @@ class Host:
         process.wait()
 
 
+_own = threading.local()  # the host of each thread
+
+
 class LocalPool:
     """Processes on this machine.
 
@@ -146,21 +148,15 @@ class LocalPool:
         self._workers = workers
 
     def records(self, jobs: Sequence[Job]) -> Generator[Row, None, None]:
-        hosts = [Host() for _ in range(min(self._workers, len(jobs)))]
-        idle: queue.SimpleQueue[Host] = queue.SimpleQueue()
-        for host in hosts:
-            idle.put(host)
+        hosts: list[Host] = []
 
-        def serve(job: Job) -> Row:
-            host = idle.get()
-            try:
-                return host.run(job)
-            finally:
-                idle.put(host)
+        def begin() -> None:
+            _own.host = Host()
+            hosts.append(_own.host)
 
-        pool = ThreadPoolExecutor(self._workers)
+        pool = ThreadPoolExecutor(self._workers, initializer=begin)
         try:
-            for record in as_completed([pool.submit(serve, job) for job in jobs]):
+            for record in as_completed([pool.submit(run_job, job.to_json()) for job in jobs]):
                 yield record.result()
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
@@ -171,11 +167,8 @@ class LocalPool:
                 host.close()
 
 
-_own = threading.local()
-
-
 def run_job(line: str) -> Row:
-    """Compute one job on a machine of a cluster, in a process of its own; the thread keeps its host for the next."""
+    """Compute one job, in a process of its own; the thread keeps its host for the next."""
     if not hasattr(_own, "host"):
         _own.host = Host()
     job = Job.from_json(line)

@@ -30,9 +30,8 @@ def write_page(rows: Sequence[Row], folder: Path) -> Path:
     counts = Counter(str(row["status"]) for row in rows)
     done = [row for row in rows if row["status"] == OK]
     failures = [row for row in rows if row["status"] not in (OK, "waiting")]
-    body = [
-        element("p", f"{len(rows)} surfaces: " + ", ".join(f"{n} {status}" for status, n in sorted(counts.items())))
-    ]
+    summary = ", ".join(f"{count} {status}" for status, count in sorted(counts.items()))
+    body = [element("p", f"{len(rows)} surfaces: {summary}")]
     if done:
         body += [element("h2", "Measures"), _measures(done)]
     if failures:

@@ -121,7 +121,10 @@ def run_cohort(
             records = executor_for(executor, target, workers).records(todo)
             _follow(records, len(mine) - len(todo), len(mine), progress)
     complete_journal(jobs, target)
-    rows = [_row(item, job) for item, job in zip(items, jobs, strict=True)]
+    rows = []
+    for item, job in zip(items, jobs, strict=True):
+        own: Row = {"id": item.id, "path": str(item.path)}  # as it was given
+        rows.append(own | item.fields | (read_record(job) or {"status": "waiting", "message": ""}) | own)
     if register == GROUP and not collect:
         _register_all(rows, target, progress)
     with folder_of_results(target, *RESULTS):
@@ -225,12 +228,6 @@ def _register_all(rows: list[Row], folder: Path, progress: Progress | None) -> N
     table = register_group(maps, folder / REGISTERED_MAPS, progress=notify).table
     for row in done:
         row |= {"registered_to": GROUP, **table[str(row["id"])]}
-
-
-def _row(item: Item, job: Job) -> Row:
-    record = read_record(job) or {"status": "waiting", "message": ""}
-    own: Row = {"id": item.id, "path": str(item.path)}
-    return own | item.fields | record | own  # the path as it was given
 
 
 @contextlib.contextmanager
