@@ -134,14 +134,16 @@ class _Work:
         strange = ~np.isfinite(self.points[self.faces])
         self.keep(np.logical_not(strange.any(axis=(1, 2))), "with NaN or infinite coordinates")
 
+    def _unit(self) -> Floats:
+        """Return the points that faces have, in the unit of their extent, and zeros for the others, shape [V, 3]."""
+        used, unit = np.unique(self.faces), np.zeros_like(self.points)
+        unit[used] = validate.unit_coordinates(self.points[used])
+        return unit
+
     def merge_coincident_vertices(self) -> None:
         """Merge vertices at one place where that can repair a defect; elsewhere two may share a position."""
         topology = Topology(self.faces, len(self.points))
-        candidate = np.zeros(len(self.points), dtype=bool)
-        candidate[topology.edges[topology.edge_face_count == 1]] = True
-        used = np.unique(self.faces)
-        unit = np.zeros_like(self.points)
-        unit[used] = validate.unit_coordinates(self.points[used])
+        candidate, unit = topology.on_boundary, self._unit()
         candidate[self.faces[validate.zero_area_faces(unit, self.faces)]] = True
         among = np.flatnonzero(candidate)
         if not len(among):
@@ -173,9 +175,7 @@ class _Work:
         flipped = 0
         # Rounds of exchanged edges, so that they end: each round repairs one triangle of every row of flat ones.
         for _ in range(1000):
-            used = np.unique(self.faces)
-            unit = np.zeros_like(self.points)
-            unit[used] = validate.unit_coordinates(self.points[used])
+            unit = self._unit()
             flat = np.flatnonzero(validate.zero_area_faces(unit, self.faces))
             if not any(self._flip(unit, int(face)) for face in flat):
                 break
@@ -243,9 +243,8 @@ class _Work:
         self.faces = owner[fan].reshape(-1, 3)
         self.points = np.concatenate([self.points, self.points[copies]])
         self.vertex_origin = np.concatenate([self.vertex_origin, self.vertex_origin[copies]])
-        self.actions.append(
-            f"split {number(len(np.unique(copies)), 'vertex', 'vertices')} where the surface touches itself"
-        )
+        several = number(len(np.unique(copies)), "vertex", "vertices")
+        self.actions.append(f"split {several} where the surface touches itself")
 
     def turn_to_agree(self) -> None:
         topology = Topology(self.faces, len(self.points))

@@ -226,46 +226,48 @@ def _topological_defects(points: Floats, faces: NDArray[np.int64], sound: bool) 
     ``sound`` says that the faces by themselves have no defects, which genus and inside need.
     """
     topology = Topology(faces, len(points))
-    crowded, pinched = topology.edge_face_count > 2, topology.fans > 1
-    orientable = not topology.clashing_edges.any() or topology.orientation[0]
-    found = [
-        _crowded_edges(topology, crowded),
-        _pinched_vertices(pinched),
-        _open_boundary(points, topology, orientable or bool(crowded.any())),
-        _clashing_faces(topology, orientable or bool(crowded.any())),
-        _several_components(topology),
-    ]
-    if sound and orientable and not crowded.any() and not pinched.any():
-        found.append(_handles(topology))
-    defects = [defect for defect in found if defect is not None]
+    crowded, pinched, clashing = topology.edge_face_count > 2, topology.fans > 1, topology.clashing_edges
+    orientable = not clashing.any() or topology.orientation[0]
+    two_sided = orientable or bool(crowded.any())
+    defects = []
+    if crowded.any():
+        a, b = topology.edges[np.argmax(crowded)].tolist()
+        text = f"{number(crowded.sum(), 'non-manifold edge')} (more than two faces), first between vertices {a} and {b}"
+        defects.append(Defect("non-manifold-edges", int(crowded.sum()), a, text, f"drop the extra faces with {REPAIR}"))
+    if pinched.any():
+        first, several = int(np.argmax(pinched)), number(pinched.sum(), "non-manifold vertex", "non-manifold vertices")
+        text = f"{several} (several fans of faces meet in a point), first vertex {first}"
+        defects.append(Defect("non-manifold-vertices", int(pinched.sum()), first, text, f"split them with {REPAIR}"))
+    if (topology.edge_face_count == 1).any():
+        defects.append(_open_boundary(points, topology, two_sided))
+    if clashing.any():
+        a, b = topology.edges[np.argmax(clashing)].tolist()
+        kind, count = "not-orientable", 1
+        remedy = "no repair is possible: only surfaces with an inside map to the sphere"
+        text = f"not orientable: a one-sided surface, its sides meet first between vertices {a} and {b}"
+        if two_sided:
+            kind, count, remedy = "inconsistent-orientation", int(clashing.sum()), f"turn the faces with {REPAIR}"
+            edges = f"{number(count, 'edge')} between faces that turn opposite ways"
+            text = f"inconsistent orientation: {edges}, first between vertices {a} and {b}"
+        defects.append(Defect(kind, count, a, text, remedy))
+    pieces, labels = topology.components
+    if pieces > 1:
+        sizes = np.bincount(labels)
+        first = int(np.argmax(labels != np.argmax(sizes)))
+        largest = f"the largest with {sizes.max()} of {len(labels)} faces"
+        text = f"{pieces} components, {largest}, first face of another is {first}"
+        remedy = f"use 'omtwarp map' with --components (map_surface in Python), or keep the largest with {REPAIR}"
+        defects.append(Defect("several-components", pieces, first, text, remedy))
+    if sound and orientable and not crowded.any() and not pinched.any() and topology.genus > 0:
+        defects.append(_handles(topology))
     if sound and not defects and _signed_volume(points, faces) < 0:
         text = f"inward orientation: all {number(len(faces), 'face')} are clockwise seen from outside, first face 0"
         defects.append(Defect("inward-orientation", len(faces), 0, text, f"turn them with {REPAIR}"))
     return defects
 
 
-def _crowded_edges(topology: Topology, crowded: NDArray[np.bool_]) -> Defect | None:
-    """Return the defect of edges with more than two faces, which are marked in an array of shape [E]."""
-    if not crowded.any():
-        return None
-    a, b = (int(end) for end in topology.edges[np.argmax(crowded)])
-    count = int(crowded.sum())
-    text = f"{number(count, 'non-manifold edge')} (more than two faces), first between vertices {a} and {b}"
-    return Defect("non-manifold-edges", count, a, text, f"drop the extra faces with {REPAIR}")
-
-
-def _pinched_vertices(pinched: NDArray[np.bool_]) -> Defect | None:
-    """Return the defect of vertices in which several fans of faces meet, which are marked in an array of shape [V]."""
-    if not pinched.any():
-        return None
-    first, count = int(np.argmax(pinched)), int(pinched.sum())
-    several = number(count, "non-manifold vertex", "non-manifold vertices")
-    text = f"{several} (several fans of faces meet in a point), first vertex {first}"
-    return Defect("non-manifold-vertices", count, first, text, f"split them with {REPAIR}")
-
-
-def _open_boundary(points: Floats, topology: Topology, two_sided: bool) -> Defect | None:
-    """Return the defect of edges with one face.
+def _open_boundary(points: Floats, topology: Topology, two_sided: bool) -> Defect:
+    """Return the defect of edges with one face, of which there are some.
 
     Args:
         points: the vertices, shape [V, 3].
@@ -273,8 +275,6 @@ def _open_boundary(points: Floats, topology: Topology, two_sided: bool) -> Defec
         two_sided: whether the surface may have two sides, without which no option takes it.
     """
     lone = topology.edge_face_count == 1
-    if not lone.any():
-        return None
     count, size, vertex = topology.holes
     edges, holes = number(lone.sum(), "edge"), number(count, "hole")
     which = "the first " if count > 1 else ""
@@ -291,50 +291,9 @@ def _open_boundary(points: Floats, topology: Topology, two_sided: bool) -> Defec
     return Defect("open-boundary", int(lone.sum()), vertex, text, remedy)
 
 
-def _clashing_faces(topology: Topology, turnable: bool) -> Defect | None:
-    """Return the defect of neighbours that turn opposite ways.
-
-    Args:
-        topology: of the mesh.
-        turnable: whether to say how many edges there are, and not that the surface has one side.
-    """
-    clashing = topology.clashing_edges
-    if not clashing.any():
-        return None
-    a, b = (int(end) for end in topology.edges[np.argmax(clashing)])
-    if not turnable:
-        text = f"not orientable: a one-sided surface, its sides meet first between vertices {a} and {b}"
-        remedy = "no repair is possible: only surfaces with an inside map to the sphere"
-        return Defect("not-orientable", 1, a, text, remedy)
-    text = (
-        f"inconsistent orientation: {number(clashing.sum(), 'edge')} between faces that turn opposite ways, "
-        f"first between vertices {a} and {b}"
-    )
-    return Defect("inconsistent-orientation", int(clashing.sum()), a, text, f"turn the faces with {REPAIR}")
-
-
-def _several_components(topology: Topology) -> Defect | None:
-    """Return the defect of a mesh in several pieces."""
-    pieces, labels = topology.components
-    if pieces <= 1:
-        return None
-    sizes = np.bincount(labels)
-    largest = int(np.argmax(sizes))
-    first = int(np.argmax(labels != largest))
-    text = (
-        f"{pieces} components, the largest with {sizes[largest]} of {len(labels)} faces, "
-        f"first face of another is {first}"
-    )
-    remedy = f"use 'omtwarp map' with --components (map_surface in Python), or keep the largest with {REPAIR}"
-    return Defect("several-components", pieces, first, text, remedy)
-
-
-def _handles(topology: Topology) -> Defect | None:
+def _handles(topology: Topology) -> Defect:
     """Return the defect of a surface of higher genus."""
-    genus = topology.genus
-    if genus <= 0:
-        return None
-    a, b = (int(end) for end in topology.handle_edge)
+    genus, (a, b) = topology.genus, topology.handle_edge.tolist()
     handles = number(genus, "handle")
     text = f"genus {genus}, not 0: {handles}, a loop around the first runs through vertices {a} and {b}"
     closed = topology.components[0] == 1 and not (topology.edge_face_count == 1).any()
@@ -367,6 +326,13 @@ class Topology:
         self._half_edge_edge[order] = np.repeat(np.arange(len(starts)), self.edge_face_count)
         # Pairs of half-edges that lie side by side in one edge; an edge of n faces gives n - 1 of them.
         self._pairs = np.stack([order[:-1][same], order[1:][same]], axis=1)
+
+    @property
+    def on_boundary(self) -> NDArray[np.bool_]:
+        """The vertices of edges that one face alone has, shape [V]."""
+        mask = np.zeros(self.vertex_count, dtype=bool)
+        mask[self.edges[self.edge_face_count == 1]] = True
+        return mask
 
     @property
     def face_edges(self) -> NDArray[np.int64]:
@@ -443,12 +409,12 @@ class Topology:
 
         Source: D. Eppstein, Dynamic generators of topologically embedded graphs, 2003 (tree-cotree decomposition).
         """
-        in_tree = _spanning_forest(self.vertex_count, self.edges)
+        in_tree = spanning_forest(self.vertex_count, self.edges)
         inner = np.flatnonzero((self.edge_face_count == 2) & ~in_tree)
         faces_of = np.full((len(self.edges), 2), -1)
         at = self._half_edge_edge[self._pairs[:, 0]]
         faces_of[at] = self._pairs // 3
-        left = inner[~_spanning_forest(len(self.faces), faces_of[inner])]
+        left = inner[~spanning_forest(len(self.faces), faces_of[inner])]
         return self.edges[left[0]] if len(left) else self.edges[0]
 
 
@@ -459,7 +425,7 @@ def components_of(count: int, links: NDArray) -> tuple[int, Ints]:
     return int(pieces), labels
 
 
-def _spanning_forest(count: int, links: NDArray) -> NDArray[np.bool_]:
+def spanning_forest(count: int, links: NDArray) -> NDArray[np.bool_]:
     """Return a mask of the links that make up a spanning forest of a graph, shape [len(links)]."""
     # The weight of a link is its own number, so that the tree's entries say which links were taken.
     number = np.arange(1, len(links) + 1, dtype=np.float64)

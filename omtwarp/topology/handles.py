@@ -31,7 +31,7 @@ from omtwarp.geometry.limbs import thinnest_ring, vertices_needed
 from omtwarp.mesh.arrays import Floats, edge_keys
 from omtwarp.mesh.origins import Derived
 from omtwarp.mesh.surface import Surface
-from omtwarp.mesh.validate import components_of
+from omtwarp.mesh.validate import components_of, spanning_forest
 from omtwarp.options import CutAlong
 from omtwarp.topology.closing import fill_holes
 from omtwarp.topology.kind import boundary_loops
@@ -75,10 +75,9 @@ def cut_handles(
             )
         triangles, copied = _cut_along(triangles, loop, len(points))
         points, origin = np.concatenate([points, points[copied]]), np.concatenate([origin, origin[copied]])
-        first = set(loop.tolist())
-        own = [side for side in boundary_loops(triangles, len(points)) if first & set(side.tolist())]
-        copies = set(range(len(points) - len(copied), len(points)))
-        own += [side for side in boundary_loops(triangles, len(points)) if copies & set(side.tolist())]
+        around = boundary_loops(triangles, len(points))
+        parts = set(loop.tolist()), set(range(len(points) - len(copied), len(points)))
+        own = [side for part in parts for side in around if part & set(side.tolist())]
         sides.append((own[0], own[1]))
     return CutSurface(origin, np.arange(len(faces)), points, triangles.astype(np.int32), sides, given=len(vertices))
 
@@ -239,10 +238,8 @@ class _LoopGraph:
         others = others[np.argsort(-through, kind="stable")]
         low, high = self.dual[others].min(axis=1), self.dual[others].max(axis=1)
         chosen = np.sort(np.unique(low * self.dual_count + high, return_index=True)[1])
-        ranks = np.arange(1.0, len(chosen) + 1.0)
-        links = sparse.csr_array((ranks, (low[chosen], high[chosen])), shape=(self.dual_count, self.dual_count))
-        ranks = csgraph.minimum_spanning_tree(links).data
-        cotree = others[chosen[np.round(ranks).astype(np.int64) - 1]]
+        links = np.stack([low[chosen], high[chosen]], axis=1)
+        cotree = others[chosen[spanning_forest(self.dual_count, links)]]
         left[cotree] = False
         return before.astype(np.int64), cotree, np.flatnonzero(left)
 
