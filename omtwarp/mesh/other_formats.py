@@ -9,15 +9,11 @@ import re
 import struct
 
 import numpy as np
-from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import scratch
 from omtwarp.mesh.arrays import Floats, whole_numbers
-from omtwarp.mesh.polygons import Polygons
-
-Triangles = tuple[NDArray[np.generic], NDArray[np.generic], list[str]]
-"""Points [V, 3], triangles [F, 3], and notes about what was decided."""
+from omtwarp.mesh.polygons import Triangles, fans
 
 MESHIO_FORMATS = {"msh": "gmsh", "mesh": "medit", "inp": "abaqus"}
 """Suffixes of formats that are read by meshio, and its names of them; a .msh without gmsh's header is of Ansys."""
@@ -41,15 +37,12 @@ _CORNERS = {"triangle": 3, "triangle6": 3, "triangle7": 3, "quad": 4, "quad8": 4
 _NO_AREA = ("vertex", "line")
 
 
-def read_by_meshio(data: bytes, name: str) -> Polygons:
+def read_by_meshio(data: bytes, name: str) -> Triangles:
     """Read the triangles and polygons of a file by meshio; points and lines are left out.
 
     Args:
         data: the file.
         name: meshio's name of its format; of gmsh's also for a file of Ansys, which has the same suffix.
-
-    Returns:
-        Points [V, 3], the corners of all polygons one after another, and how many each has.
 
     Raises:
         OmtwarpError: meshio is not installed, the file names others, or it has cells with a volume.
@@ -78,7 +71,7 @@ def read_by_meshio(data: bytes, name: str) -> Polygons:
         sizes.append(np.full(len(cells), cells.shape[1]))
     points = np.zeros((len(mesh.points), 3))
     points[:, : mesh.points.shape[1]] = mesh.points  # of two coordinates, in a plane
-    return points, np.concatenate(corners), np.concatenate(sizes)
+    return points, *fans(np.concatenate(corners), np.concatenate(sizes))
 
 
 _MZ3_HEADER = "<HHIII"  # the magic number, what is in the file, and the numbers of faces, vertices and bytes to skip
@@ -124,11 +117,8 @@ def read_freesurfer_text(data: bytes) -> Triangles:
     return points, numbers.take(4 * faces).reshape(-1, 4)[:, :3], []
 
 
-def read_mni(data: bytes) -> Polygons:
+def read_mni(data: bytes) -> Triangles:
     """Read polygons of the Montreal Neurological Institute (``.obj`` that begins with P).
-
-    Returns:
-        Points [V, 3], the corners of all polygons one after another, and how many each has [F].
 
     Raises:
         OmtwarpError: the file is cut short, or its polygons do not fit their corners.
@@ -146,7 +136,7 @@ def read_mni(data: bytes) -> Polygons:
     sizes = np.diff(ends, prepend=0)
     if (sizes < 0).any():
         raise OmtwarpError("damaged: ends of polygons that do not grow")
-    return points, numbers.take(int(sizes.sum())), sizes
+    return points, *fans(numbers.take(int(sizes.sum())), sizes)
 
 
 def read_plates(data: bytes) -> Triangles:

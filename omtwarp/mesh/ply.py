@@ -95,9 +95,8 @@ def polygons_of(columns: dict[str, dict[str, Column]]) -> tuple[Floats, NDArray,
     corners = next((faces[name] for name in _CORNERS if name in faces), None)
     strip = next((strips[name] for name in _CORNERS if name in strips), None)
     if corners is None and strip is not None:
-        triangles = triangles_of_strips(
-            *parts_of_strips(strip[1], whole_numbers(strip[0], "lengths of strips", (None,)))
-        )
+        lengths = whole_numbers(strip[0], "lengths of strips", (None,))
+        triangles = triangles_of_strips(*parts_of_strips(strip[1], lengths))
         return points, triangles.reshape(-1), np.full(len(triangles), 3)
     if corners is None:
         raise OmtwarpError("not a triangle mesh: it holds points and no faces")

@@ -8,8 +8,11 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import whole_numbers
 
-Polygons = tuple[NDArray[np.generic], NDArray[np.generic], NDArray[np.int64]]
-"""Points [V, 3], the corners of all polygons one after another, and how many each has [P]."""
+Mesh = tuple[NDArray[np.float64], NDArray[np.int64]]
+"""Points [V, 3] and triangles [F, 3]."""
+
+Triangles = tuple[NDArray[np.generic], NDArray[np.generic], list[str]]
+"""Points [V, 3], triangles [F, 3], and notes about what was decided."""
 
 
 def fans(flat: NDArray[np.generic], corners: NDArray[np.int64]) -> tuple[NDArray[np.generic], list[str]]:
@@ -40,9 +43,7 @@ def fans(flat: NDArray[np.generic], corners: NDArray[np.int64]) -> tuple[NDArray
     return flat[np.stack([first, first + step + 1, first + step + 2], axis=1)], [note]
 
 
-def taken_together(
-    meshes: Sequence[tuple[NDArray[np.float64], NDArray[np.int64]]],
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def taken_together(meshes: Sequence[Mesh]) -> Mesh:
     """Return the vertices and triangles of several meshes as those of one."""
     starts = np.cumsum([0, *(len(points) for points, _ in meshes)])
     triangles = [faces + start for (_, faces), start in zip(meshes, starts[:-1], strict=True)]
@@ -68,20 +69,18 @@ def triangles_of_strips(flat: NDArray[np.generic], lengths: NDArray[np.int64]) -
     return triangles[~repeated]
 
 
-def parts_of_strips(
-    flat: NDArray[np.generic], lengths: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def parts_of_strips(flat: NDArray[np.generic], sizes: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Split strips at negative numbers, with which the Stanford scans' PLY files begin a new strip.
 
     Args:
         flat: all corners, one strip after another.
-        lengths: how many each strip has, shape [S].
+        sizes: how many each strip has, shape [S].
 
     Returns:
         The corners without the negative numbers, and the length of every part.
     """
     corners = whole_numbers(flat, "corners of strips", (None,))
-    part = np.repeat(np.arange(len(lengths)), lengths) + np.cumsum(corners < 0)
+    part = np.repeat(np.arange(len(sizes)), sizes) + np.cumsum(corners < 0)
     kept = corners >= 0
     return corners[kept], np.unique(part[kept], return_counts=True)[1]
 

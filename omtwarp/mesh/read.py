@@ -32,9 +32,9 @@ from omtwarp.mesh import other_formats
 from omtwarp.mesh.arrays import whole_number, whole_numbers
 from omtwarp.mesh.neuro import load_gifti, nibabel_module
 from omtwarp.mesh.origins import Origins
-from omtwarp.mesh.other_formats import MESHIO_FORMATS, WAYS_ROUND, Triangles
+from omtwarp.mesh.other_formats import MESHIO_FORMATS, WAYS_ROUND
 from omtwarp.mesh.ply import read_ply
-from omtwarp.mesh.polygons import Polygons, fans, taken_together
+from omtwarp.mesh.polygons import Triangles, fans, taken_together
 from omtwarp.mesh.scenes import load_scene, placed_meshes, scene_formats
 from omtwarp.mesh.validate import Topology, components_of
 from omtwarp.mesh.volumes import MOST_ROUNDS, ROUNDS, VOLUMES, label_surfaces
@@ -291,34 +291,21 @@ def _read_freesurfer(data: bytes) -> Triangles:
     return vertices, faces, []
 
 
-def _of_polygons(read: Callable[[bytes], Polygons]) -> Callable[[bytes], Triangles]:
-    """Return a reader of triangles from one of polygons."""
-
-    def triangles(data: bytes) -> Triangles:
-        points, corners, sizes = read(data)
-        return points, *fans(corners, sizes)
-
-    return triangles
-
-
 _OWN: dict[str, Callable[[bytes], Triangles]] = {
     "npz": _read_npz,
     "ply": _read_ply,
     "obj": _read_obj,
     "off": _read_off,
     "stl": _read_stl,
-    "vtk": _of_polygons(read_vtk),
-    "vtp": _of_polygons(read_vtk_xml),
-    "vtu": _of_polygons(read_vtk_xml),
+    "vtk": read_vtk,
+    "vtp": read_vtk_xml,
+    "vtu": read_vtk_xml,
     "mz3": other_formats.read_mz3,
     "tab": other_formats.read_plates,
     "freesurfer": _read_freesurfer,
     "freesurfer text": other_formats.read_freesurfer_text,
-    "mni": _of_polygons(other_formats.read_mni),
-    **{
-        suffix: _of_polygons(partial(other_formats.read_by_meshio, name=name))
-        for suffix, name in MESHIO_FORMATS.items()
-    },
+    "mni": other_formats.read_mni,
+    **{suffix: partial(other_formats.read_by_meshio, name=name) for suffix, name in MESHIO_FORMATS.items()},
 }
 """The formats that are read neither through trimesh nor, as GIFTI, with other files that they name; by suffix."""
 
@@ -393,8 +380,7 @@ def seam_copies(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> In
     Returns:
         For every vertex the first one at its place, shape [V]; None where no two are joined.
     """
-    single = _boundary_vertices(len(vertices), faces)
-    at = np.flatnonzero(single)
+    at = np.flatnonzero(Topology(faces.astype(np.int64), len(vertices)).on_boundary)
     if not len(at):
         return None
     _, first, inverse = np.unique(vertices[at] + 0.0, axis=0, return_index=True, return_inverse=True)
@@ -403,14 +389,6 @@ def seam_copies(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> In
     number = np.arange(len(vertices))
     number[at] = at[first[inverse.reshape(-1)]]
     return number
-
-
-def _boundary_vertices(count: int, faces: NDArray[np.integer]) -> NDArray[np.bool_]:
-    """Return a mask, shape [V], of the vertices on edges that belong to one triangle only."""
-    topology = Topology(faces.astype(np.int64), count)
-    boundary = np.zeros(count, dtype=bool)
-    boundary[topology.edges[topology.edge_face_count == 1]] = True
-    return boundary
 
 
 def compressed(number: Ints) -> tuple[NDArray[np.bool_], Ints]:
@@ -449,8 +427,7 @@ def read_joined_mesh(
     if number is not None:
         stays, of_file = compressed(number)
         joined = of_file[file.faces]
-        open_still = bool(_boundary_vertices(len(file.vertices), joined).any())
-        if open_still and shared:
+        if shared and Topology(joined, len(file.vertices)).on_boundary.any():
             number, joined = None, file.faces
     if not one_mesh and not _in_one_piece(joined):
         raise refused  # the user has to choose among geometries that do not belong together

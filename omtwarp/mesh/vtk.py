@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.limits import LARGEST_MESH_FILE, amount
 from omtwarp.mesh.arrays import Floats, Ints, whole_numbers
-from omtwarp.mesh.polygons import Polygons, counted_lists, triangles_of_strips
+from omtwarp.mesh.polygons import Triangles, counted_lists, fans, triangles_of_strips
 
 Numbers = NDArray[np.generic]
 
@@ -45,7 +45,7 @@ def write_vtk(file: Path, points: Floats, faces: Ints, beside: Mapping[str, NDAr
     file.write_bytes(b"".join(body))
 
 
-def read_vtk(data: bytes) -> Polygons:
+def read_vtk(data: bytes) -> Triangles:
     """Read polygons and strips of legacy VTK PolyData or an UNSTRUCTURED_GRID, text or binary, versions 1 to 5.
 
     Raises:
@@ -69,9 +69,9 @@ def read_vtk(data: bytes) -> Polygons:
         at = file.find(rb"CELL_TYPES[ \t]+(\d+)", end)
         if at is None:
             raise OmtwarpError("no CELL_TYPES in it")
-        return points, *_of_kinds(corners, sizes, file.numbers(at.end(), int(at[1]), b"int")[0])
+        return points, *fans(*_of_kinds(corners, sizes, file.numbers(at.end(), int(at[1]), b"int")[0]))
     polygons, strips = file.lists("POLYGONS", end), file.lists("TRIANGLE_STRIPS", end)
-    return points, *_with_strips(polygons, strips)
+    return points, *fans(*_with_strips(polygons, strips))
 
 
 @dataclass
@@ -156,10 +156,8 @@ def _of_kinds(corners: Numbers, sizes: NDArray[np.int64], kinds: Numbers) -> tup
     types = whole_numbers(kinds, "CELL_TYPES", (len(sizes),))
     other = ~np.isin(types, (*no_area, *flat_kinds, strip_kind, pixel_kind))
     if other.any():
-        first = int(np.argmax(other))
-        what = (
-            f"{int(other.sum())} of {len(types)} cells are no flat polygons, first cell {first} of type {types[first]}"
-        )
+        first, count = int(np.argmax(other)), int(other.sum())
+        what = f"{count} of {len(types)} cells are no flat polygons, first cell {first} of type {types[first]}"
         raise OmtwarpError(f"not a surface: {what}; {_SURFACE}")
     starts = np.cumsum(sizes) - sizes
     pixels = starts[(types == pixel_kind) & (sizes == 4)]
@@ -170,7 +168,7 @@ def _of_kinds(corners: Numbers, sizes: NDArray[np.int64], kinds: Numbers) -> tup
     return _with_strips(polygons, (corners[np.repeat(strip, sizes)], sizes[strip]))
 
 
-def read_vtk_xml(data: bytes) -> Polygons:
+def read_vtk_xml(data: bytes) -> Triangles:
     """Read polygons and strips of a VTK XML file: PolyData (``.vtp``) or UnstructuredGrid (``.vtu``).
 
     Arrays are text or binary, beside the markup or appended, plain or compressed by zlib.
@@ -198,7 +196,7 @@ def read_vtk_xml(data: bytes) -> Polygons:
         start += len(here)
     if not points:
         raise OmtwarpError("no piece of a surface in it")
-    return np.concatenate(points), np.concatenate(corners), np.concatenate(sizes)
+    return np.concatenate(points), *fans(np.concatenate(corners), np.concatenate(sizes))
 
 
 class _Xml:
