@@ -15,7 +15,7 @@ from omtwarp.conformal.centring import centre_points
 from omtwarp.conformal.maps import dipole, most_regular_face, plane_to_sphere
 from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError, check_word
-from omtwarp.mesh.arrays import TINY, Floats
+from omtwarp.mesh.arrays import TINY, Floats, normalised
 from omtwarp.mesh.surface import MeshLike, Surface, as_surface, triangle_areas
 from omtwarp.options import Progress, tell
 from omtwarp.solvers.poisson import Factorization, LaplacianSolver
@@ -298,10 +298,12 @@ def _newton(springs: _Springs, points: Floats, masses: Floats | None, report: Re
             return points, multiplier, True
         if iteration == MOST_STEPS["newton"]:
             break
-        pinned, second, axis = _pins(points)
-        matrix, frames = springs.newton_system(points, tension, second, axis)
+        # Vertex 0 is fixed, and a second about a right angle away in the direction of the axis: the forces add up to no
+        # torque, so that the three equations left out hold by themselves.
+        second = int(np.argmin(np.abs(points @ points[0])))
+        matrix, frames = springs.newton_system(points, tension, second, normalised(np.cross(points[0], points[second])))
         free = np.ones(2 * springs.count, dtype=bool)
-        free[[2 * pinned, 2 * pinned + 1, 2 * second]] = False
+        free[[0, 1, 2 * second]] = False
         factor = splu(matrix[free][:, free].tocsc())
 
         def solve(right: Floats, free: NDArray[np.bool_] = free, factor=factor) -> Floats:
@@ -329,21 +331,10 @@ def _multiplier(points: Floats, masses: Floats, force: Floats) -> Floats:
     return np.linalg.solve(gram, masses @ force)
 
 
-def _pins(points: Floats) -> tuple[int, int, Floats]:
-    """Return the vertex to fix, a second about a right angle away, and the direction in which the second is fixed.
-
-    The forces add up to no torque, so that the three equations left out hold by themselves.
-    """
-    second = int(np.argmin(np.abs(points @ points[0])))
-    axis = np.cross(points[0], points[second])
-    return 0, second, axis / np.linalg.norm(axis)
-
-
 def _tangential(points: Floats, vectors: Floats) -> Floats:
     return np.asarray(vectors - (points * vectors).sum(axis=1)[:, None] * points)
 
 
 def _moved(points: Floats, direction: Floats, step: float) -> Floats:
     """Step along the tangential part of a direction and return to the sphere."""
-    moved = points + step * _tangential(points, direction)
-    return np.asarray(moved / np.linalg.norm(moved, axis=1, keepdims=True))
+    return normalised(points + step * _tangential(points, direction))

@@ -41,9 +41,7 @@ class TargetDensity:
 
     def __init__(self, density: Callable[[Floats], ArrayLike], floor: float = 0.0):
         if not 0.0 <= floor < 1.0:
-            raise OmtwarpError(
-                f"the floor of the target density is {floor:g}: give a share of its mean from 0 to below 1"
-            )
+            raise OmtwarpError(f"the floor of the target density is {floor:g}: give a share of its mean, 0 to below 1")
         self._density = density
         self._lowest = 0.0
 

@@ -280,9 +280,7 @@ class MapOptions:
 
     method: Annotated[Method, Option("How to map; all but omt are there for comparison.")] = Method.OMT
     until: Annotated[Stage, Option("Stop after this stage.")] = Stage.REFINE
-    cost: Annotated[Cost, Option("What the transport minimises: squared geodesic distance, or distance.")] = (
-        Cost.SQUARED
-    )
+    cost: Annotated[Cost, Option("What transport minimises: squared geodesic distance, or distance.")] = Cost.SQUARED
     scheme: Annotated[Scheme, Option("How the transport descends; paper is the published one.")] = Scheme.DEFAULT
     refine: Annotated[
         Refinement | AreaMatch | float | None,

@@ -31,6 +31,7 @@ from omtwarp.flips.exact import flipped_faces
 from omtwarp.geometry.sphere_hierarchy import sphere_hierarchy
 from omtwarp.mesh import arrays
 from omtwarp.mesh.arrays import TINY, Floats, Ints, normalised
+from omtwarp.mesh.shapes import sphere_from_directions
 
 NAMES = "ico0 to ico8, fsaverage3 to fsaverage7, healpix:NSIDE, healpix-nested:NSIDE, equiangular:HxW, octahedral:N"
 
@@ -66,12 +67,7 @@ class SphereGrid:
         """The grid's faces, or the Delaunay triangulation of its points, int32, shape [F, 3]."""
         if self.faces is not None:
             return self.faces
-        from scipy.spatial import ConvexHull
-
-        faces = ConvexHull(self.points).simplices.astype(np.int32)
-        inward = np.linalg.det(self.points[faces]) < 0
-        faces[inward] = faces[inward][:, [0, 2, 1]]
-        return faces
+        return sphere_from_directions(self.points).faces
 
     @property
     def own_points(self) -> int:

@@ -293,9 +293,8 @@ def _of_kind(values: object, name: str, kinds: str, shape: Shape) -> NDArray[np.
 
 
 def _require_shape(array: NDArray[np.generic], name: str, shape: Shape) -> None:
-    fits = len(array.shape) == len(shape) and all(
-        want in (None, have) for want, have in zip(shape, array.shape, strict=True)
-    )
+    same = [length in (None, there) for length, there in zip(shape, array.shape, strict=False)]
+    fits = len(array.shape) == len(shape) and all(same)
     if not fits:
         wanted = ", ".join("any" if length is None else str(length) for length in shape)
         raise OmtwarpError(f"{name}: shape {list(array.shape)}, not [{wanted}]")

@@ -287,8 +287,8 @@ def write_data(path: Path, data: VertexData, mesh: tuple[Floats, Ints] | None = 
         elif name.endswith(".annot"):
             _write_annot(file, data)
         elif name.endswith(CURV_SUFFIXES):
-            values, kind = _stored(data.values[:, 0], data.names[0])
-            if kind != "float32":
+            values = _stored(data.values[:, 0], data.names[0])
+            if values.dtype != np.float32:
                 raise OmtwarpError(f"cannot write '{path}': {_TOO_EXACT}: use .label.gii, .npy or .csv")
             nibabel_module().freesurfer.write_morph_data(file, values)
         elif name.endswith(".ply"):
@@ -306,9 +306,7 @@ def _write_gifti(file: Path, data: VertexData, name: str) -> None:
     structure = data.structure or structure_of(file)
     if structure:
         meta["AnatomicalStructurePrimary"] = structure
-    intent = "NIFTI_INTENT_SHAPE"
-    if name.endswith((".func.gii", ".func.gii.gz")):
-        intent = "NIFTI_INTENT_NONE"
+    intent = "NIFTI_INTENT_NONE" if name.endswith((".func.gii", ".func.gii.gz")) else "NIFTI_INTENT_SHAPE"
     table = gifti.GiftiLabelTable()
     if data.table is not None:
         intent = "NIFTI_INTENT_LABEL"
@@ -318,16 +316,14 @@ def _write_gifti(file: Path, data: VertexData, name: str) -> None:
             table.labels.append(label)
     arrays = []
     for column, title in zip(data.values.T, data.names, strict=True):
-        values, kind = _stored(column, title, labels=data.is_labels)
-        array = gifti.GiftiDataArray(values, intent, f"NIFTI_TYPE_{kind.upper()}")
-        array.meta = gifti.GiftiMetaData({"Name": title})
-        arrays.append(array)
+        values = _stored(column, title, labels=data.is_labels)
+        arrays.append(gifti.GiftiDataArray(values, intent, meta={"Name": title}))
     image = gifti.GiftiImage(darrays=arrays, meta=gifti.GiftiMetaData(meta), labeltable=table)
     nibabel.save(image, file)
 
 
-def _stored(column: NDArray[np.generic], name: str, *, labels: bool = False) -> tuple[NDArray[np.generic], str]:
-    """Return numbers in a type of GIFTI's that holds them, and its name: float32, or int32 for labels.
+def _stored(column: NDArray[np.generic], name: str, *, labels: bool = False) -> NDArray[np.generic]:
+    """Return numbers in a type of GIFTI's that holds them: float32, or int32 for labels.
 
     Whole numbers that float32 would round become int32.
 
@@ -344,8 +340,8 @@ def _stored(column: NDArray[np.generic], name: str, *, labels: bool = False) -> 
         fits = finite.min(initial=0) >= limits.min and finite.max(initial=0) <= limits.max
         if len(finite) < len(column) or not fits:
             raise OmtwarpError(f"'{name}': {_TOO_EXACT}, nor does int32: use .npy or .csv")
-        return np.ascontiguousarray(column, dtype=np.int32), "int32"
-    return np.ascontiguousarray(single_precision(column, f"'{name}'")), "float32"
+        return np.ascontiguousarray(column, dtype=np.int32)
+    return np.ascontiguousarray(single_precision(column, f"'{name}'"))
 
 
 def _write_annot(file: Path, data: VertexData) -> None:

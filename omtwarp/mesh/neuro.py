@@ -154,12 +154,10 @@ def write_gifti_surface(file: Path, points: Floats, faces: Ints, spherical: bool
     else:
         own.setdefault("GeometricType", "Anatomical")
     corners.setdefault("TopologicalType", "Closed")
-    float32, int32 = "NIFTI_TYPE_FLOAT32", "NIFTI_TYPE_INT32"
     arrays = [
-        gifti.GiftiDataArray(single_precision(points, "vertices"), "NIFTI_INTENT_POINTSET", float32, coordsys=system),
-        gifti.GiftiDataArray(faces.astype(np.int32), "NIFTI_INTENT_TRIANGLE", int32),
+        gifti.GiftiDataArray(single_precision(points, "vertices"), "NIFTI_INTENT_POINTSET", coordsys=system, meta=own),
+        gifti.GiftiDataArray(faces.astype(np.int32), "NIFTI_INTENT_TRIANGLE", meta=corners),
     ]
-    arrays[0].meta, arrays[1].meta = gifti.GiftiMetaData(own), gifti.GiftiMetaData(corners)
     nibabel.save(gifti.GiftiImage(darrays=arrays, meta=gifti.GiftiMetaData(whole)), file)
 
 
@@ -172,6 +170,5 @@ def write_freesurfer_surface(file: Path, points: Floats, faces: Ints, like: Path
             volume = io.read_geometry(like, read_metadata=True)[2] or None
         except (ValueError, OSError):
             volume = None  # of another format, which has none
-    io.write_geometry(
-        file, single_precision(points, "vertices"), faces, create_stamp="created by omtwarp", volume_info=volume
-    )
+    rounded = single_precision(points, "vertices")
+    io.write_geometry(file, rounded, faces, create_stamp="created by omtwarp", volume_info=volume)

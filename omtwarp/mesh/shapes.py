@@ -18,6 +18,7 @@ from omtwarp.mesh.surface import Surface
 
 Faces = NDArray[np.int64]
 
+_TETRAHEDRON = normalised([[1, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]])  # four corners of a cube
 GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 
 
@@ -113,9 +114,7 @@ def random_sphere(face_count: int = 5000, seed: int = 0, clustering: float = 0.0
     """
     rng = np.random.default_rng(seed)
     points = normalised(rng.normal(size=(face_count // 2 + 2, 3)))
-    points[:4] = normalised(
-        np.array([[1, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]])
-    )  # which certainly surround the centre
+    points[:4] = _TETRAHEDRON  # which certainly surround the centre
     points[4:, 2] += clustering
     return sphere_from_directions(normalised(points))
 
@@ -202,9 +201,7 @@ def limbs(
         sharpness: larger is thinner; a limb's half-width is about 1 / sqrt(sharpness).
         sphere: a triangulated unit sphere, or the number of faces of a geodesic one.
     """
-    axes = normalised(
-        np.asarray([[1, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]] if directions is None else directions)
-    )
+    axes = _TETRAHEDRON if directions is None else normalised(directions)
     return star_shape(lambda x: 1.0 + length * np.exp(sharpness * (x @ axes.T - 1.0)).sum(axis=1), sphere)
 
 

@@ -142,15 +142,10 @@ def double(vertices: Floats, faces: NDArray) -> Double:
     inside = np.flatnonzero(~on_boundary)
     copy = np.arange(count)
     copy[inside] = count + np.arange(len(inside))
-    return Double(
-        np.r_[np.arange(count), inside],
-        np.tile(np.arange(len(faces)), 2),
-        np.concatenate([vertices, vertices[inside]]),
-        np.concatenate([faces, copy[faces][:, ::-1]]).astype(np.int32),
-        np.concatenate([copy, inside]),
-        np.concatenate([on_boundary, np.zeros(len(inside), dtype=bool)]),
-        np.arange(count + len(inside)) >= count,
-    )
+    origin, face_origin = np.r_[np.arange(count), inside], np.tile(np.arange(len(faces)), 2)
+    glued, copied = np.concatenate([faces, copy[faces][:, ::-1]]).astype(np.int32), np.arange(len(origin)) >= count
+    mirror, fixed = np.concatenate([copy, inside]), on_boundary[origin]
+    return Double(origin, face_origin, vertices[origin], glued, mirror, fixed, copied)
 
 
 def quartered_double(whole: Double, quartered: QuarteredSurface) -> Double:

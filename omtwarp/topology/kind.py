@@ -47,9 +47,7 @@ def boundary_loops(faces: NDArray, vertex_count: int) -> list[NDArray[np.int64]]
     tails, counts = np.unique(half[:, 0], return_counts=True)
     if (counts > 1).any():
         vertex = int(tails[np.argmax(counts > 1)])
-        raise OmtwarpError(
-            f"the boundary runs through vertex {vertex} more than once: split the vertex in a mesh editor"
-        )
+        raise OmtwarpError(f"the boundary runs through vertex {vertex} more than once: split it in a mesh editor")
     following = dict(half.tolist())
     loops = []
     for start in tails.tolist():
