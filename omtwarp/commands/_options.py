@@ -75,9 +75,8 @@ def readable(name: str, default: object, annotation: object, known: Option) -> o
     if read is not None:
         info = typer.Option(metavar=option.metavar or "|".join(kind), parser=usage(read), help=option.help)
         return Annotated[str, info]
-    flags = (
-        [f"--{name.replace('_', '-')}"] if kind is bool and not default else []
-    )  # without the opposite of what is off
+    # Without the opposite of what is off
+    flags = [f"--{name.replace('_', '-')}"] if kind is bool and not default else []
     return Annotated[kind, typer.Option(*flags, metavar=option.metavar or None, help=option.help)]
 
 

@@ -239,12 +239,7 @@ def weights_of(mass: Mass, sound: Input, structure: str | None) -> tuple[NDArray
 
 
 def save(
-    result: AnyMap,
-    file: Path,
-    like: Path | None = None,
-    radius: float = 1.0,
-    beside: bool = False,
-    file_faces: NDArray | None = None,
+    result: AnyMap, file: Path, *, like: Path, radius: float, beside: bool = False, file_faces: NDArray | None = None
 ) -> None:
     """Write a map as .npz, or its sphere as a mesh; of a map to a torus the textured surface, or a ring torus.
 
@@ -333,8 +328,7 @@ def _make(output: Path, faces: int, device: str, printing: Printing) -> None:
     write_mesh(mesh_file, surface.vertices, surface.faces)
     notify(f"{mesh_file}: a creature of {surface.face_count} faces")
     result = cast("omtwarp.MapResult", make_map(surface, MapOptions(device=device), quiet=printing.quiet))
-    with staged(map_file) as file:
-        save(result, file)
+    result.save(map_file)
     write_text(report_file, _work.report_text({**result.report, "history": result.history}))
     if printing.verbose:
         _work.say_stages(result)

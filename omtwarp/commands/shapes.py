@@ -200,6 +200,7 @@ def run_group(
         output: Folder of the results.
         covariate (COLUMN): A column of the table that may explain differences, such as age or site: repeat.
     """
+    from omtwarp.mesh.neuro import structure_of
     from omtwarp.shape_analysis.group import GROUP, check_table, mirrored_words, study_group, table_of
     from omtwarp.shape_analysis.reports import write_group_report
 
@@ -219,7 +220,8 @@ def run_group(
         maps, asked = list(map(load_whole_map, paths)), vars(study)
         found = study_group(maps, labels, covariates=covariates, device=device, progress=progress, **asked)
         with folder_of_results(output):
-            files = write_group_report(found, output, names, labels, covariates, _of_one_structure(paths))
+            like = paths[0] if len(set(map(structure_of, paths))) == 1 else None  # of one part of the brain
+            files = write_group_report(found, output, names, labels, covariates, like)
     mirrored = mirrored_words(found.alignment, names)
     if mirrored:
         say(f"warning: {mirrored}")
@@ -246,13 +248,6 @@ def _group_line(study: GroupStudy, output: Path) -> str:
     line = f"{output / 'report.html'}: {len(study.from_mean)} shapes, components with {shares} of the variance"
     least = ", ".join(f"{name} {effect.p_values.min():.3g}" for name, effect in study.effects.items())
     return f"{line}; smallest corrected p of {least}" if least else line
-
-
-def _of_one_structure(paths: Sequence[Path]) -> Path | None:
-    """Return the first of the maps where all name the same part of the brain as their content."""
-    from omtwarp.mesh.neuro import structure_of
-
-    return paths[0] if len({structure_of(path) for path in paths}) == 1 else None
 
 
 def _listed(sources: list[str]) -> tuple[list[str], list[Path], list[Mapping[str, object]]]:

@@ -350,23 +350,15 @@ def _require_many(mode: str, pair: Pair, others: Mapping[str, object]) -> None:
     check_folder(pair.output)
 
 
-def _by_feature(files: Sequence[Path], count: int) -> dict[str, Sequence[Path]]:
-    """Return files of data by feature: those of the first for all maps, then those of the next.
-
-    Raises:
-        OmtwarpError: some map has none.
-    """
-    if len(files) % count:
-        raise OmtwarpError(f"{len(files)} times --feature for {count} maps: give it once for each, in their order")
-    return {f"feature {k // count + 1}": files[k : k + count] for k in range(0, len(files), count)}
-
-
 def _register_many(pair: Pair, several: Several, strength: Strength, printing: Printing) -> None:
     """Register maps to a template made from them, or to the first of them, and say how well."""
     from omtwarp.registration import register_group, register_sequence
 
     maps = [pair.source, *(several.more or [])]
-    features = _by_feature(pair.feature or [], len(maps))
+    files, count = pair.feature or [], len(maps)  # those of the first feature for all maps, then those of the next
+    if len(files) % count:
+        raise OmtwarpError(f"{len(files)} times --feature for {count} maps: give it once for each, in their order")
+    features = {f"feature {k // count + 1}": files[k : k + count] for k in range(0, len(files), count)}
     with progress_bar(printing.quiet, printing.verbose) as progress, warnings_as_lines():
         warp: Callable[..., GroupRegistration | SequenceRegistration] = register_sequence
         if several.group:

@@ -39,8 +39,8 @@ def read_sound_painted(path: Path, repair: bool) -> tuple[omtwarp.PaintedMesh, o
     return mesh, surface
 
 
-def with_objects(path: Path | None, result: AnyMap) -> omtwarp.PaintedMesh:
-    """Return the surface of a map as a plain mesh, with the names of objects in the file that it is from.
+def objects_of(path: Path | None, result: AnyMap) -> dict:
+    """Return the names of objects in the file that a map is from, and whose each face is, as fields of meshes.
 
     Faces that the file has not get its first name.
 
@@ -52,12 +52,11 @@ def with_objects(path: Path | None, result: AnyMap) -> omtwarp.PaintedMesh:
 
     from omtwarp.texturing.read import read_objects
 
-    mesh = omtwarp.PaintedMesh(result.vertices, result.faces)
     names, numbers = ((), None) if path is None else read_objects(path)
     if numbers is None:
-        return mesh
+        return {}
     origin = np.arange(len(result.faces)) if result.origins is None else result.origins.face_origin
-    return replace(mesh, objects=names, face_object=np.where(origin < 0, 0, numbers[origin]))
+    return {"objects": names, "face_object": np.where(origin < 0, 0, numbers[origin])}
 
 
 def painted_with_map(
@@ -225,9 +224,7 @@ class Picture:
         """
         sides = sides_of(self.size)
         if isinstance(sides, tuple) or self.size == "auto":
-            raise OmtwarpError(
-                f"--size {self.size} is for an atlas only, without --uv own, --keep-materials and --bake"
-            )
+            raise OmtwarpError(f"--size {self.size} is for an atlas, without --uv own, --keep-materials and --bake")
         if self.seam != "180":
             raise OmtwarpError("--seam is for an equirectangular atlas only, without --keep-materials and --bake")
         return sides
@@ -288,14 +285,12 @@ def run_texture(
         made: omtwarp.PaintedMesh | TexturedSurface
         with step_times(printing.verbose) as done:
             if by_materials:
-                painted = painted or with_objects(mesh, result)
+                painted = painted or omtwarp.PaintedMesh(result.vertices, result.faces, **objects_of(mesh, result))
                 made, pictures, words = _painted(result, painted, image, painting, width, mapping.device, look)
             else:
                 size, blurred = _size_of(result, picture, look.atlas)
                 asked = {"seam_longitude": seam, "size": size, "device": mapping.device, **looks}
-                made = textured = omtwarp.texture(result, image, **asked)
-                named = with_objects(mesh, result)
-                textured.objects, textured.face_object = named.objects, named.face_object
+                made = textured = replace(omtwarp.texture(result, image, **asked), **objects_of(mesh, result))
                 rows, columns = textured.image.shape[:2]
                 pictures = [{"what": "colour", "width": columns, "height": rows}]
                 words = f"textured, {columns} x {rows} texels{blurred}"
@@ -342,9 +337,8 @@ def _size_of(result: AnyMap, picture: Picture, atlas: str) -> tuple[int | tuple[
     from omtwarp.texturing.atlas import LARGEST_SIZE, LARGEST_UNASKED, sharp_size
 
     asked = picture.size == "auto"
-    if not asked and (
-        picture.size is not None or picture.image is not None or not isinstance(result, omtwarp.MapResult)
-    ):
+    given = picture.size is not None or picture.image is not None
+    if not asked and (given or not isinstance(result, omtwarp.MapResult)):
         return sides_of(picture.size), ""
     if not isinstance(result, omtwarp.MapResult):
         raise OmtwarpError("--size auto is for maps to the sphere: give texels for a map to a torus")
@@ -453,8 +447,7 @@ def run_unwrap(
         _work.require_bijective(result, source.finished)
         result = standing(result, source.finished or mesh, up, front)
         made, charts = laid_out(result, aspect=aspect, margin=margin)
-        named = with_objects(mesh, result)
-        made = replace(made, objects=named.objects, face_object=named.face_object)
+        made = replace(made, **objects_of(mesh, result))
         files = made.export(target, keep=(mesh, source.finished))
         facts = {"output": str(target), "files": [str(file) for file in files], "vertices": len(made.vertices)}
         facts |= {"faces": len(made.faces), "charts": charts}
@@ -523,6 +516,5 @@ def run_transfer(
     files = made.export(output, keep=(source, target, map_of_source, map_of_target))
     facts: dict[str, object] = {"output": str(output), "files": [str(file) for file in files], "from": str(source)}
     facts |= {"vertices": len(other.vertices), "faces": len(other.faces)}
-    _work.show_facts(
-        facts, f"{output}: {_work.sizes(other)}, with the texture of {source}{_work.with_files(files)}", printing
-    )
+    line = f"{output}: {_work.sizes(other)}, with the texture of {source}{_work.with_files(files)}"
+    _work.show_facts(facts, line, printing)

@@ -34,9 +34,10 @@ from omtwarp.registration.register import Registration, register
 from omtwarp.registration.sides import Side, folds
 from omtwarp.registration.strain import kept_within
 from omtwarp.registration.warp import feature_grid
-from omtwarp.resampling import SpherePoints, as_points
+from omtwarp.resampling import as_points
 from omtwarp.version import package_version
 
+Options = Mapping[str, object]
 STEPS = ".steps"  # folder of what is kept until all is done
 
 
@@ -299,27 +300,23 @@ def _most_usual(files: Mapping[str, Member]) -> Template:
     return Template(grid.vertices, grid.faces, here.on_grid[0], tuple(here.features))
 
 
-def _registered(one: Member, template: Template, options: Mapping[str, object]) -> tuple[Side, Registration]:
+def _registered(one: Member, template: Template, options: Options) -> tuple[Side, Registration]:
     """Return a map with its features, and its registration to a template."""
     here = one.side()
     found = register(here.points, template, features=here.own, feature_weights=one.weights, **options)  # type: ignore[arg-type]
     return here, found
 
 
-def _step(one: Member, template: Template, options: Mapping[str, object]) -> dict[str, Floats]:
+def _step(one: Member, template: Template, options: Options) -> dict[str, Floats]:
     """Register a map to a template; return its features there, and where that one's points are on its own sphere."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", OmtwarpWarning)  # those of the last round are said
         here, found = _registered(one, template, options)
     values, known = here.moved(found.closed_sphere).on_grid
-    return {"values": known[:, None] * values, "known": known, "back": way_back(here.points, found)}
-
-
-def way_back(here: SpherePoints, found: Registration) -> Floats:
-    """Return where the points of the feature grid, on a target, are on the sphere of a map turned to it, [N, 3]."""
-    grid, faces = feature_grid(), here.grid.triangles
-    turned = here.grid.points @ found.start.rotation.T
-    return Locator(found.closed_sphere, faces, device="cpu").find(grid.vertices).on_sphere(faces, turned)
+    # Where the points of the feature grid, on the template, are on the sphere of the map turned to it
+    turned, faces = here.points.grid.points @ found.start.rotation.T, here.points.grid.triangles
+    places = Locator(found.closed_sphere, faces, device="cpu").find(feature_grid().vertices)
+    return {"values": known[:, None] * values, "known": known, "back": places.on_sphere(faces, turned)}
 
 
 def _mean_template(total: Mapping[str, Floats], names: tuple[str, ...], max_strain: float) -> Template:
@@ -333,7 +330,7 @@ def _mean_template(total: Mapping[str, Floats], names: tuple[str, ...], max_stra
     return Template(grid.vertices, grid.faces, values, names)
 
 
-def _finish(one: Member, template: Template, options: Mapping[str, object], output: Path) -> dict[str, float]:
+def _finish(one: Member, template: Template, options: Options, output: Path) -> dict[str, float]:
     """Register a map to the template and write it; return the facts."""
     found = _registered(one, template, options)[1]
     found.registered(MapResult.load(one.path)).save(output)

@@ -224,9 +224,8 @@ def _table(path: str | os.PathLike[str]) -> list[dict[str, str]]:
         raise OmtwarpError(f"'{path}': {error}") from None
     for needed in ("label", "side"):
         if needed not in names:
-            raise OmtwarpError(
-                f"'{path}' has no column '{needed}': its first line is '{text.partition(chr(10))[0][:80]}'"
-            )
+            first = text.partition("\n")[0][:80]
+            raise OmtwarpError(f"'{path}' has no column '{needed}': its first line is '{first}'")
     return table
 
 
@@ -261,9 +260,8 @@ def read_landmarks(path: str | os.PathLike[str]) -> list[Landmark]:
             if weight:
                 weights[label] = np.inf if weight == "exact" else float(weight)
         except ValueError:
-            raise OmtwarpError(
-                f"'{path}', line {line}: give a vertex, or x, y and z, and a weight or 'exact'"
-            ) from None
+            words = "give a vertex, or x, y and z, and a weight or 'exact'"
+            raise OmtwarpError(f"'{path}', line {line}: {words}") from None
         places.setdefault(label, {name: [] for name in SIDES})[side].append(place)
     return [_landmark(path, label, sides, weights) for label, sides in places.items()]
 

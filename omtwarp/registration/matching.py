@@ -149,9 +149,8 @@ class Matching:
         """
         start, end = self._ends
         half, count = len(start) // 2, np.arange(len(costs))
-        gaps = SMOOTHNESS * np.minimum(
-            self._gaps(np.arange(half), rotations[start[:half]], rotations[end[:half]]), most
-        )
+        first, last = start[:half], end[:half]
+        gaps = SMOOTHNESS * np.minimum(self._gaps(np.arange(half), rotations[first], rotations[last]), most)
         # Of a message to the end of an edge: by the choice there, and by that at the start
         forth, back = np.ascontiguousarray(gaps.transpose(0, 2, 1)), gaps
         messages = np.zeros((2 * half, costs.shape[1]), dtype=np.float32)
@@ -159,14 +158,13 @@ class Matching:
         for _ in range(PASSES + 1):
             beliefs = costs + np.add.reduceat(messages[self._order], self._first, axis=0)
             best = beliefs.argmin(axis=1)
-            total = costs[count, best].sum() + gaps[np.arange(half), best[start[:half]], best[end[:half]]].sum()
+            total = costs[count, best].sum() + gaps[np.arange(half), best[first], best[last]].sum()
             if found is None or total < found[0]:
                 found = float(total), beliefs, best
             # Without what came along the same edge from the other side
             sent = beliefs[start] - np.concatenate([messages[half:], messages[:half]])
-            new = np.concatenate(
-                [(gap + one[:, None]).min(axis=2) for gap, one in ((forth, sent[:half]), (back, sent[half:]))]
-            )
+            both = (forth, sent[:half]), (back, sent[half:])
+            new = np.concatenate([(gap + one[:, None]).min(axis=2) for gap, one in both])
             messages = 0.5 * (messages + new - new.min(axis=1, keepdims=True))
         assert found is not None
         return found[1:]
@@ -240,6 +238,5 @@ def _samples(grid: Surface, frames: Floats) -> csr_array:
     places = np.einsum("pij,raj->prai", frames, around).reshape(-1, 3)
     found = Locator(grid.vertices, grid.faces, device="cpu").find(places)
     rows = np.arange(0, 3 * len(places) + 1, 3)
-    return csr_array(
-        (found.coordinates.ravel(), grid.faces[found.faces].ravel(), rows), shape=(len(places), grid.vertex_count)
-    )
+    columns, shape = grid.faces[found.faces].ravel(), (len(places), grid.vertex_count)
+    return csr_array((found.coordinates.ravel(), columns, rows), shape=shape)

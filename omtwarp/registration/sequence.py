@@ -23,7 +23,7 @@ from omtwarp.mesh.surface import Surface
 from omtwarp.metrics.certificate import certify_triangles
 from omtwarp.options import Progress, tell
 from omtwarp.registration.folding import LEAST_AREA, vertex_areas
-from omtwarp.registration.group import STEPS, Files, Kept, Member, key_of, members, write_facts
+from omtwarp.registration.group import STEPS, Files, Kept, Member, Options, key_of, members, write_facts
 from omtwarp.registration.register import Registration, area_penalty, register, settled
 from omtwarp.registration.sides import Side
 from omtwarp.registration.strain import area_changes, octaves, strain_at_vertices
@@ -116,9 +116,7 @@ def register_sequence(
     return found
 
 
-def _step(
-    one: Member, before: Member, first: Member, options: Mapping[str, object], output: Path
-) -> dict[str, float | Floats]:
+def _step(one: Member, before: Member, first: Member, options: Options, output: Path) -> dict[str, float | Floats]:
     """Register a map to the one before and then to the first, and write it; return facts, and the surface's strains."""
     side, start = one.side(), first.side()
     here = side.points

@@ -100,11 +100,11 @@ def _grid() -> SphereGrid:
     return mesh_grid(grid.vertices, grid.faces)
 
 
+Given = Mapping[str, ArrayLike] | None
+
+
 def two_sides(
-    moving: PointsLike,
-    target: PointsLike | Template,
-    features: Mapping[str, ArrayLike] | None,
-    to_features: Mapping[str, ArrayLike] | None,
+    moving: PointsLike, target: PointsLike | Template, features: Given, to_features: Given
 ) -> tuple[Side, Side]:
     """Return both sides with the same features in the same order: those given, or the folding of the surfaces.
 

@@ -24,6 +24,7 @@ FEATURE_GRID = 32  # frequency of the icosphere that features are read from: its
 # Levels from coarse to fine: the frequency of the grid that moves, the width in degrees that features are smoothed to
 # (full width at half maximum), and how many times stiffer the grid is: shapes have less in common in detail, and a grid
 # that is stiff until the detail comes takes no detours.
+Levels = tuple[tuple[int, float, float], ...]
 COARSE = ((8, 40.0, 16.0), (8, 40.0, 4.0), (8, 40.0, 2.0), (16, 20.0, 1.6))
 MATCHED = COARSE[-1:]  # of these, from a match of places
 FINE = ((16, 12.0, 1.6), (24, 8.0, 1.3), (32, 4.4, 1.0))
@@ -76,44 +77,32 @@ class Warping:
         stiffness: λ, the weight of distortion.
         most_strain: bound of :func:`omtwarp.registration.strain.octaves`.
         vertex_count: of the coarser of the two meshes that the features come from.
-        keep_areas: the penalty on areas around vertices that change; infinite where none may.
+        penalty: on areas around vertices that change; infinite where none may.
     """
 
     def __init__(
-        self,
-        target: Floats,
-        weights: Floats,
-        stiffness: float,
-        most_strain: float,
-        vertex_count: int,
-        keep_areas: float = 0.0,
+        self, target: Floats, weights: Floats, stiffness: float, most_strain: float, vertex_count: int, penalty: float
     ):
         self.grid = feature_grid()
-        self._target, self._weights, self._stiffness = target, weights, stiffness
-        self._keep_areas = keep_areas
+        self._target, self._weights, self._stiffness, self._penalty = target, weights, stiffness, penalty
         # Of the bound: between the grid's vertices a mesh is strained a little more than the grid.
         self._bound = 0.9 * most_strain
         # Of the coarser mesh two mean edges, those of equilateral triangles: smoothed to less, features would show it.
         self._finest = 2.0 * np.degrees(np.sqrt(8.0 * np.pi / (np.sqrt(3.0) * vertex_count)))
         self._fields: dict[float, FeatureField] = {}
 
-    def match(self, moving: Floats, counted: Floats, landmarks: Pairs | None = None) -> Warp:
+    def match(self, moving: Floats, counted: Floats, marks: Pairs | None = None) -> Warp:
         """Return the warp of a coarse grid to where features look alike, which may flip triangles.
 
         Args:
-            moving, counted, landmarks: as of :meth:`run`, in any position.
+            moving, counted, marks: as of :meth:`run`, in any position.
         """
         matching, width = _matching(FEATURE_GRID), max(MATCHED_WIDTH, self._finest)
         ours, theirs = self._smooth(moving, width), self._smooth(self._target, width)
-        return Warp(matching.points, matching.match(ours, counted, theirs, self._weights, landmarks))
+        return Warp(matching.points, matching.match(ours, counted, theirs, self._weights, marks))
 
     def run(
-        self,
-        moving: Floats,
-        counted: Floats,
-        levels: tuple[tuple[int, float, float], ...],
-        start: Warp | None = None,
-        landmarks: Pairs | None = None,
+        self, moving: Floats, counted: Floats, levels: Levels, start: Warp | None = None, marks: Pairs | None = None
     ) -> Warp:
         """Minimise feature differences and distortion at one level after another.
 
@@ -122,11 +111,11 @@ class Warping:
             counted: 1 where these are known, 0 in filled holes, shape [N].
             levels: as of ``COARSE``; those finer than the meshes are left out.
             start: a warp to go on from, of :meth:`match` or of levels; none moves nothing.
-            landmarks: points before the warp, and their places; exact ones get there at the last level after others.
+            marks: landmarks before the warp, and their places; exact ones get there at the last level after others.
         """
         warp, last = start, start is not None and bool(start.levels)
         kept = [level for level in levels if level[1] >= self._finest]
-        if not kept and (not last or landmarks is not None):
+        if not kept and (not last or marks is not None):
             kept = [levels[0]]
         for number, (frequency, width, stiffer) in enumerate(kept, start=1):
             grid = grid_of(frequency)
@@ -138,7 +127,7 @@ class Warping:
             # Energy over λ / 2, so that the distortion of triangles has the factor 1.
             scale = 2.0 / (stiffer * self._stiffness)
             term: VertexTerm = FeatureTerm(here[:, :-1], areas, self._field(width), scale * self._weights)
-            pulls = None if landmarks is None else LandmarkTerm(landmarks, grid, scale)
+            pulls = None if marks is None else LandmarkTerm(marks, grid, scale)
             if pulls is not None:
                 term = TermSum([term, pulls])
             minimised = self._minimiser(grid, term, scale)
@@ -172,8 +161,8 @@ class Warping:
         """Return what minimises the energy from a warp of a grid, with a penalty or constraints on areas if wanted."""
         tolerance = 2e-4  # of the mean distortion
         # Σ m (a / m - 1)² / 4π is Σ (a - m)² / m over 4π; the penalty of areas a that sum to 12π is half of that.
-        penalty = None if np.isinf(self._keep_areas) else 2.0 * scale * self._keep_areas
-        energy = warp_energy(grid, AREA_WEIGHT, strain_limit(self._bound), term, self._keep_areas > 0.0)
+        penalty = None if np.isinf(self._penalty) else 2.0 * scale * self._penalty
+        energy = warp_energy(grid, AREA_WEIGHT, strain_limit(self._bound), term, self._penalty > 0.0)
         return lambda points: minimise(
             energy, points, gain=tolerance, iterations=ITERATIONS, progress=None, penalty=penalty
         )
