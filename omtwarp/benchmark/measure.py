@@ -53,19 +53,15 @@ class PeakMemory:
         gc.collect()
         with contextlib.suppress(OSError, AttributeError):  # freed memory that is kept would hide later use
             ctypes.CDLL("libc.so.6").malloc_trim(0)
-        self.base = _resident("VmRSS")
-        try:  # reset the peak, where the system can
+        self.base: int | None = None
+        with contextlib.suppress(OSError):  # where the system cannot reset the peak, it is not known
             Path("/proc/self/clear_refs").write_text("5")
-            self.resettable = True
-        except OSError:
-            self.resettable = False
+            self.base = _resident("VmRSS")
 
     def read(self) -> int | None:
         """Return the peak in bytes, or None where the system does not report it."""
         peak = _resident("VmHWM")
-        if not self.resettable or peak is None or self.base is None:
-            return None
-        return max(peak - self.base, 0)
+        return None if peak is None or self.base is None else max(peak - self.base, 0)
 
 
 def _resident(field: str) -> int | None:

@@ -111,17 +111,13 @@ def _from_text(text: str, name: str, folder: Path, delimiter: str = "") -> list[
     """Read items from a table's text, whose columns are separated by tabs where its first line has one."""
     first = text.partition("\n")[0]
     rows = csv.DictReader(io.StringIO(text), delimiter=delimiter or ("\t" if "\t" in first else ","))
-    try:
-        names = rows.fieldnames or []
-    except csv.Error as error:
-        raise OmtwarpError(f"{name}, line 1: {error}") from None
-    if "path" not in names:
-        raise OmtwarpError(f"{name} has no column 'path': its first line is '{first[:80]}'")
     found: list[tuple[Path, dict[str, str]]] = []
     try:
-        listed = [(rows.line_num, row) for row in rows]
+        names, listed = rows.fieldnames or [], [(rows.line_num, row) for row in rows]
     except csv.Error as error:
-        raise OmtwarpError(f"{name}, line {rows.line_num}: {error}") from None
+        raise OmtwarpError(f"{name}, line {max(rows.line_num, 1)}: {error}") from None
+    if "path" not in names:
+        raise OmtwarpError(f"{name} has no column 'path': its first line is '{first[:80]}'")
     for number, row in listed:
         if None in row or any(value is None for value in row.values()):
             raise OmtwarpError(f"{name}, line {number}: not {len(names)} columns as the first line has")
@@ -149,11 +145,8 @@ def _named(rows: list[tuple[Path, dict[str, str]]]) -> list[Item]:
 
 
 def _stem(path: Path) -> str:
-    stem = path.name
-    while Path(stem).suffix.lower() in (*MESH_SUFFIXES, ".surf", ".gz") and Path(stem).stem:
-        suffix = Path(stem).suffix.lower()
-        if suffix in (".white", ".pial", ".orig"):
-            break
+    stem, of_formats = path.name, {*MESH_SUFFIXES, ".surf", ".gz"} - {".white", ".pial", ".orig"}
+    while Path(stem).suffix.lower() in of_formats and Path(stem).stem:
         stem = Path(stem).stem
     return stem
 

@@ -59,9 +59,7 @@ class Topology:
         Raises:
             OmtwarpError: options of more than one domain are given.
         """
-        domains = (Domain.HEMISPHERE, Domain.DISK, Domain.CAP, Domain.TORUS)
-        given = (self.hemisphere, self.disk, self.cap, self.torus)
-        rims = [domain for domain, wanted in zip(domains, given, strict=True) if wanted]
+        rims = [domain for domain in (Domain.HEMISPHERE, Domain.DISK, Domain.CAP, Domain.TORUS) if vars(self)[domain]]
         if len(rims) > 1:
             raise OmtwarpError(f"both --{rims[0]} and --{rims[1]}: give one")
         if self.together and rims:

@@ -11,6 +11,7 @@ import contextlib
 import csv
 import errno
 import hashlib
+import itertools
 import json
 import os
 import secrets
@@ -124,12 +125,10 @@ def _destination(path: Path) -> Path:
     target = Path(os.path.realpath(path))
     try:
         mode = os.lstat(target).st_mode
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         if not target.parent.is_dir():
             raise OmtwarpError(f"cannot write '{path}': there is no directory '{path.parent}'") from None
         return target
-    except NotADirectoryError:
-        raise OmtwarpError(f"cannot write '{path}': there is no directory '{path.parent}'") from None
     if stat.S_ISDIR(mode):
         raise OmtwarpError(f"cannot write '{path}': it is a directory")
     if stat.S_ISLNK(mode):
@@ -311,15 +310,14 @@ def companion(path: Path, suffix: str, keep: Iterable[Path | None] = ()) -> Path
     """
     folder = _destination(_places.get(path.parent, path)).parent
     stem = "_".join(path.stem.split()) or "texture"
-    kept = tuple(keep)
-    number = 0
+    names = itertools.chain((stem, f"{stem}-texture"), (f"{stem}-texture-{number}" for number in itertools.count(2)))
+    kept, there = tuple(keep), folder
     try:
-        while True:
-            ending = ("", "-texture")[number] if number < 2 else f"-texture-{number}"
-            there = folder / f"{stem}{ending}{suffix}"
+        for name in names:
+            there = folder / f"{name}{suffix}"
             if _may_replace(there, kept):
-                return path.with_name(there.name)
-            number += 1
+                break
+        return path.with_name(there.name)
     except OSError as error:
         raise _cannot_write(path.with_name(there.name), error) from None
 

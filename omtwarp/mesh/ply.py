@@ -177,10 +177,9 @@ def _announced_words(body: bytes, elements: list[_Element]) -> tuple[bytes, int]
         for number in range(row, row + element.count):
             line, end = lines[number], 0
             for part in element.properties:
-                length = 0
                 if part.length is not None:
-                    length = int(line[end]) if end < len(line) and line[end].isdigit() else len(line)
-                end += 1 + length if part.length is not None else 1
+                    end += int(line[end]) if end < len(line) and line[end].isdigit() else len(line)
+                end += 1
             if end > len(line):
                 return body, 0
             longer += end < len(line)
@@ -222,14 +221,7 @@ def _columns(
     columns: dict[str, dict[str, Column]] = {}
     place = 0
     for element in elements:
-        lengths = _first_lengths(body, place, element, order)
-        fields: list[tuple] = []
-        for k, part in enumerate(element.properties):
-            if part.length is not None:
-                fields += [(f"n{k}", order + part.length), (f"v{k}", order + part.type, (lengths[k],))]
-            else:
-                fields.append((f"v{k}", order + part.type))
-        record = np.dtype(fields)
+        record, lengths = _first_row(body, place, element, order)
         if element.count > 0 and element.count * record.itemsize <= len(body) - place:
             rows = np.frombuffer(body, record, element.count, place)
             if all((rows[f"n{k}"] == lengths[k]).all() for k in lengths):
@@ -248,19 +240,17 @@ def _columns(
     return columns
 
 
-def _first_lengths(body: bytes, place: int, element: _Element, order: str) -> dict[int, int]:
-    """Read the lengths of the lists in an element's first row, by the property's number."""
+def _first_row(body: bytes, place: int, element: _Element, order: str) -> tuple[np.dtype, dict[int, int]]:
+    """Return the type of an element's first row, and the lengths of the lists in it, by the property's number."""
+    fields: list[tuple] = []
     lengths: dict[int, int] = {}
     for k, part in enumerate(element.properties):
-        size = np.dtype(part.type).itemsize
-        if part.length is None:
-            place += size
-            continue
-        kind = np.dtype(order + part.length)
-        length = _length(body, place, kind)
-        lengths[k] = length if 0 <= length * size <= len(body) else 0
-        place += kind.itemsize + lengths[k] * size
-    return lengths
+        if part.length is not None:
+            length = _length(body, place + np.dtype(fields).itemsize, np.dtype(order + part.length))
+            lengths[k] = length if 0 <= length * np.dtype(part.type).itemsize <= len(body) else 0
+            fields.append((f"n{k}", order + part.length))
+        fields.append((f"v{k}", order + part.type, (lengths[k],) if k in lengths else ()))
+    return np.dtype(fields), lengths
 
 
 def _length(body: bytes, place: int, kind: np.dtype) -> int:

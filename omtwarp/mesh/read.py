@@ -363,10 +363,8 @@ class JoinedMesh:
     @property
     def origins(self) -> Origins:
         """What vertices and faces are in the file: of copies that were joined, the first."""
-        count = len(self.file.vertices)
-        first = (
-            np.arange(count) if self.vertex_of_file is None else np.unique(self.vertex_of_file, return_index=True)[1]
-        )
+        count, of_file = len(self.file.vertices), self.vertex_of_file
+        first = np.arange(count) if of_file is None else np.unique(of_file, return_index=True)[1]
         return Origins(first, np.arange(len(self.faces)), given=count)
 
 

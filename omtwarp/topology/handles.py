@@ -161,7 +161,7 @@ class _LoopGraph:
         self.loop: NDArray[np.int64] | None = None
         self.count = len(vertices)
         tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-        self._keys, edge = np.unique(self._key(tail, head), return_inverse=True)
+        self._keys, edge = np.unique(edge_keys(np.stack([tail, head], axis=1), self.count), return_inverse=True)
         self.edges = np.stack([self._keys // self.count, self._keys % self.count], axis=1)
         self.lengths = _edge_lengths(vertices, self.edges)
         self.forbidden = np.zeros(self.count, dtype=bool)
@@ -213,12 +213,9 @@ class _LoopGraph:
                 best = around[np.argmin(through[row[around], edge[around]])]
                 self._take(free[edge[best]], before[row[best]])
 
-    def _key(self, tail: NDArray, head: NDArray) -> NDArray[np.int64]:
-        return np.minimum(tail, head).astype(np.int64) * self.count + np.maximum(tail, head)
-
     def _number(self, tail: NDArray, head: NDArray) -> NDArray[np.int64]:
         """Return the numbers of the edges with these ends."""
-        return np.searchsorted(self._keys, self._key(tail, head))
+        return np.searchsorted(self._keys, edge_keys(np.stack([tail, head], axis=1), self.count))
 
     def _tree_and_cotree(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
         """Find shortest paths, a tree of the dual that avoids their edges, and the other edges.
