@@ -19,9 +19,6 @@ from omtwarp.files.output import check_output
 from omtwarp.options import Coordinates, Device, Domain, MapOptions
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from omtwarp.texturing import TexturedSurface
 
 
@@ -253,6 +250,7 @@ def run_texture(
     Options:
         output: .glb, .obj (with .mtl and .png) or .ply; a directory of .glb for several meshes.
     """
+    from omtwarp.mesh.validate import mesh_arrays
     from omtwarp.texturing import read_image
     from omtwarp.texturing.atlas import check_size
     from omtwarp.texturing.export import SUFFIXES, format_for
@@ -275,7 +273,11 @@ def run_texture(
     elif painting.detail is not None:
         raise OmtwarpError("--detail is for --bake normal: add that")
     # What cannot be read is refused before the work
-    looks, seam = vars(look) | {"rotate": rotation(look.rotate)}, picture.cut()
+    looks, seam = vars(look) | {"rotate": rotation(look.rotate), "device": mapping.device}, picture.cut()
+    paints = looks | vars(painting) | {"size": width, "bake": painting.bake or ()}
+    paints["keep"] = paints.pop("keep_materials")
+    if painting.detail is not None:
+        paints["detail"] = mesh_arrays(omtwarp.read_mesh(painting.detail, together=True))
     _work.start_device(mapping.device)
     image = None if picture.image is None else read_image(picture.image)
 
@@ -286,12 +288,13 @@ def run_texture(
         with step_times(printing.verbose) as done:
             if by_materials:
                 painted = painted or omtwarp.PaintedMesh(result.vertices, result.faces, **objects_of(mesh, result))
-                made, pictures, words = _painted(result, painted, image, painting, width, mapping.device, look)
+                with warnings_as_lines():
+                    made = omtwarp.paint(result, painted, image, **paints)
+                pictures, words = _drawn(made, width)
             else:
                 size, blurred = _size_of(result, picture, look.atlas)
-                asked = {"seam_longitude": seam, "size": size, "device": mapping.device, **looks}
-                made = textured = replace(omtwarp.texture(result, image, **asked), **objects_of(mesh, result))
-                rows, columns = textured.image.shape[:2]
+                textured = omtwarp.texture(result, image, seam_longitude=seam, size=size, **looks)
+                made, (rows, columns) = replace(textured, **objects_of(mesh, result)), textured.image.shape[:2]
                 pictures = [{"what": "colour", "width": columns, "height": rows}]
                 words = f"textured, {columns} x {rows} texels{blurred}"
             done("paint" if by_materials else "texture")
@@ -349,36 +352,10 @@ def _size_of(result: AnyMap, picture: Picture, atlas: str) -> tuple[int | tuple[
     return chosen, share if coarse else ""
 
 
-def _painted(
-    result: AnyMap,
-    painted: omtwarp.PaintedMesh | None,
-    image: NDArray[np.generic] | None,
-    painting: Painting,
-    size: int | None,
-    device: str,
-    look: Look,
-) -> tuple[omtwarp.PaintedMesh, list[dict[str, str | int]], str]:
-    """Return a mesh in its own coordinates, with its own materials, or with bakes; its pictures, and words on them."""
+def _drawn(made: omtwarp.PaintedMesh, size: int | None) -> tuple[list[dict[str, str | int]], str]:
+    """List the pictures of a mesh's materials, with what each shows and its size, and return words on them."""
     from omtwarp.texturing.bakes import MOST_RAYS
 
-    fine = None
-    if painting.detail is not None:
-        finer = omtwarp.read_mesh(painting.detail, together=True)
-        fine = (finer.vertices, finer.faces)
-    with warnings_as_lines():
-        asked = vars(look) | vars(painting) | {"rotate": rotation(look.rotate), "bake": painting.bake or ()}
-        asked |= {"keep": asked.pop("keep_materials"), "detail": fine}
-        made = omtwarp.paint(result, painted, image, size=size, device=device, **asked)
-    pictures = _pictures(made)
-    wanted = size or max((int(one["width"]) for one in pictures), default=0)
-    drawn = [f"{one['material']} {one['what']} {one['width']} x {one['height']}" for one in pictures]
-    if any(one["what"] == "occlusion" and int(one["width"]) < wanted for one in pictures):
-        drawn.append(f"occlusion by {MOST_RAYS / 1e6:.3g} million rays at most")
-    return made, pictures, ", ".join(dict.fromkeys(drawn)) or "no picture"
-
-
-def _pictures(made: omtwarp.PaintedMesh) -> list[dict[str, str | int]]:
-    """List the pictures of a mesh's materials: the material, what the picture shows, and its size."""
     pictures: list[dict[str, str | int]] = []
     for material in made.materials:
         shown = (material.picture, material.occlusion_picture, material.normal_picture)
@@ -386,7 +363,11 @@ def _pictures(made: omtwarp.PaintedMesh) -> list[dict[str, str | int]]:
             if picture is not None:
                 height, width = picture.shape[:2]
                 pictures.append({"material": material.name, "what": name, "width": width, "height": height})
-    return pictures
+    wanted = size or max((int(one["width"]) for one in pictures), default=0)
+    drawn = [f"{one['material']} {one['what']} {one['width']} x {one['height']}" for one in pictures]
+    if any(one["what"] == "occlusion" and int(one["width"]) < wanted for one in pictures):
+        drawn.append(f"occlusion by {MOST_RAYS / 1e6:.3g} million rays at most")
+    return pictures, ", ".join(dict.fromkeys(drawn)) or "no picture"
 
 
 def rotation(text: str) -> str | list[float] | None:
