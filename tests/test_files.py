@@ -11,7 +11,8 @@ from omtwarp.files.output import RECORD, check_output, staged
 
 
 def test_staging_leaves_nothing_after_an_error(tmp_path):
-    target = check_output(tmp_path / "it.obj", (".obj",))
+    target = tmp_path / "it.obj"
+    check_output(target, (".obj",))
     target.write_text("old")
     with pytest.raises(RuntimeError), staged(target) as file:
         file.write_text("half")
