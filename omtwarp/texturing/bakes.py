@@ -4,6 +4,7 @@ And the openness of the space in front of a surface by ray casting, along which 
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from omtwarp.mesh.data import read_data
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.surface import plane_areas, sums_around, triangle_areas, vertex_normals
 from omtwarp.texturing import kernels
+from omtwarp.texturing.atlas import normalised
 from omtwarp.texturing.baking import PADDING, bake_corners, covered
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -31,33 +33,42 @@ MOST_RAYS = 2_100_000  # of one picture of ambient occlusion; a core casts about
 
 @dataclass(frozen=True)
 class Target:
-    """Triangles on a picture, and where they lie in space.
+    """A surface, and its triangles on a picture.
 
     Attributes:
+        vertices, faces: the surface, shapes [V, 3] and [F, 3].
         uv: coordinates of the corners, shape [T, 3, 2].
-        points: positions of the corners, shape [T, 3, 3].
-        normals: unit normals at the corners, shape [T, 3, 3].
         face: triangle of the surface that each is, or is a part of, shape [T].
-        weights: the corners as combinations of that triangle's corners, shape [T, 3, 3].
+        weights: the corners as combinations of that triangle's corners, shape [T, 3, 3]; None where they are the same.
         size: width and height of the picture in texels.
         device: where to compute.
     """
 
+    vertices: Floats
+    faces: Ints
     uv: Floats
-    points: Floats
-    normals: Floats
     face: NDArray
-    weights: Floats
+    weights: Floats | None
     size: tuple[int, int]
     device: wp.Device
 
-    def spread(self, values: Floats, faces: Ints) -> Floats:
+    def spread(self, values: Floats) -> Floats:
         """Spread values at vertices, shape [V] or [V, C], to this target's corners, shape [T, 3, C]."""
-        at = values.reshape(len(values), -1)[faces[self.face]]
-        return np.einsum("tij,tjc->tic", self.weights, at)
+        at = values.reshape(len(values), -1)[self.faces[self.face]]
+        return at if self.weights is None else np.einsum("tij,tjc->tic", self.weights, at)
+
+    @cached_property
+    def points(self) -> Floats:
+        """Positions of the corners, shape [T, 3, 3]."""
+        return self.spread(self.vertices)
+
+    @cached_property
+    def normals(self) -> Floats:
+        """Unit normals at the corners, shape [T, 3, 3]."""
+        return normalised(self.spread(vertex_normals(self.vertices, self.faces)))
 
 
-def occlusion(target: Target, vertices: Floats, faces: Ints) -> Bytes:
+def occlusion(target: Target) -> Bytes:
     """Return the ambient occlusion: the cosine-weighted share of the rays from a point that meet no surface.
 
     Rays are cast from texels of a picture that is smaller by a power of two where there would be more than
@@ -83,16 +94,16 @@ def occlusion(target: Target, vertices: Floats, faces: Ints) -> Bytes:
     # Not from the padding: beyond their triangles, positions leave the surface.
     inside = covered(target.uv, size, padding=0, device=target.device)
     known = np.flatnonzero(inside.ravel())
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    low, high = target.vertices.min(axis=0), target.vertices.max(axis=0)
     scale = float((high - low).max())
     normal = rows[known, 3:]
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), TINY)
     # Of the extent: how far off the surface rays begin. Single precision resolves 1e-7 of it.
     origins = (rows[known, :3] - low) / scale + 1e-4 * normal
-    x, begin = (vertices - low) / scale, (1.0 - rays * flat) * (ahead * known % 1.0)
+    x, begin = (target.vertices - low) / scale, (1.0 - rays * flat) * (ahead * known % 1.0)
     normals, open_part = np.zeros((len(rows), 3)), np.zeros(len(rows))
     normals[known] = normal
-    open_part[known] = open_shares(x, faces, origins, normal, known, begin, rays, target.device)
+    open_part[known] = open_shares(x, target.faces, origins, normal, known, begin, rays, target.device)
     shared = _among_neighbours(open_part.reshape(inside.shape), normals.reshape(*inside.shape, 3))
     grey = np.rint(255.0 * shared).astype(np.uint8)
     if len(known):
@@ -142,7 +153,7 @@ def detail_normals(target: Target, tangents: Floats, detail: tuple[Floats, Ints]
     rows = picture.reshape(-1, 10).astype(np.float64)
     known = np.flatnonzero(covered(target.uv, target.size, device=target.device).ravel())
     rows = rows[known]
-    where = wp.get_device(target.device)
+    where = target.device
     numbers = sent(triangles.astype(np.int32), wp.int32, where)
     mesh = wp.Mesh(sent(((fine - low) / scale).astype(np.float32), wp.vec3, where), numbers.flatten())
     normals = sent(vertex_normals(fine, triangles), wp.vec3d, where)
@@ -223,16 +234,15 @@ def scalar(
     return values, "viridis", float(np.nanmin(values)), float(np.nanmax(values))
 
 
-def colored(values: Floats, colormap: str, low: float, high: float, target: Target, faces: Ints) -> Bytes:
+def colored(values: Floats, colormap: str, low: float, high: float, target: Target) -> Bytes:
     """Return the picture of numbers at the vertices, uint8 sRGB, shape [H, W, 3]; grey where there is none.
 
     Args:
         values, colormap, low, high: as :func:`scalar` gives them.
         target: the triangles on the picture.
-        faces: of the vertices, shape [F, 3].
     """
     missing = np.isnan(values)
-    channels = target.spread(np.column_stack([np.where(missing, 0.0, values), missing]), faces)
+    channels = target.spread(np.column_stack([np.where(missing, 0.0, values), missing]))
     picture = bake_corners(target.uv, channels, target.size, padding=PADDING, device=target.device)
     sums, without = picture[..., 0], picture[..., 1]
     baked = np.divide(sums, 1.0 - without, out=np.zeros_like(sums), where=without < 0.5)

@@ -169,9 +169,8 @@ class _Sheet:
         vertices: shape [N, 3]; those of copies along seams are joined.
         faces: shape [K, 3].
         uv: coordinates of the corners, shape [K, 3, 2].
-        normals: unit normals at the corners, shape [K, 3, 3].
         source_face: triangle of the surface that each is, or is a part of, shape [K].
-        weights: the corners as combinations of that triangle's corners, shape [K, 3, 3].
+        weights: the corners as combinations of that triangle's corners, shape [K, 3, 3]; None where they are the same.
         picture: uint8, shape [H, W, 3 or 4].
         repeats: whether coordinates leave [0, 1], and the picture closes up both ways.
     """
@@ -179,9 +178,8 @@ class _Sheet:
     vertices: Floats
     faces: Ints
     uv: Floats
-    normals: Floats
     source_face: NDArray
-    weights: Floats
+    weights: Floats | None
     picture: Bytes
     repeats: bool = False
 
@@ -189,18 +187,11 @@ class _Sheet:
 def _sheet(made: TexturedSurface) -> _Sheet:
     """Return a textured surface with its copies of vertices along seams joined."""
     _, first = np.unique(made.welded, return_index=True)
-    weights = np.broadcast_to(np.eye(3), (len(made.faces), 3, 3))
+    weights = None
     if made.weights is not None:
         weights = shares_of_corners(made.weights, made.faces, made.source_face, made.original_faces)
-    return _Sheet(
-        vertices=made.vertices[first],
-        faces=made.welded[made.faces].astype(np.int32),
-        uv=made.uv[made.faces],
-        normals=made.normals[made.faces],
-        source_face=made.source_face,
-        weights=weights,
-        picture=made.image,
-    )
+    faces, uv = made.welded[made.faces].astype(np.int32), made.uv[made.faces]
+    return _Sheet(made.vertices[first], faces, uv, made.source_face, weights, made.image, made.wraps_rows)
 
 
 @dataclass
@@ -272,7 +263,7 @@ class _Painting:
             extent = _extent(material, self.size)
             color = None if draw is None else pictures.with_opacity(draw(which[mine], tiled[mine], extent))
             doubled = max(doubled, baking.overlap(tiled[mine], *extent, self.where))
-            target = self._target(tiled[mine], which[mine], extent)
+            target = bakes.Target(self.vertices, self.faces, tiled[mine], which[mine], None, extent, self.where)
             at = None if tangents is None else tangents[which[mine]]
             if color is not None and self.keep is not None:
                 inside = baking.covered(tiled[mine], extent, device=self.where)[..., None]
@@ -332,13 +323,6 @@ class _Painting:
             return baking.over(pattern, base, self.opacity)
         return baking.over(base, pattern, self.opacity)
 
-    def _target(self, uv: Floats, which: NDArray, size: tuple[int, int]) -> bakes.Target:
-        normals = vertex_normals(self.vertices, self.faces)
-        weights = np.broadcast_to(np.eye(3), (len(which), 3, 3))
-        return bakes.Target(
-            uv, self.vertices[self.faces[which]], normals[self.faces[which]], which, weights, size, self.where
-        )
-
     def _tangents(self, mesh: PaintedMesh) -> Floats | None:
         """Return the tangents at a mesh's corners where a normal map is asked for, shape [F, 3, 4]."""
         if self.detail is None:
@@ -357,11 +341,11 @@ class _Painting:
         elif self.color is not None:
             where = self.on_map, self.parts, self.origins, self.structure
             numbers = bakes.scalar(self.color, self.vertices, self.faces, *where)
-            finished = replace(material, picture=bakes.colored(*numbers, target, self.faces), color=WHITE)
+            finished = replace(material, picture=bakes.colored(*numbers, target), color=WHITE)
         else:
             finished = material
         if "ao" in self.names:
-            finished = replace(finished, occlusion_picture=bakes.occlusion(target, self.vertices, self.faces))
+            finished = replace(finished, occlusion_picture=bakes.occlusion(target))
         if self.detail is not None and tangents is not None:
             normals = bakes.detail_normals(target, tangents, self.detail)
             finished = replace(finished, normal_picture=normals, own_tangents=True)
@@ -370,7 +354,7 @@ class _Painting:
     def on_atlas(self) -> PaintedMesh:
         """Lay the surface out on one picture, which all of its materials share."""
         if self.torus is not None:
-            sheet = replace(_sheet(self._textured(self.torus, self.size)), repeats=True)
+            sheet = _sheet(self._textured(self.torus, self.size))
         elif self.parts is not None:
             sheet = self._parts_side_by_side(self.parts)
         else:
@@ -378,9 +362,8 @@ class _Painting:
         mesh = self._mesh_of(sheet)
         which, uv = baking.tiled_copies(sheet.uv) if sheet.repeats else (np.arange(len(sheet.faces)), sheet.uv)
         height, width = sheet.picture.shape[:2]
-        face, weights = sheet.source_face[which], sheet.weights[which]
-        points = sheet.vertices[sheet.faces[which]]
-        target = bakes.Target(uv, points, sheet.normals[which], face, weights, (width, height), self.where)
+        face, weights = sheet.source_face[which], None if sheet.weights is None else sheet.weights[which]
+        target = bakes.Target(self.vertices, self.faces, uv, face, weights, (width, height), self.where)
         color = pictures.with_opacity(pictures.as_floats(sheet.picture)) if self.drawn else None
         if color is not None and self.keep is not None and self.own is not None:
             color = self._together(color, self._atlas_base(self.own, target))
@@ -449,10 +432,8 @@ class _Painting:
         def joined(name: str) -> NDArray:
             return np.concatenate([getattr(sheet, name) for sheet in drawn_parts])
 
-        return _Sheet(
-            joined("vertices"), np.concatenate(faces).astype(np.int32), joined("uv"), joined("normals"),
-            joined("source_face"), joined("weights"), picture,
-        )  # fmt: skip
+        corners = np.concatenate(faces).astype(np.int32)
+        return _Sheet(joined("vertices"), corners, joined("uv"), joined("source_face"), joined("weights"), picture)
 
     def _mesh_of(self, sheet: _Sheet) -> PaintedMesh:
         """Return the mesh of a sheet, with the materials that are kept."""
@@ -474,9 +455,10 @@ class _Painting:
     def _atlas_base(self, own: PaintedMesh, target: bakes.Target) -> NDArray[np.float32]:
         """Return the colours that a mesh's own materials have on its atlas."""
         layout = baking.Layout(target.uv, *target.size, self.where)
-        at = None if own.uv is None else np.einsum("tij,tjc->tic", target.weights, own.uv[target.face])
-        colors = None if own.vertex_colors is None else target.spread(own.vertex_colors / 255.0, self.faces)
-        at = None if at is None else np.nan_to_num(at)
+        at = None if own.uv is None else own.uv[target.face]
+        if at is not None:
+            at = np.nan_to_num(at if target.weights is None else np.einsum("tij,tjc->tic", target.weights, at))
+        colors = None if own.vertex_colors is None else target.spread(own.vertex_colors / 255.0)
         return baking.bake_materials(layout, at, own.material_of[target.face], own.materials, colors, -1)
 
 

@@ -292,11 +292,8 @@ def test_occlusion_inside_a_ball_with_an_opening_is_even():
     plane = points[:, :2] / np.maximum(np.linalg.norm(points[:, :2], axis=1, keepdims=True), 1e-12)
     within = (np.linalg.norm(points, axis=1) < 1.01)[triangles].all(axis=1)
     uv = np.where(within[:, None, None], (0.5 + 0.48 * turn[:, None] * plane)[triangles], 0.0)
-    target = Target(
-        uv, points[triangles], vertex_normals(points, triangles)[triangles], np.arange(len(triangles)),
-        np.broadcast_to(np.eye(3), (len(triangles), 3, 3)), (256, 256), wp.get_device("cpu"),
-    )  # fmt: skip
-    light = occlusion(target, points, triangles)[..., 0] / 255
+    target = Target(points, triangles, uv, np.arange(len(triangles)), None, (256, 256), wp.get_device("cpu"))
+    light = occlusion(target)[..., 0] / 255
     row, column = np.mgrid[:256, :256]
     light = light[np.hypot(row - 127.5, column - 127.5) < 0.46 * 256]  # not at the rim
     assert light.mean() == pytest.approx(
