@@ -1,6 +1,6 @@
 """Maps to disks and caps whose boundary stays where it is: repair, less distortion, and exact areas of triangles.
 
-A projection to the disk turns triangles over; patches around them are untangled, or all vertices placed anew.
+A projection to the disk turns triangles over: all vertices are placed anew. On a cap patches around them are untangled.
 
 Lambert's projection keeps areas of regions, but a triangle with straight sides is not the region that its corners came
 from, and the polygon of the boundary's vertices lacks the segments up to its circle. So the map of a quartered mesh is
@@ -12,7 +12,6 @@ it fails, distortion is minimised with a penalty on the errors first.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -120,7 +119,6 @@ Floats = NDArray[np.float64]
 # largest number of steps. With 10 half of a caudate nucleus has area distortion 2.10, with this 2.005.
 AREA_WEIGHT, STEPS = 100.0, 150
 GAIN = 1e-4  # of the distortion: a step that is expected to gain less ends the minimisation
-LIFT = 0.25  # radius of the disk in the plane that touches the sphere where patches are untangled
 # Refinement until an area distortion is matched: how near, and how many weights are tried.
 MATCH_TOLERANCE, MATCH_TRIALS = 3e-4, 10
 SOLVES = 3  # of the convex combinations: the first leaves no flips except by rounding
@@ -147,11 +145,10 @@ def untangle_in_plane(
 ) -> tuple[Floats, int]:
     """Return a map to the unit disk without flipped triangles, with the boundary fixed.
 
-    A disk is larger than the polygon of its boundary's vertices: where triangles are flipped, points outside of the
-    polygon are moved inside first, and if the surface is given, patches around triangles that still are flipped are
-    untangled. Where that fails, every vertex becomes a convex combination of its neighbours with its mean value
-    coordinates, or with equal ones at flipped triangles. Then none is flipped, since the polygon is convex [1]_, but
-    areas are no longer right. With the surface, the distortion of all triangles is minimised from there.
+    Where triangles are flipped, every vertex becomes a convex combination of its neighbours with its mean value
+    coordinates, or with equal ones at flipped triangles. Then none is flipped, since the polygon of the boundary's
+    vertices is convex [1]_, but areas are no longer right. With the surface, the distortion of all triangles is
+    minimised from there.
 
     Args:
         points: a map to the unit disk with few flips, shape [V, 2].
@@ -165,16 +162,14 @@ def untangle_in_plane(
 
     .. [1] M. S. Floater, "Mean value coordinates", Computer Aided Geometric Design 20 (2003).
     """
-    moved = _drawn_inside(points, held) if flipped_in_plane(points, faces).any() else points
-    if surface is not None:
-        surface = Surface(surface.vertices, faces, surface.face_areas)
-        moved = _untangled_patches(moved, held, surface)
+    moved = points
     for _ in range(SOLVES):
         flipped = flipped_in_plane(moved, faces)
         if not flipped.any():
             break
         moved = _convex(moved, faces, held, flipped)
     if surface is not None and not flipped.any():
+        surface = Surface(surface.vertices, faces, surface.face_areas)
         moved = _least_distorted(moved, held, surface, AREA_WEIGHT if refinement is None else refinement)
         flipped = flipped_in_plane(moved, faces)
     return moved, int(flipped.sum())
@@ -217,36 +212,10 @@ def match_in_plane(
     return match_area(first, area, refined, area_of, tolerance=MATCH_TOLERANCE, trials=MATCH_TRIALS)[0]
 
 
-def _untangled_patches(points: Floats, held: NDArray[np.bool_], surface: Surface) -> Floats:
-    """Untangle patches of a map to the disk with the boundary fixed.
-
-    The plane touches the sphere: the gnomonic projection keeps straight sides and orientations. Arguments are those of
-    :func:`untangle_in_plane`, and so is the map returned, which may have flips left.
-    """
-    faces = surface.faces
-    covered = float(plane_areas(points[faces]).sum())
-    # Where it covers nothing, the boundary's vertices are all on one side.
-    if not flipped_in_plane(points, faces).any() or not covered > 0.0:
-        return points
-    lifted = np.concatenate([LIFT * points, np.ones((len(points), 1))], axis=1)
-    lifted /= np.linalg.norm(lifted, axis=1)[:, None]
-    wanted = surface.face_areas * (covered / surface.face_areas.sum())
-    # An area in the plane is that on the sphere but for the cube of the height of its place.
-    on_sphere = wanted * LIFT**2 * lifted[faces].mean(axis=1)[:, 2] ** 3
-
-    def laid(sphere: Floats) -> Floats:
-        moved = (sphere != lifted).any(axis=1)[:, None]
-        return np.where(moved, sphere[:, :2] / sphere[:, 2:] / LIFT, points)
-
-    def flipped(sphere: Floats, closed: NDArray) -> NDArray[np.bool_]:
-        wrong = flipped_in_plane(laid(sphere[:-1]), faces)
-        return np.pad(wrong, (0, len(closed) - len(faces)))
-
-    return laid(_untangled(lifted, held, surface, on_sphere, float(on_sphere.sum()), flipped))
-
-
 def untangle_on_cap(points: Floats, held: NDArray[np.bool_], surface: Surface) -> Floats:
     """Untangle the patches around flipped triangles of a map to a cap with the boundary fixed; flips may be left.
+
+    A fan of triangles around the south pole closes the map.
 
     Args:
         points: a map to a cap around the north pole, shape [V, 3].
@@ -257,58 +226,20 @@ def untangle_on_cap(points: Floats, held: NDArray[np.bool_], surface: Surface) -
         return points
     of_cap = float(triangle_solid_angles(*(points[surface.faces[:, k]] for k in range(3))).sum())
     areas = surface.face_areas * (of_cap / surface.face_areas.sum())
-    return _untangled(points, held, surface, areas, of_cap, flipped_faces)
-
-
-def _untangled(
-    points: Floats,
-    held: NDArray[np.bool_],
-    surface: Surface,
-    areas: Floats,
-    covered: float,
-    flipped: Callable[[Floats, NDArray], NDArray[np.bool_]],
-) -> Floats:
-    """Untangle patches of a map to a part of the sphere with the boundary fixed; flips may be left.
-
-    Args:
-        points: unit vectors, shape [V, 3], none near the south pole, around which a fan of triangles closes the map.
-        held: vertices of the boundary, shape [V].
-        surface: what is mapped.
-        areas: that its triangles are to have, shape [F].
-        covered: their sum.
-        flipped: takes a map and faces, those of the fan last, and returns which are turned over.
-    """
     faces, apex = surface.faces, len(points)
     (rim,) = boundary_loops(faces, apex)
     fan = np.stack([np.roll(rim, -1), rim, np.full(len(rim), apex)], axis=1)
-    rest = np.full(len(fan), max(SPHERE_AREA - covered, TINY) / len(fan))
+    rest = np.full(len(fan), max(SPHERE_AREA - of_cap, TINY) / len(fan))
     vertices = np.concatenate([surface.vertices, surface.vertices.mean(axis=0, keepdims=True)])
     closed = Surface(vertices, np.concatenate([faces, fan]), np.concatenate([areas, rest]))
     sphere = np.concatenate([points, [[0.0, 0.0, -1.0]]])
     fixed, budget = np.concatenate([held, [True]]), RepairBudget(closed)
     for rings in RINGS:
-        wrong = flipped(sphere, closed.faces)
+        wrong = flipped_faces(sphere, closed.faces)
         if not wrong[: len(faces)].any():
             break
         sphere = untangle_patches(closed, sphere, wrong, rings, budget, fixed)
     return sphere[:apex]
-
-
-def _drawn_inside(points: Floats, held: NDArray[np.bool_]) -> Floats:
-    """Move the disk into the polygon of the vertices on its circle; only points near the circle where they are many."""
-    angles = np.sort(np.arctan2(points[held, 1], points[held, 0]))
-    around = np.concatenate([angles, [angles[0] + 2.0 * np.pi]])
-    own = np.arctan2(points[:, 1], points[:, 0])
-    own = np.where(own < angles[0], own + 2.0 * np.pi, own)
-    place = np.clip(np.searchsorted(around, own, side="right") - 1, 0, len(angles) - 1)
-    half, middle = 0.5 * (around[place + 1] - around[place]), 0.5 * (around[place + 1] + around[place])
-    missing = 1.0 - np.cos(half) / np.cos(own - middle)  # of the radius, at every vertex's angle
-    most = 1.0 - float(np.cos(0.5 * np.diff(around).max()))
-    # r (1 - missing r^k) grows with r as long as (k + 1) missing < 1.
-    power = max(0.0, 0.5 / max(most, np.finfo(float).eps) - 1.0)
-    radius = np.linalg.norm(points, axis=1)
-    drawn = points * (1.0 - missing * radius**power)[:, None]
-    return np.where(held[:, None], points, drawn)
 
 
 def _convex(points: Floats, faces: NDArray, held: NDArray[np.bool_], flipped: NDArray[np.bool_]) -> Floats:
