@@ -461,7 +461,9 @@ def _on_torus(
     last, parts, shares = cut.uv, cut.faces, None
     divisions = smooth_parts(len(cut.faces))
     if divisions > 1:
-        parts, shares = _evenly(cut.faces, len(surface), divisions)
+        share, corners = grid_shares(divisions), cut.faces
+        shares = combined(np.repeat(corners, len(share), axis=0), np.tile(share, (len(corners), 1)), len(surface))
+        parts = (np.arange(len(corners))[:, None, None] * len(share) + grid_triangles(divisions)).reshape(-1, 3)
         first, last = shares @ first, shares @ last
     # Of equal coordinates up to whole numbers, so that the two sides of a seam are at the same place to the last bit.
     domain = (ring_torus(result.coordinates + steps[best], result.lattice) @ to_ring)[cut.welded] + middle
@@ -471,14 +473,6 @@ def _on_torus(
         surface, domain, ends, np.hstack([first, flat]), np.hstack([last, flat]), cut.faces, parts, shares,
         np.asarray(cut.image[..., :3]), "torus", on_torus=True,
     ), shown  # fmt: skip
-
-
-def _evenly(faces: Ints, count: int, divisions: int) -> tuple[Ints, csr_matrix]:
-    """Divide triangles, each by itself; return the parts and their points as combinations of ``count`` vertices."""
-    share = grid_shares(divisions)
-    weights = combined(np.repeat(faces, len(share), axis=0), np.tile(share, (len(faces), 1)), count)
-    parts = np.arange(len(faces))[:, None, None] * len(share) + grid_triangles(divisions)
-    return parts.reshape(-1, 3).astype(np.int32), weights
 
 
 def domains_of(result: FinishedMap, count: int) -> NDArray[np.intp]:

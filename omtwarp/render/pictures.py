@@ -382,7 +382,9 @@ def comparison(
 def _captions(given: bool | Sequence[str], cameras: list[Camera]) -> list[str]:
     """Return the caption of each view of a sheet: none, the view's name, or the given text."""
     if isinstance(given, bool):
-        return [_view_name(camera) if given else "" for camera in cameras]
+        named = {angles: name for name, angles in VIEWS.items()}
+        angles = [(camera.azimuth, camera.elevation) for camera in cameras]
+        return [named.get(pair, f"{pair[0]:g}°, {pair[1]:g}°") if given else "" for pair in angles]
     names = [str(caption) for caption in given]
     if len(names) != len(cameras):
         raise OmtwarpError(f"{len(names)} captions given for {len(cameras)} views")
@@ -445,8 +447,3 @@ def render(job: RenderJob, backend: str, device: str) -> tuple[list[Bytes], str]
     from omtwarp.render import ray_caster
 
     return ray_caster.draw(job, device), f"warp ({resolve_device(device)})"
-
-
-def _view_name(camera: Camera) -> str:
-    named = (name for name, angles in VIEWS.items() if angles == (camera.azimuth, camera.elevation))
-    return next(named, f"{camera.azimuth:g}°, {camera.elevation:g}°")

@@ -172,27 +172,12 @@ class SurfaceView:
         self.faces = whole_numbers(self.faces, "faces", (None, 3), below=len(self.vertices)).astype(np.int32)
         if not len(self.faces):
             raise OmtwarpError(f"nothing to draw: {len(self.vertices)} vertices and no faces")
-        self._check_appearance()
-        self._take_values(len(self.vertices), len(self.faces))
-
-    def _check_appearance(self) -> None:
-        """Make sure that at most one appearance is given, and an image only with coordinates.
-
-        Raises:
-            OmtwarpError: more than one appearance is given, or an image without coordinates.
-        """
+        count, triangles = len(self.vertices), len(self.faces)
         given = [name for name in ("image", "colors", "scalar", "materials") if getattr(self, name) is not None]
         if len(given) > 1:
             raise OmtwarpError(f"a surface has one appearance, but {' and '.join(given)} were given")
         if self.image is not None and (self.sphere is None) == (self.uv is None):
             raise OmtwarpError("an image needs either points on the sphere (sphere=) or texture coordinates (uv=)")
-
-    def _take_values(self, count: int, triangles: int) -> None:
-        """Convert values on the surface to arrays with one value per vertex, triangle or corner.
-
-        Raises:
-            OmtwarpError: values have another shape, or are not numbers.
-        """
         if self.image is not None:
             self.image = np.ascontiguousarray(as_bytes(read_image(self.image))[..., :3])
         if self.materials is not None:
@@ -391,11 +376,19 @@ def _build_part(view: SurfaceView, edges: bool = False, whole: SurfaceView | Non
     positions = (vertices - centre) / radius
     look = _look_of(view)
     value = look.value
-    corner_value = _corner_values(value, len(vertices), len(faces))
     normals = welded_normals(positions, _arrays(whole or view)[1]) if view.smooth else None
-    if corner_value is not None or normals is None or edges:
-        value = value[faces.ravel()] if corner_value is None else corner_value
-        positions, normals, faces = _own_corners(positions, normals, faces)
+    of_faces = value.ndim == 2 and len(value) == len(faces) != len(vertices)
+    if of_faces or value.ndim == 3 or normals is None or edges:  # every corner gets a row of its own
+        flat = faces.ravel()
+        if value.ndim == 2:
+            value = np.repeat(value, 3, axis=0) if of_faces else value[flat]
+        value, positions = value.reshape(len(flat), -1), positions[flat]
+        if normals is None:
+            a, b, c = (positions[k::3] for k in range(3))
+            normals = np.repeat(normalised(np.cross(b - a, c - a)), 3, axis=0)
+        else:
+            normals = normals[flat]
+        faces = np.arange(len(flat), dtype=np.int32).reshape(-1, 3)
     elif look.kind == "sphere" and (parts := smooth_parts(len(faces))) > 1:
         # Between the vertices the image is sampled through the smooth map.
         from omtwarp.texturing.smooth import smooth_map
@@ -429,27 +422,6 @@ def _look_of(view: SurfaceView) -> Appearance:
         return Appearance(kind="color", value=np.asarray(view.colors))
     color = parse_color(clay if view.color is None else view.color)
     return Appearance(kind="color", value=np.broadcast_to(color, (len(_arrays(view)[0]), 3)))
-
-
-def _corner_values(value: NDArray, vertex_count: int, face_count: int) -> NDArray | None:
-    """Convert values per corner [F, 3, C] or face [F, C] to rows of corners [3F, C]; None for values per vertex."""
-    if value.ndim == 3:
-        return value.reshape(-1, value.shape[-1])
-    if len(value) == face_count and len(value) != vertex_count:
-        return np.repeat(value, 3, axis=0)
-    return None
-
-
-def _own_corners(positions: Floats, normals: Floats | None, faces: Ints) -> tuple[Floats, Floats, Ints]:
-    """Give every corner a row of its own; without normals at the vertices it has that of its triangle."""
-    flat = faces.ravel()
-    corners = positions[flat]
-    if normals is None:
-        a, b, c = (corners[k::3] for k in range(3))
-        corner_normals = np.repeat(normalised(np.cross(b - a, c - a)), 3, axis=0)
-    else:
-        corner_normals = normals[flat]
-    return corners, corner_normals, np.arange(len(flat), dtype=np.int32).reshape(-1, 3)
 
 
 def _arrays(view: SurfaceView) -> tuple[Floats, Ints]:

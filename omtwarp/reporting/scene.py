@@ -19,7 +19,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.geometry.axes import fitted_rotation
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.arrays import Bytes, Floats, Ints
-from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas, vertex_normals
+from omtwarp.mesh.surface import SPHERE_AREA, Surface, sums_around, triangle_areas, vertex_normals
 from omtwarp.render.camera import DEFAULT_FRONT, VIEWS, Camera, axis_vector, camera_axes
 from omtwarp.render.films import fits_of
 from omtwarp.render.scene import SurfaceView
@@ -151,10 +151,11 @@ def packed_scene(
         **own,
     }
     for stage in stages:
-        area, angle = vertex_scalars(faces, stage)
         arrays[f"direction-{stage.key}"] = signed(stage.sphere[used])
-        arrays[f"area-{stage.key}"] = levels(area[used], -RANGE, RANGE)
-        arrays[f"angle-{stage.key}"] = levels(angle[used], 0.0, RANGE)
+        around = np.maximum(np.bincount(faces.ravel(), minlength=len(stage.sphere)), 1)
+        for name, values, low in (("area", log2_area_ratio(stage), -RANGE), ("angle", log2_angle_ratio(stage), 0.0)):
+            mean = sums_around(values, faces, len(stage.sphere)) / around
+            arrays[f"{name}-{stage.key}"] = levels(mean[used], low, RANGE)
     blob, places = bytearray(), {}
     for name, array in arrays.items():
         blob += bytes(-len(blob) % 4)
@@ -209,19 +210,6 @@ def shown_mesh(vertices: Floats, faces: Ints, most: int = MOST_FACES) -> tuple[F
             once = (tails < level.heads) & (tails < level.thirds)
             return vertices, np.stack([tails, level.heads, level.thirds], axis=1)[once].astype(np.int32)
     return vertices, faces  # pragma: no cover (the last level is a tetrahedron)
-
-
-def vertex_scalars(faces: Ints, stage: Stage) -> tuple[Floats, Floats]:
-    """Return the distortion at the vertices, the mean over the faces around each.
-
-    Returns:
-        log2 of the area ratio, and log2 of the ratio of the singular values, shape [V] each.
-    """
-    corners = faces.ravel()
-    count = np.maximum(np.bincount(corners, minlength=len(stage.sphere)), 1)
-    values = (log2_area_ratio(stage), log2_angle_ratio(stage))
-    area, angle = (np.bincount(corners, np.repeat(v, 3), minlength=len(stage.sphere)) / count for v in values)
-    return area, angle
 
 
 def log2_area_ratio(stage: Stage) -> Floats:

@@ -376,21 +376,7 @@ def certificate(report: MapReport, shown_faces: int, last: Stage, filled: bool) 
     if not certificate:
         return html("")
     flips, crossings = certificate.get("flips") or 0, certificate.get("ray_degree")
-    where_first = f", the first is face {certificate.get('first_flip')}" if flips else ", by exact orientation tests"
-    facts = [
-        ("Flipped triangles", f"{flips:,}{where_first}"),
-
-        ("Rings", f"{certificate.get('wound') or 0:,} vertices whose neighbours do not go around them exactly once"),
-        ("Degree", f"{certificate.get('degree')} from the total signed solid angle"),
-        ("Rays", f"{certificate.get('rays')} from the centre, each of which crosses the map {crossings} "
-         f"time{'s' * (crossings != 1)} by signed count"),
-        ("Smallest triangle",
-         html("{} of 4π, face {}", _number(certificate["smallest_area"]), certificate["smallest_face"])),
-    ]  # fmt: skip
-    words = (
-        "A map of a closed surface to the sphere whose triangles all keep their orientation, and whose vertices' rings "
-        "all turn once, covers it evenly; degree 1 then makes it one to one and onto."
-    )
+    words = ""
     if last.domain.startswith(("hemisphere", "cap", "disk")):
         seen = ", the disk seen from above its centre" if last.disk is not None else ""
         words += f" The rim is closed by a fan of triangles to the point opposite to it{seen}."
@@ -399,9 +385,15 @@ def certificate(report: MapReport, shown_faces: int, last: Stage, filled: bool) 
     if last.count > 1:
         words += " Each part is certified by itself."
     count = report.get("mesh", {}).get("faces")
-    if count and shown_faces < count:
-        facts.append(("Interactive view", f"simplified to {shown_faces:,} triangles; figures are of the whole mesh"))
-    return section("Certificate", words, html('<div class="card">{}</div>', _facts(facts)))
+    simplified = f"simplified to {shown_faces:,} triangles; figures are of the whole mesh"
+    return fill_page(
+        "certificate.html", words=words, flips=f"{flips:,}",
+        first=f"the first is face {certificate.get('first_flip')}" if flips else "by exact orientation tests",
+        wound=f"{certificate.get('wound') or 0:,}", degree=certificate.get("degree"), rays=certificate.get("rays"),
+        crossings=f"{crossings} time{'s' * (crossings != 1)}", area=_number(certificate["smallest_area"]),
+        face=certificate["smallest_face"],
+        more=_fact("Interactive view", simplified) if count and shown_faces < count else "",
+    )  # fmt: skip
 
 
 def where(report: MapReport) -> str:
@@ -422,8 +414,11 @@ def section(heading: str, words: str, content: Markup) -> Markup:
 
 
 def _facts(facts: Sequence[tuple[str, str]]) -> Markup:
-    items = join(html("<dt>{}</dt><dd>{}</dd>", name, value) for name, value in facts)
-    return html('<dl class="facts">{}</dl>', items)
+    return html('<dl class="facts">{}</dl>', join(_fact(name, value) for name, value in facts))
+
+
+def _fact(name: str, value: str) -> Markup:
+    return html("<dt>{}</dt><dd>{}</dd>", name, value)
 
 
 def _swatch(stage: Stage) -> Markup:

@@ -190,12 +190,9 @@ class Equirectangular(Atlas):
     def charts(self, directions: Floats) -> Ints:
         return np.zeros(len(directions), dtype=np.int32)
 
-    def _turned(self, points: Floats) -> tuple[Floats, Floats, Floats]:
-        x, y, z = points[..., 0], points[..., 1], points[..., 2]
-        return self._cos * x - self._sin * y, self._sin * x + self._cos * y, z
-
     def corner_uv(self, points: Floats, chart: NDArray) -> Floats:
-        x, y, z = self._turned(points)
+        x, y, z = np.moveaxis(points, -1, 0)
+        x, y = self._cos * x - self._sin * y, self._sin * x + self._cos * y
         length = np.sqrt(x * x + y * y + z * z)
         across = np.hypot(x, y)
         u = 0.5 + np.arctan2(y, x) / (2.0 * np.pi)

@@ -292,31 +292,6 @@ def area_ratio(vertices: Floats, faces: Ints, on_map: Floats, parts: NDArray[np.
     return shares[0] / shares[1]
 
 
-@wp.func
-def open_share(mesh: wp.uint64, origin: wp.vec3, n: wp.vec3, turn: float, first: float, rays: int) -> float:
-    """Return the share of cosine-weighted rays from a point that meet no surface.
-
-    Their pattern is rotated, and begins at a share of the disc's area, of a ray, that ``first`` says.
-    """
-    helper = wp.vec3(1.0, 0.0, 0.0)
-    # Of a normal's x: below 1/sqrt(2) the axis is 45 degrees or more from the normal.
-    if wp.abs(n[0]) > wp.float32(0.7):
-        helper = wp.vec3(0.0, 1.0, 0.0)
-    t = wp.normalize(wp.cross(n, helper))
-    b = wp.cross(n, t)
-    free = int(0)
-    for k in range(rays):
-        # A spiral over the disc lifted to the hemisphere: cosine-weighted, and the same for every run.
-        r = wp.sqrt((float(k) + first) / float(rays))
-        # Golden angle, π (3 - sqrt(5)): Vogel's spiral covers a disc evenly
-        angle = float(k) * wp.float32(2.3999632) + turn
-        up = wp.sqrt(wp.max(1.0 - r * r, 0.0))
-        direction = t * (r * wp.cos(angle)) + b * (r * wp.sin(angle)) + n * up
-        if not wp.mesh_query_ray_anyhit(mesh, origin, direction, 4.0):
-            free += 1
-    return float(free) / float(rays)
-
-
 @wp.kernel
 def cast_open_rays(
     mesh: wp.uint64,
@@ -328,12 +303,32 @@ def cast_open_rays(
     # Data out:
     openness: wp.array[wp.float32],
 ):
-    """Compute the share of cosine-weighted rays from points that meet no surface; a number turns the point's rays."""
+    """Compute the share of cosine-weighted rays from points that meet no surface.
+
+    Their pattern is rotated by a number of the point, and begins at a share of the disc's area, of a ray.
+    """
     i, _compiled_once = wp.tid()
+    n = normals[i]
+    helper = wp.vec3(1.0, 0.0, 0.0)
+    # Of a normal's x: below 1/sqrt(2) the axis is 45 degrees or more from the normal.
+    if wp.abs(n[0]) > wp.float32(0.7):
+        helper = wp.vec3(0.0, 1.0, 0.0)
+    t = wp.normalize(wp.cross(n, helper))
+    b = wp.cross(n, t)
     # Turns, a prime: so many are told apart, and float32 still resolves each to 1e-4
     # Radians, 1 / 1.3247 (the plastic number): turned by it, no two patterns are near.
     turn = float(numbers[i] % 1021) * wp.float32(0.7548777)
-    openness[i] = open_share(mesh, origins[i], normals[i], turn, firsts[i], rays)
+    free = int(0)
+    for k in range(rays):
+        # A spiral over the disc lifted to the hemisphere: cosine-weighted, and the same for every run.
+        r = wp.sqrt((float(k) + firsts[i]) / float(rays))
+        # Golden angle, π (3 - sqrt(5)): Vogel's spiral covers a disc evenly
+        angle = float(k) * wp.float32(2.3999632) + turn
+        up = wp.sqrt(wp.max(1.0 - r * r, 0.0))
+        direction = t * (r * wp.cos(angle)) + b * (r * wp.sin(angle)) + n * up
+        if not wp.mesh_query_ray_anyhit(mesh, origins[i], direction, 4.0):
+            free += 1
+    openness[i] = float(free) / float(rays)
 
 
 MOST_STRIPS = 100_000  # that slivers are cut in: a tree of them takes a tenth of a second

@@ -313,10 +313,14 @@ class _Painting:
             colors = mesh.vertex_colors[mesh.faces[which]] / 255.0
             layout = baking.Layout(tiled, *size, self.where, PADDING)
             return baking.bake_materials(layout, None, np.zeros(len(tiled), np.int32), (material,), colors, PADDING)
-        flat = np.broadcast_to(np.array(material.color, np.float32), like.shape)
-        if material.picture is None:
-            return flat
-        return baking.tinted(_resized(material.picture, size), np.array(material.color, dtype=np.float32))
+        color, picture = np.array(material.color, dtype=np.float32), material.picture
+        if picture is None:
+            return np.broadcast_to(color, like.shape)
+        from PIL import Image
+
+        if picture.shape[1::-1] != size:
+            picture = np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.LANCZOS))
+        return baking.tinted(pictures.with_opacity(pictures.as_floats(picture)), color)
 
     def _together(self, pattern: NDArray[np.float32], base: NDArray[np.float32]) -> NDArray[np.float32]:
         if self.keep == "over":
@@ -474,15 +478,6 @@ def _extent(material: Material, size: int | None) -> tuple[int, int]:
         times = max(SIZE // max(width, height), 1)
         return (times * width, times * height)
     return (size, max(round(size * height / width), 1))
-
-
-def _resized(picture: Bytes, size: tuple[int, int]) -> NDArray[np.float32]:
-    """Return a picture in another size with an opacity channel, values from 0 to 1."""
-    from PIL import Image
-
-    if picture.shape[1::-1] != size:
-        picture = np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.LANCZOS))
-    return pictures.with_opacity(pictures.as_floats(pictures.read_image(picture)))
 
 
 def _divided(smooth: SmoothMap, which: NDArray, uv: Floats) -> tuple[Ints, Floats]:

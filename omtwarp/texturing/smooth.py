@@ -273,25 +273,19 @@ class SmoothCurves:
         inner = (near + crossing + np.roll(crossing, 1, axis=1)) / 3.0
         centre = inner.mean(axis=1)
 
+        # Control points of the third at side k, in the order of the polynomials below.
+        ends = value, after, before, np.roll(value, -1, axis=1)
+        inside = near, crossing, ahead, inner, np.roll(inner, -1, axis=1)
+        middles = np.broadcast_to(centre[:, None], value.shape)
+        net = np.stack([*ends, *inside, middles], axis=2)
         curve = np.empty((len(self.faces), len(share), 3))
         for index, part in enumerate(share):
             lone = int(np.argmin(part))  # the corner opposite to the side whose third the point lies in
-            k = (lone + 1) % 3
-            w = 3.0 * part[lone]
+            k, w = (lone + 1) % 3, 3.0 * part[lone]
             a, b = part[k] - part[lone], part[(k + 1) % 3] - part[lone]
-            j = (k + 1) % 3
-            curve[:, index] = (
-                a**3 * value[:, k]
-                + 3.0 * a * a * b * after[:, k]
-                + 3.0 * a * b * b * before[:, k]
-                + b**3 * value[:, j]
-                + 3.0 * a * a * w * near[:, k]
-                + 6.0 * a * b * w * crossing[:, k]
-                + 3.0 * b * b * w * near[:, j]
-                + 3.0 * a * w * w * inner[:, k]
-                + 3.0 * b * w * w * inner[:, j]
-                + w**3 * centre
-            )
+            on_side = a**3, 3.0 * a * a * b, 3.0 * a * b * b, b**3
+            off_side = 3.0 * a * a * w, 6.0 * a * b * w, 3.0 * b * b * w, 3.0 * a * w * w, 3.0 * b * w * w, w**3
+            curve[:, index] = np.einsum("c,fcj->fj", [*on_side, *off_side], net[:, k])
         return curve
 
 

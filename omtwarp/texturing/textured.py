@@ -246,8 +246,11 @@ def texture(
     if image is not None and pattern is not None:
         raise OmtwarpError("both an image and a pattern were given: a texture is made from one of them")
     if isinstance(result, TorusMap):
-        across = _check_for_torus(size, (projection, atlas, rotate, seam_longitude))
-        return texture_torus(result, image, pattern, across)
+        if isinstance(size, (str, tuple)):
+            raise OmtwarpError(f"texture size '{size}': a map to a torus takes a width in texels")
+        if (projection, atlas, rotate, seam_longitude) != ("equirectangular", "cube", None, 180.0):
+            raise OmtwarpError("projection, atlas, rotation and seam are for textures on the sphere: leave them out")
+        return texture_torus(result, image, pattern, size)
     vertices, faces, sphere = as_map(result)
     check_word("projection", projection, ProjectionName)
     rotation = _rotation(rotate, vertices, faces, sphere)
@@ -396,15 +399,6 @@ def _circles(lattice: Floats, u: Floats, v: Floats) -> Floats:
             x, y = du * lattice[0, 0] + dv * lattice[1, 0], du * lattice[0, 1] + dv * lattice[1, 1]
             np.minimum(nearest, np.hypot(x, y), out=nearest)
     return np.clip(0.5 + (radius - nearest) / texel, 0.0, 1.0)
-
-
-def _check_for_torus(size: int | tuple[int, int] | str | None, on_sphere: tuple[object, ...]) -> int | None:
-    """Return a width; refuse other sizes, and options of textures on the sphere, for a map to a torus."""
-    if isinstance(size, (str, tuple)):
-        raise OmtwarpError(f"texture size '{size}': a map to a torus takes a width in texels")
-    if on_sphere != ("equirectangular", "cube", None, 180.0):
-        raise OmtwarpError("projection, atlas, rotation and seam are for textures on the sphere: leave them out")
-    return size
 
 
 def _rotation(rotate: ArrayLike | str | None, vertices: Floats, faces: Ints, sphere: Floats) -> Floats:

@@ -88,7 +88,12 @@ def laid_out(result: MapLike, aspect: float = 1.0, margin: float = MARGIN) -> tu
         number = spheres_of(result)
         parts = np.zeros(len(faces), dtype=np.intp) if number is None else number
         disk = getattr(result, "disk", None)
-        charts = _cubes(vertices, faces, sphere, parts) if disk is None else _disks(vertices, faces, disk, parts)
+        if disk is None:
+            charts = _cubes(vertices, faces, sphere, parts)
+        else:  # one chart for each part, without a cut
+            plane = disk[faces]
+            scale = _scales(triangle_areas(vertices, faces), np.abs(plane_areas(plane)), parts)
+            charts = plane * scale[parts][:, None, None], parts
     turned = plane_areas(charts[0]) <= 0
     if turned.any():
         raise OmtwarpError(
@@ -129,13 +134,6 @@ def _cubes(vertices: Floats, faces: Ints, sphere: Floats, parts: NDArray[np.intp
     plane = np.where(bent[parts][:, None, None], np.tan(angle), angle)
     scale = _scales(triangle_areas(vertices, faces), triangle_areas(sphere, faces), parts)
     return plane * scale[parts][:, None, None], len(CUBE_FRAMES) * parts + chart
-
-
-def _disks(vertices: Floats, faces: Ints, disk: Floats, parts: NDArray[np.intp]) -> _Charts:
-    """Return the charts of maps to disks: one for each part, shape [F], without a cut."""
-    plane = disk[faces]
-    scale = _scales(triangle_areas(vertices, faces), np.abs(plane_areas(plane)), parts)
-    return plane * scale[parts][:, None, None], parts
 
 
 def _scales(on_surface: Floats, on_map: Floats, parts: NDArray[np.intp]) -> Floats:
