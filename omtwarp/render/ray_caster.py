@@ -10,6 +10,7 @@ from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from omtwarp.colors import parse_color, to_linear, to_srgb
@@ -425,14 +426,9 @@ def _picture(part: Appearance, where: wp.Device) -> Picture:
     levels = [np.asarray(part.image)]
     while part.mipmaps and levels[-1].shape[:2] != (1, 1):
         light = decode[levels[-1]]
-        for axis in (0, 1):  # the mean over the rows, then the columns, that each new one covers
-            size = light.shape[axis]
-            if size % 2 == 0:  # in a tenth of the time that sums of unequal parts take
-                light = (light[::2] + light[1::2] if axis == 0 else light[:, ::2] + light[:, 1::2]) / 2.0
-                continue
-            starts = np.arange(max(size // 2, 1)) * size // max(size // 2, 1)
-            counts = np.diff(starts, append=size).astype(np.float32)
-            light = np.add.reduceat(light, starts, axis) / np.expand_dims(counts, (1 - axis, 2))
+        half = (max(light.shape[1] // 2, 1), max(light.shape[0] // 2, 1))
+        channels = [Image.fromarray(channel).resize(half, Image.Resampling.BOX) for channel in np.moveaxis(light, 2, 0)]
+        light = np.stack([np.asarray(channel) for channel in channels], axis=2)
         levels.append(as_bytes(to_srgb(light)))
     heights, widths = np.array([level.shape[:2] for level in levels], dtype=np.int32).T
     sizes = np.column_stack([widths, heights, np.cumsum(heights * widths) - heights * widths])

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import as_path, check_output, write_text
 from omtwarp.maps.result import MapReport, MapResult, StageReport
-from omtwarp.maps.torus_map import TorusCertificate, TorusMap, ring_torus, tube_radius
+from omtwarp.maps.torus_map import TorusMap, ring_torus, tube_radius
 from omtwarp.mesh.arrays import Bytes
 from omtwarp.mesh.surface import triangle_areas
-from omtwarp.metrics.certificate import Certificate
 from omtwarp.options import PatternLike
 from omtwarp.render import Camera, ScalarField, SurfaceView, preview
 from omtwarp.render.subject import posed, torus_view
@@ -100,54 +99,40 @@ def report_page(
     Raises:
         OmtwarpError: as :func:`write_report`.
     """
-    if isinstance(result, TorusMap):
-        return _torus_page(result, title, image, pattern, up, picture_size, device)
-    if not all(hasattr(result, name) for name in ("vertices", "faces", "sphere", "conformal", "distortion", "report")):
+    known = ("vertices", "faces", "sphere", "conformal", "distortion", "report")
+    if not isinstance(result, TorusMap) and not all(hasattr(result, name) for name in known):
         raise OmtwarpError(f"cannot report on a {type(result).__name__}: give a result of map_to_sphere")
-    texture = read_image(image) if image is not None else pattern_by_name(pattern)
-    shown = "The picture" if image is not None else pattern_by_name(pattern).title
-    stages = stages_of(result)
-    pose = posed(SurfaceView(result.vertices, result.faces), up)
-    # The certificate was computed from the result's arrays: a file's statements are not trusted.
-    report = shown_report(result) | {"certificate": result.certificate.to_dict()}
-    stills = _stills(result, stages, texture, pose, picture_size, device)
-    scene = make_scene(result, stages, texture, pose=pose, device=device)
-    content = [
-        sections.figures(stages, report),
-        sections.pictures(stages, stills, shown),
-        sections.distributions(stages),
-        sections.transport(report, shown_history(result), stages),
-        sections.stage_table(stages, report),
-        sections.certificate(report, scene.faces, stages[-1], getattr(result, "filled_faces", None) is not None),
-    ]
+    pose, report = posed(SurfaceView(result.vertices, result.faces), up), shown_report(result)
+    if isinstance(result, TorusMap):
+        heading, shown, stages = "Map to a torus", "The pattern", torus_stages(result)
+        scene = torus_scene(result, stages, image, pattern, pose)
+        poster, drawn = _torus_pictures(result, image, pattern, pose, picture_size, device)
+        cost, certificate = html(""), _certificate(result)
+        lead = f"{len(result.vertices):,} vertices and {len(result.faces):,} triangles, mapped to a flat torus."
+    else:
+        texture = read_image(image) if image is not None else pattern_by_name(pattern)
+        shown = "The picture" if image is not None else pattern_by_name(pattern).title
+        heading, stages = "Map report", stages_of(result)
+        # The certificate was computed from the result's arrays: a file's statements are not trusted.
+        report = report | {"certificate": result.certificate.to_dict()}
+        stills = _stills(result, stages, texture, pose, picture_size, device)
+        poster, drawn = stills[stages[-1].key], sections.pictures(stages, stills, shown)
+        scene = make_scene(result, stages, texture, pose=pose, device=device)
+        cost, filled = sections.transport(report, shown_history(result), stages), getattr(result, "filled_faces", None)
+        certificate = sections.certificate(report, scene.faces, stages[-1], filled is not None)
+        lead = _lead(result, report, stages[-1])
     colouring = "Picture" if image is not None else pattern.capitalize()
-    view = views.viewer_section(
-        stages, stills[stages[-1].key], f"{shown} carried to the surface by the final map", colouring
-    )
-    return _page(
-        scene, title or "Map report", report, _lead(result, report, stages[-1]), result.certificate, view, content
-    )
-
-
-def _page(
-    scene: Scene,
-    heading: str,
-    report: MapReport,
-    lead: str,
-    certificate: Certificate | TorusCertificate,
-    view: Markup,
-    content: Sequence[Markup],
-) -> str:
-    """Put a page together, with its heading, the words below, the view and the sections."""
+    carried = f"{shown} carried to the surface by the final map"
+    figures, distributions = sections.figures(stages, report), sections.distributions(stages)
     return views.page_with_view(
         "page.html",
         scene,
-        title=heading,
+        title=title or heading,
         version=report.get("versions", {}).get("omtwarp", ""),
         lead=lead,
-        verdict=views.verdict(certificate.bijective, certificate.flips),
-        view=view,
-        sections=join(content, "\n"),
+        verdict=views.verdict(result.certificate.bijective, result.certificate.flips),
+        view=views.viewer_section(stages, poster, carried, colouring),
+        sections=join([figures, drawn, distributions, cost, sections.stage_table(stages, report), certificate], "\n"),
         versions=", ".join(f"{name} {value}" for name, value in report.get("versions", {}).items()) or "omtwarp",
     )
 
@@ -293,11 +278,10 @@ PICTURES = (
 )
 
 
-def _torus_page(
-    result: TorusMap, title: str | None, image: PictureLike | None, pattern: str, up: str | None, size: int, device: str
-) -> str:
-    """Return the text of the page about a map to a torus; arguments as of :func:`omtwarp.write_report`."""
-    pose = posed(SurfaceView(result.vertices, result.faces), up)
+def _torus_pictures(
+    result: TorusMap, image: PictureLike | None, pattern: str, pose: SurfaceView, size: int, device: str
+) -> tuple[str, Markup]:
+    """Draw a map to a torus; return the first picture, as a data URI, and the section with all of them."""
     drawn = []
     for which, on, _ in PICTURES:
         subject = torus_view(result, image, which=which, on=on, pattern=pattern)
@@ -307,28 +291,9 @@ def _torus_page(
     shown = [
         figure(picture, f"{which}, {on}. ", words) for picture, (which, on, words) in zip(drawn, PICTURES, strict=True)
     ]
-    stages = torus_stages(result)
-    report = shown_report(result)
-    content = [
-        sections.figures(stages, report),
-        sections.section(
-            "Before and after",
-            "The pattern on the torus, carried to the surface by two maps.",
-            element("div", *shown, class_="pair pictures"),
-        ),
-        sections.distributions(stages),
-        sections.stage_table(stages, report),
-        _certificate(result),
-    ]
-    view = views.viewer_section(
-        stages,
-        data_uri(drawn[0], "webp"),
-        "The pattern carried to the surface by the final map",
-        "Picture" if image is not None else pattern.capitalize(),
-    )
-    lead = f"{len(result.vertices):,} vertices and {len(result.faces):,} triangles, mapped to a flat torus."
-    scene = torus_scene(result, stages, image, pattern, pose)
-    return _page(scene, title or "Map to a torus", report, lead, result.certificate, view, content)
+    words = "The pattern on the torus, carried to the surface by two maps."
+    pair = element("div", *shown, class_="pair pictures")
+    return data_uri(drawn[0], "webp"), sections.section("Before and after", words, pair)
 
 
 def _certificate(result: TorusMap) -> Markup:
