@@ -122,10 +122,3 @@ def records_graphs(device: wp.Device) -> bool:
 def launch_parts_of(device: wp.Device, count: int, cores: int, least: int = SMALLEST_SHARED_LAUNCH) -> int:
     """Return the number of parts of a launch of independent threads: one for every core of a CPU, one on CUDA."""
     return 1 if is_cuda(device) or count < least else cores
-
-
-def list_threads(device: wp.Device) -> int:
-    """Return the number of threads that work through a list whose length only the device knows."""
-    # Lists of a length that only the device knows are shared between so many threads on CUDA, and left to one on the
-    # CPU.
-    return 16384 if is_cuda(device) else 1

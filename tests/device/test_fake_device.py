@@ -14,7 +14,7 @@ from omtwarp.wavelets.kernels import scale_values
 def test_it_is_cuda_to_the_package_and_another_device_to_warp(fake):
     assert policy.resolve_device("cuda:0") is policy.resolve_device("cuda") is fake
     assert fake != wp.get_device("cpu") and wp.get_device("cpu") != fake and fake == "cuda:0"
-    assert not policy.shares_host_memory(fake) and policy.list_threads(fake) > 1
+    assert not policy.shares_host_memory(fake)
     assert policy.launch_parts_of(fake, 10**6, cores=8) == 1
     with pytest.raises(OmtwarpError, match="does not exist: this machine has 1"):
         policy.resolve_device("cuda:1")
