@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from omtwarp.alignment.rotation_search import Best, best_rotations, complex_coefficients, improved
 from omtwarp.errors import OmtwarpError, OmtwarpWarning, choose
 from omtwarp.geometry.axes import fitted_rotation
-from omtwarp.geometry.harmonics import check_degree, real_harmonics
+from omtwarp.geometry.harmonics import check_degree, harmonics_in_parts
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.arrays import TINY, Floats, in_range, real_numbers
 from omtwarp.mesh.surface import sums_around
@@ -114,7 +114,6 @@ def feature_coefficients(features: Mapping[str, Floats], points: SpherePoints, d
 
     By quadrature with the vertices' areas on the sphere, which turns with the sphere: no position is preferred.
     """
-    at_once = 16384
     weights = sphere_weights(points)
     columns = []
     for name, values in features.items():
@@ -123,9 +122,8 @@ def feature_coefficients(features: Mapping[str, Floats], points: SpherePoints, d
         columns.append(weights * (values - weights @ values / weights.sum()) / spread(values, weights))
     weighted = np.stack(columns, axis=1)
     total = np.zeros(((degree + 1) ** 2, len(columns)))
-    for first in range(0, len(weighted), at_once):
-        part = slice(first, first + at_once)
-        total += real_harmonics(points.grid.points[part], degree).T @ weighted[part]
+    for part, basis in harmonics_in_parts(points.grid.points, degree):
+        total += basis.T @ weighted[part]
     return total
 
 

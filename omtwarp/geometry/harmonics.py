@@ -10,6 +10,8 @@ pole. Y_00 = 1 / √(4π), and (Y_11, Y_1,-1, Y_10) = √(3 / 4π) (x, y, z). py
 The coefficient of Y_lm has the index l² + l + m.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import sph_legendre_p_all
@@ -55,6 +57,14 @@ def real_harmonics(points: ArrayLike, degree: int) -> Floats:
         part = slice(first, first + chunk)
         _fill(directions[part], degree, out[part])
     return out
+
+
+def harmonics_in_parts(points: Floats, degree: int) -> Iterator[tuple[slice, Floats]]:
+    """Yield :func:`real_harmonics` at some points at a time, and which these are, so that memory is bounded."""
+    chunk = max(1, 2**22 // (degree + 1) ** 2)
+    for first in range(0, len(points), chunk):
+        part = slice(first, first + chunk)
+        yield part, real_harmonics(points[part], degree)
 
 
 def _fill(directions: Floats, degree: int, out: Floats) -> None:

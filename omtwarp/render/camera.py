@@ -252,12 +252,7 @@ class Light:
 
 LIGHTS = {
     # A key light over the left shoulder, a fill from the right and a rim from behind, which draws the upper outline.
-    "studio": Light(
-        directional=(((-0.7, 0.8, 0.9), 2.4), ((1.0, 0.1, 0.6), 0.65), ((0.0, 0.6, -1.0), 0.7)),
-        sky=0.36,
-        ground=0.17,
-        roughness=0.6,
-    ),
+    "studio": Light((((-0.7, 0.8, 0.9), 2.4), ((1.0, 0.1, 0.6), 0.65), ((0.0, 0.6, -1.0), 0.7)), sky=0.36, ground=0.17),
     # Little contrast, for colours that are read as values.
     "soft": Light(directional=(((-0.4, 0.6, 1.0), 1.1), ((0.8, 0.0, 0.8), 0.5)), sky=0.68, ground=0.5, roughness=0.9),
     "flat": Light(unlit=True),

@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve
 
 from omtwarp.errors import OmtwarpError, check_word
 from omtwarp.files.inputs import read_bytes
 from omtwarp.files.output import write_text
-from omtwarp.geometry.harmonics import check_degree, degree_of, power_per_degree, real_harmonics
+from omtwarp.geometry.harmonics import check_degree, degree_of, harmonics_in_parts, power_per_degree
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.shapes import icosphere
 from omtwarp.mesh.surface import Surface, sums_around, triangle_areas
 
 METHODS = ("least-squares", "quadrature")
-_AT_ONCE = 2**22  # harmonics at points that are held at once
 # Dunavant's rule of degree 4 (1985): barycentric coordinates (1 - 2 a, a, a) in all orders, and weights.
 _RULE = ((0.445948490915965, 0.223381589678011), (0.091576213509771, 0.109951743655322))
 
@@ -53,7 +51,7 @@ class Expansion:
         """Evaluate the sum at unit vectors, shape [N, 3]; returns shape [N, C]."""
         directions = np.asarray(points, dtype=np.float64)
         out = np.empty((len(directions), self.coefficients.shape[1]))
-        for part, basis in _chunks(directions, self.degree):
+        for part, basis in harmonics_in_parts(directions, self.degree):
             out[part] = basis @ self.coefficients
         return out
 
@@ -145,7 +143,7 @@ def _least_squares(points: Floats, data: Floats, weights: Floats, degree: int) -
     if len(points) < count:
         raise too_many
     normal, right = np.zeros((count, count)), np.zeros((count, data.shape[1]))
-    for part, basis in _chunks(points, degree):
+    for part, basis in harmonics_in_parts(points, degree):
         weighted = basis * weights[part, None]
         normal += weighted.T @ basis
         right += weighted.T @ data[part]
@@ -153,10 +151,7 @@ def _least_squares(points: Floats, data: Floats, weights: Floats, degree: int) -
     # Least squares whose normal matrix is worse conditioned than this determine the highest degrees by rounding alone.
     if spectrum[0] * 1e10 <= spectrum[-1]:
         raise too_many
-    try:
-        solved: Floats = cho_solve(cho_factor(normal, lower=True), right)
-    except LinAlgError:
-        raise too_many from None
+    solved: Floats = cho_solve(cho_factor(normal, lower=True), right)
     return solved
 
 
@@ -173,17 +168,9 @@ def _integrals(points: Floats, data: Floats, faces: NDArray[np.int64], degree: i
             # The ray's projection stretches the flat area by cos / r² = (n · p) / r³.
             stretch = np.einsum("fc,fc->f", normal, inner) / np.linalg.norm(inner, axis=1) ** 3
             values = np.einsum("k,fkc->fc", shares, at_corners) * (weight * stretch)[:, None]
-            for part, basis in _chunks(inner, degree):
+            for part, basis in harmonics_in_parts(inner, degree):
                 right += basis.T @ values[part]
     return right
-
-
-def _chunks(points: Floats, degree: int) -> Iterator[tuple[slice, Floats]]:
-    """Yield the harmonics at some points at a time."""
-    chunk = max(1, _AT_ONCE // (degree + 1) ** 2)
-    for first in range(0, len(points), chunk):
-        part = slice(first, first + chunk)
-        yield part, real_harmonics(points[part], degree)
 
 
 def write_coef(path: str | os.PathLike[str], expansion: Expansion) -> None:
