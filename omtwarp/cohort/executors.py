@@ -107,31 +107,26 @@ class Host:
     def stop(self) -> None:
         """End the item at work and the process, called by another thread than that of :meth:`run`."""
         self._stopped.set()
-        process = self._process
-        if process is None:
-            return
-        with contextlib.suppress(OSError):
-            if process.stdin is not None:
-                process.stdin.close()  # by which the process knows, and ends its item
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            # Seconds that a host has to end its item where the run is interrupted: it does so at once, but while it
-            # loads.
-            process.wait(1.0)
-        process.kill()
+        # Seconds that a host has to end its item where the run is interrupted: it does so at once, but while it loads.
+        self._end(self._process, 1.0)
 
     def close(self) -> None:
         """End the child process."""
         process, self._process = self._process, None
-        if process is None:
+        self._end(process, 2.0)
+        if process is not None and process.stdout is not None:
+            process.wait()
+            process.stdout.close()
+
+    @staticmethod
+    def _end(process: subprocess.Popen[str] | None, seconds: float) -> None:
+        if process is None or process.stdin is None:
             return
-        for stream in (process.stdin, process.stdout):
-            with contextlib.suppress(OSError):
-                if stream is not None:
-                    stream.close()
+        with contextlib.suppress(OSError):
+            process.stdin.close()  # by which the process knows, and ends its item
         with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(2.0)
+            process.wait(seconds)
         process.kill()
-        process.wait()
 
 
 _own = threading.local()  # the host of each thread

@@ -7,12 +7,12 @@ import os
 import stat
 import time
 import zipfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TypeAlias
 
-from omtwarp.files.output import digest_of, write_text
+from omtwarp.files import output
 from omtwarp.version import package_version
 
 Row: TypeAlias = dict[str, str | float | None]
@@ -118,7 +118,7 @@ def _is_recorded(map_file: Path, record: Row) -> bool:
         return (
             stat.S_ISREG(there.st_mode)
             and there.st_size == record.get("map_size")
-            and digest_of(map_file) == record.get("map_digest")
+            and output.digest_of(map_file) == record.get("map_digest")
         )
     except OSError:
         return False
@@ -158,7 +158,7 @@ def write_record(job: Job, status: str, message: str = "", **numbers: str | floa
     before = _any_record(job)
     if before is not None and _is_recorded(job.map_file, before):
         job.map_file.unlink(missing_ok=True)
-    write_text(job.record_file, json.dumps(record, indent=1))
+    output.write_text(job.record_file, json.dumps(record, indent=1))
     return record
 
 
@@ -222,16 +222,6 @@ def append_to_journal(job: Job, status: str) -> None:
         journal.write((b"\n" if torn else b"") + line.encode() + b"\n")
 
 
-@contextlib.contextmanager
-def locked(job: Job) -> Iterator[None]:
-    """Lock the item while it is computed; another process waits, then finds the record. Any exit releases the lock."""
-    try:
-        import fcntl
-    except ImportError:  # there is none on Windows, where two drivers on one folder are not kept apart
-        yield
-        return
-    place = Path(job.folder) / "locks" / job.id
-    with open(place, "w") as file:
-        with contextlib.suppress(OSError):  # some network file systems have no locks
-            fcntl.flock(file, fcntl.LOCK_EX)
-        yield
+def locked(job: Job) -> contextlib.AbstractContextManager[None]:
+    """Lock the item while it is computed; another process waits, then finds the record."""
+    return output.locked(Path(job.folder) / "locks" / job.id)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 from collections import Counter
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Unpack
@@ -15,7 +15,7 @@ from omtwarp.cohort.item import OK, Job, Row, complete_journal, forget_failure, 
 from omtwarp.cohort.tables import GROUP, ORDER, REGISTERED, REGISTERED_MAPS, Item, write_table
 from omtwarp.device import core_count
 from omtwarp.errors import OmtwarpError, choose
-from omtwarp.files.output import digest_of, folder_of_results, require_own
+from omtwarp.files.output import digest_of, folder_of_results, locked, require_own
 from omtwarp.options import AreaMatch, FillArea, MapKeywords, MapOptions, Progress, Record, tell
 
 RESULTS = ("table.parquet", "table.csv", "report.html")
@@ -115,7 +115,8 @@ def run_cohort(
     for job in todo:
         require_own(job.map_file, may_write_map(job))
     if todo:
-        with _only_driver(target, part, parts):
+        words = f"another process is working on '{target}': wait for it, or use --shard i/n"
+        with locked(target / "locks" / f".driver-{part}-{parts}", words):
             for job in todo if retry else ():
                 forget_failure(job)
             records = executor_for(executor, target, workers).records(todo)
@@ -228,21 +229,3 @@ def _register_all(rows: list[Row], folder: Path, progress: Progress | None) -> N
     table = register_group(maps, folder / REGISTERED_MAPS, progress=notify).table
     for row in done:
         row |= {"registered_to": GROUP, **table[str(row["id"])]}
-
-
-@contextlib.contextmanager
-def _only_driver(folder: Path, part: int, parts: int) -> Iterator[None]:
-    """Refuse a second run on the same folder and shard at the same time."""
-    try:
-        import fcntl
-    except ImportError:  # on Windows
-        yield
-        return
-    with open(folder / "locks" / f".driver-{part}-{parts}", "a+") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise OmtwarpError(f"another process is working on '{folder}': wait for it, or use --shard i/n") from None
-        except OSError:  # no locks on this file system
-            pass
-        yield

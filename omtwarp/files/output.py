@@ -448,6 +448,28 @@ def _held(folder: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
+@contextlib.contextmanager
+def locked(place: Path, refusal: str = "") -> Iterator[None]:
+    """Lock a file to the end, which any exit brings; where there are no locks, as on Windows, nothing is kept apart.
+
+    Args:
+        place: the file; it is made where it is not there.
+        refusal: what is said where another process has the lock; without it this one waits.
+
+    Raises:
+        OmtwarpError: another process has the lock, and is not to be waited for.
+    """
+    with open(place, "a") as file:
+        try:
+            if fcntl is not None:
+                fcntl.flock(file, fcntl.LOCK_EX | (fcntl.LOCK_NB if refusal else 0))
+        except BlockingIOError:
+            raise OmtwarpError(refusal) from None
+        except OSError:  # some network file systems have no locks
+            pass
+        yield
+
+
 def _sweep(parent: Path) -> None:
     """Remove staging directories of processes that were killed: marked, the user's own, old, and held by nobody."""
     with contextlib.suppress(OSError):
