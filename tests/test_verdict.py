@@ -15,7 +15,7 @@ from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.mapping import pipeline
 from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mapping.verdict import elongation, foretell, judge, refusal
-from omtwarp.maps.result import StageRecord
+from omtwarp.maps.result import StageReport
 from omtwarp.mesh.shapes import blob, flip_edges, icosphere, tube
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.options import MapOptions
@@ -126,7 +126,7 @@ def test_a_stage_that_did_not_converge_is_said():
     sphere = icosphere(3)
     measured = {"flips": 0, "degree": 1.0, "finite": True, "area": {}, "angle": {}}
     details = {"converged": False, "ended": "no step lowers the cost", "gave_up": "3 flipped triangles were held back"}
-    record = StageRecord("omt", 0.0, 1, **measured, transport_cost=0.0, details=details)
+    record: StageReport = {"name": "omt", **measured, **details}
     (finding,) = judge(sphere, sphere.vertices, [record], MapOptions())
     assert finding.kind == "not-converged"
     assert "omt did not converge: no step lowers the cost, 3 flipped" in str(finding)

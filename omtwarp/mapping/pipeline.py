@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import cast
 
 import numpy as np
 import scipy
@@ -24,7 +25,7 @@ from omtwarp.flips.guard import hold_back
 from omtwarp.geometry.axes import principal_axes, rotation_onto_axes, towards_coordinates, turned_towards
 from omtwarp.geometry.space_order import OrderedSurface, in_space_order
 from omtwarp.mapping.verdict import judge, refusal
-from omtwarp.maps.result import MapReport, MapResult, StageRecord, renumbered
+from omtwarp.maps.result import MapReport, MapResult, StageReport, renumbered
 from omtwarp.measures import TargetDensity, mass_distortion, weighted_surface
 from omtwarp.mesh.arrays import TINY, Floats, normalised
 from omtwarp.mesh.quarter import quarter
@@ -243,7 +244,7 @@ class MapComputation:
         self.options = options
         self.device = device
         self.progress = progress
-        self.records: list[StageRecord] = []
+        self.records: list[StageReport] = []
         self.maps: dict[str, Floats] = {}
         self.history: list[Record] = []
         self.given_up = ""  # what the current stage could not do
@@ -303,11 +304,8 @@ class MapComputation:
         mesh = self.surface.on(self.device)
         measured = measure_triangles(mesh.vertices, mesh.faces, self.points(sphere), device=self.device).to_dict()
         cost = transport_cost(self.surface, self.points(sphere), start=self.first, device=self.device)
-        self.records.append(
-            StageRecord(
-                name=str(name), seconds=seconds, iterations=iterations, **measured, transport_cost=cost, details=details
-            )
-        )
+        record = {"name": str(name), "seconds": seconds, "iterations": iterations, **measured, "transport_cost": cost}
+        self.records.append(cast(StageReport, record | details))
         facts = {"flips": measured["flips"], "area": measured["area"]["surface"], "angle": measured["angle"]["surface"]}
         # Cost is counted from the first map, which has none.
         self.notify(name, 1, 1, facts if len(self.records) == 1 else facts | {"cost": cost})
@@ -707,8 +705,8 @@ class MapComputation:
         """
         if self.target is not None:
             return self.sphere
-        best = min(self.records, key=lambda record: record.angle["surface"] + weight * record.area["surface"])
-        return self.maps[best.name]
+        best = min(self.records, key=lambda record: record["angle"]["surface"] + weight * record["area"]["surface"])
+        return self.maps[best["name"]]
 
     def optimality(self) -> dict[str, float | int | None]:
         """Measure how far the final map is from optimal, and what refinement added to the transport cost."""
@@ -718,7 +716,7 @@ class MapComputation:
         if self.options.cost is Cost.GEODESIC:
             return self.timed_optimality(self.geodesic_optimality(), 1)
         measured = self.measured
-        if measured is None or self.records[-1].name not in (Stage.OMT, EXACT):
+        if measured is None or self.records[-1]["name"] not in (Stage.OMT, EXACT):
             measured = self.bounded(self.sphere, improve=self.sphere is self.maps.get(Stage.OMT))
         figures: dict[str, float | int | None] = measured.to_dict()
         # No bound, a gap above this says nothing of a map: it is reported as none
@@ -726,8 +724,8 @@ class MapComputation:
             figures |= dict.fromkeys(("lower_bound", "gap"))
         transported = self.record_of(Stage.OMT)
         if transported is not None and self.sphere is not self.maps[Stage.OMT]:
-            last = self.records[-1].transport_cost
-            figures["added_by_refinement"] = last / max(transported.transport_cost, TINY) - 1.0
+            last = self.records[-1]["transport_cost"]
+            figures["added_by_refinement"] = last / max(transported["transport_cost"], TINY) - 1.0
         return self.timed_optimality(figures, measured.ascent_steps)
 
     def geodesic_optimality(self) -> dict[str, float | int | None]:
@@ -744,9 +742,11 @@ class MapComputation:
     def timed_optimality(self, figures: dict[str, float | int | None], steps: int) -> dict[str, float | int | None]:
         """Record the time of the measurement as a stage, and return what was found."""
         seconds = time.perf_counter() - self.stage_begun
-        last_record = self.records[-1]
-        self.records.append(replace(last_record, name=OPTIMALITY, seconds=seconds, iterations=steps, details={}))
-        details: Record = {"flips": last_record.flips}
+        last = self.records[-1]
+        own = {"name": OPTIMALITY, "seconds": seconds, "iterations": steps}
+        of_map = {name: last.get(name) for name in ("flips", "degree", "finite", "area", "angle", "transport_cost")}
+        self.records.append(cast(StageReport, own | of_map))
+        details: Record = {"flips": last["flips"]}
         for name in ("cost", "gap"):
             value = figures.get(name)
             if value is not None:
@@ -755,9 +755,9 @@ class MapComputation:
         self.stage_begun = time.perf_counter()
         return figures
 
-    def record_of(self, stage: Stage) -> StageRecord | None:
+    def record_of(self, stage: Stage) -> StageReport | None:
         """Return the record of a stage, or None where it was not run."""
-        return next((record for record in self.records if record.name == stage), None)
+        return next((record for record in self.records if record["name"] == stage), None)
 
     def barycentric(self) -> None:
         """Compute the whole map by one of the spherical barycentric systems that the paper compares with."""
@@ -814,7 +814,7 @@ class MapComputation:
             "start": self.origin,
             "seconds": time.perf_counter() - self.begun,
             "mass": mass_distortion(self.goal(self.sphere), self.sphere) | {"weighted": surface.weighted},
-            "stages": [record.to_dict() for record in self.records],
+            "stages": self.records,
         }
 
     def certificate(self) -> Certificate:

@@ -9,7 +9,7 @@ import numpy as np
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.limbs import thinnest_ring, vertices_needed
-from omtwarp.maps.result import StageRecord, Warned
+from omtwarp.maps.result import StageReport, Warned
 from omtwarp.measures import mass_distortion
 from omtwarp.mesh.arrays import TINY, Floats
 from omtwarp.mesh.origins import named_face, named_vertex
@@ -164,7 +164,7 @@ def elongation(surface: Surface) -> Floats:
 
 
 def judge(
-    goal: Surface, sphere: Floats, records: Iterable[StageRecord], options: MapOptions, *, uniform: bool = True
+    goal: Surface, sphere: Floats, records: Iterable[StageReport], options: MapOptions, *, uniform: bool = True
 ) -> list[Finding]:
     """List the warnings about a map; those about areas only where the options ask for a map that keeps them, or some.
 
@@ -177,7 +177,7 @@ def judge(
     """
     records = list(records)
     unmatched = []
-    if isinstance(options.refine, AreaMatch) and any(record.name == Stage.REFINE for record in records):
+    if isinstance(options.refine, AreaMatch) and any(record["name"] == Stage.REFINE for record in records):
         missed = not_matched(options.refine.area, mass_distortion(goal, sphere)["mean"])
         unmatched = [Finding("not-matched", -1, *missed)] if missed is not None else []
     if options.method is not Method.OMT or Stage.OMT not in options.stages:
@@ -186,8 +186,8 @@ def judge(
     remedy = ""
     if options.refine in (None, Refinement.AREA):
         findings = _area_findings(goal, sphere, uniform, PARTS if options.exact else 1)
-    unfinished = [record for record in records if record.details.get("converged") is False and record.name != "refine"]
-    if any(record.name == "exact" and record.details.get("converged") for record in records):
+    unfinished = [record for record in records if record.get("converged") is False and record["name"] != "refine"]
+    if any(record["name"] == "exact" and record.get("converged") for record in records):
         unfinished = []  # the optimal map of the mesh as it was is only where the one of its quarters began
     if findings or unfinished:
         remedy = _remedy(goal, options.refine is None and uniform)
@@ -195,11 +195,11 @@ def judge(
     return [Finding(each.kind, each.where, each.message, remedy) for each in findings] + unmatched
 
 
-def _unfinished(record: StageRecord) -> Finding:
+def _unfinished(record: StageReport) -> Finding:
     """Make the warning about a stage that did not converge."""
-    text = f"the stage {record.name} did not converge: {record.details.get('ended') or 'most steps taken'}"
-    if record.details.get("gave_up"):
-        text += f", {record.details['gave_up']}"
+    text = f"the stage {record['name']} did not converge: {record.get('ended') or 'most steps taken'}"
+    if record.get("gave_up"):
+        text += f", {record['gave_up']}"
     return Finding("not-converged", -1, text, "")
 
 

@@ -37,7 +37,19 @@ OF_MAPS = ("sphere", "conformal", *OF_TORUS_MAPS)
 
 
 class StageReport(TypedDict, total=False):
-    """A stage in a report: a :class:`StageRecord` as plain values, and the stage's details."""
+    """A stage in a report: its time, its steps, the quality of its map, and what else is known of it.
+
+    Attributes:
+        name: the stage, or the method where one system makes the whole map.
+        seconds: how long it took.
+        iterations: steps of the method of this stage.
+        flips: triangles that are not positively oriented, in floating point.
+        degree: how often the map covers the sphere.
+        finite: whether every coordinate is finite.
+        area: aggregates of the area distortion (see :class:`omtwarp.metrics.distortion.Distortion`).
+        angle: the same of the angle distortion.
+        transport_cost: M(g) of equation 6 from the map that transport starts from.
+    """
 
     name: str
     seconds: float
@@ -116,41 +128,6 @@ class MapReport(ChosenOptions, total=False):
     alignment: Mapping[str, object]
     registration: Mapping[str, object]
     parts: list[MapReport]
-
-
-@dataclass(frozen=True)
-class StageRecord:
-    """The record of a stage: its time, its history and the quality of its map.
-
-    Attributes:
-        name: the stage, or the method where one system makes the whole map.
-        seconds: how long it took.
-        iterations: steps of the method of this stage.
-        flips: triangles that are not positively oriented, in floating point.
-        degree: how often the map covers the sphere.
-        finite: whether every coordinate is finite.
-        area: aggregates of the area distortion (see :class:`omtwarp.metrics.distortion.Distortion`).
-        angle: the same of the angle distortion.
-        transport_cost: M(g) of equation 6 from the map that transport starts from.
-        details: further results of this stage, ready for JSON: ``repaired``, ``converged``, ...
-    """
-
-    name: str
-    seconds: float
-    iterations: int
-    flips: int
-    degree: float
-    finite: bool
-    area: Mapping[str, float]
-    angle: Mapping[str, float]
-    transport_cost: float
-    details: Mapping[str, str | float | None] = field(default_factory=dict)
-
-    def to_dict(self) -> StageReport:
-        """Convert the record, with its details, to plain values ready for JSON."""
-        plain = {name: value for name, value in vars(self).items() if name != "details"}
-        whole = plain | {"area": dict(self.area), "angle": dict(self.angle)} | dict(self.details)
-        return cast(StageReport, whole)
 
 
 def stored(kind: type[np.generic], *shape: str | int) -> dict[str, object]:
