@@ -60,16 +60,10 @@ class Vertex(IntEnum):
 @wp.func
 def row_find(sorted_heads: wp.array[wp.int32], begin: wp.int32, end: wp.int32, value: wp.int32) -> wp.int32:
     """Return the index of ``value`` in one row of sorted heads, -1 where it is absent."""
-    low = int(begin)
-    high = int(end)
-    while low < high:
-        middle = (low + high) // 2
-        if sorted_heads[middle] < value:
-            low = middle + 1
-        else:
-            high = middle
-    if low < end and sorted_heads[low] == value:
-        return low
+    if begin < end:
+        place = wp.lower_bound(sorted_heads, begin, end, value)
+        if sorted_heads[place] == value:
+            return place
     return -1
 
 

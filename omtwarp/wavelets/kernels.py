@@ -115,15 +115,10 @@ def face_rows(
 ):
     """Compute the first place of each face, from a first one on, among the sorted keys, by bisection."""
     f = first + wp.tid()
-    low = int(0)
-    high = int(count)
-    while low < high:
-        middle = (low + high) // 2
-        if keys[middle] < f:
-            low = middle + 1
-        else:
-            high = middle
-    row_offsets[f] = low
+    place = wp.lower_bound(keys, 0, count, f)
+    if keys[place] < f:  # the last key
+        place = count
+    row_offsets[f] = place
 
 
 @wp.kernel
