@@ -90,8 +90,7 @@ class SphereGrid:
         """
         if self.pixel_corners is not None and self.pixel_owners is not None:
             return self.pixel_corners, self.pixel_owners
-        faces = self.triangles
-        flips = np.flatnonzero(flipped_faces(self.points, faces))
+        flips = np.flatnonzero(flipped_faces(self.points, self.triangles))
         if len(flips):
             raise OmtwarpError(
                 f"{self.name}: {len(flips)} triangles are turned over, first face {flips[0]}: areas of overlap need a "
@@ -129,8 +128,7 @@ def vertex_cells(points: Floats, faces: Ints) -> tuple[Floats, Ints]:
     a, b, c = (points[faces[:, k]] for k in range(3))
     ab, bc, ca, centre = normalised(a + b), normalised(b + c), normalised(c + a), normalised(a + b + c)
     quads = [(a, ab, centre, ca), (b, bc, centre, ab), (c, ca, centre, bc)]
-    corners = np.concatenate([np.stack(quad, axis=1) for quad in quads])
-    return corners, faces.T.ravel().astype(np.int32)
+    return np.concatenate([np.stack(quad, axis=1) for quad in quads]), faces.T.ravel().astype(np.int32)
 
 
 def unit_sphere(points: ArrayLike, name: str = "the sphere") -> Floats:

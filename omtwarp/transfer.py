@@ -139,8 +139,7 @@ def _on_sphere(mesh: PaintedMesh, sphere: Floats, atlas: Atlas, where: wp.Device
     colors = None
     if mesh.vertex_colors is not None:
         colors = (cut.weights @ (mesh.vertex_colors / 255.0))[cut.faces][part]
-    which = mesh.material_of[cut.source_face][part]
-    return bake_materials(layout, own, which, mesh.materials, colors, -1)
+    return bake_materials(layout, own, mesh.material_of[cut.source_face][part], mesh.materials, colors, -1)
 
 
 def _material(mesh: PaintedMesh, picture: NDArray[np.float32]) -> Material:

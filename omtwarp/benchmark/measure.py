@@ -226,8 +226,7 @@ def _kernels(kernels: Facts) -> str:
         f"Kernels on {kernels['device']}, {kernels['faces']} faces; a plain copy moves "
         f"{kernels['bandwidth'] / 1e9:.0f} GB/s there:"
     )
-    names = ["kernel", "launches", "ms", "MB moved", "GB/s", "of a copy"]
-    return head + "\n\n" + table(names, rows)
+    return head + "\n\n" + table(["kernel", "launches", "ms", "MB moved", "GB/s", "of a copy"], rows)
 
 
 def _first_use(first: dict[str, dict[str, float]]) -> str:

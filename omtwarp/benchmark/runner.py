@@ -224,8 +224,7 @@ def most_used(device: wp.Device) -> int:
 
     Warp cannot set this mark back: it is the peak of a map only where the map raises it.
     """
-    pooled = device.is_cuda and device.is_mempool_enabled
-    return int(wp.get_mempool_used_mem_high(device)) if pooled else 0
+    return int(wp.get_mempool_used_mem_high(device)) if device.is_cuda and device.is_mempool_enabled else 0
 
 
 def reference_system(surface: Surface) -> tuple[sparse.csc_matrix, Floats]:

@@ -80,8 +80,7 @@ def _measures(done: Sequence[Row]) -> Markup:
 def _figure(row: Row, why: str, folder: Path) -> Markup:
     """Return a picture of a surface, its map drawn on it as circles that would be equal on the sphere."""
     try:
-        result = MapResult.load(folder / "maps" / f"{row['id']}.npz")
-        picture = preview(result, size=(360, 270), device="cpu")
+        picture = preview(MapResult.load(folder / "maps" / f"{row['id']}.npz"), size=(360, 270), device="cpu")
     except Exception as error:
         caption = element("figcaption", element("b", str(row["id"])), ": ", why)
         return element("figure", caption, element("p", f"no picture: {error}"))

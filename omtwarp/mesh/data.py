@@ -318,8 +318,7 @@ def _write_gifti(file: Path, data: VertexData, name: str) -> None:
     for column, title in zip(data.values.T, data.names, strict=True):
         values = _stored(column, title, labels=data.is_labels)
         arrays.append(gifti.GiftiDataArray(values, intent, meta={"Name": title}))
-    image = gifti.GiftiImage(darrays=arrays, meta=gifti.GiftiMetaData(meta), labeltable=table)
-    nibabel.save(image, file)
+    nibabel.save(gifti.GiftiImage(darrays=arrays, meta=gifti.GiftiMetaData(meta), labeltable=table), file)
 
 
 def _stored(column: NDArray[np.generic], name: str, *, labels: bool = False) -> NDArray[np.generic]:

@@ -112,8 +112,7 @@ def random_sphere(face_count: int = 5000, seed: int = 0, clustering: float = 0.0
         seed: of the random numbers.
         clustering: 0 spreads the vertices uniformly; larger values draw them towards the north pole.
     """
-    rng = np.random.default_rng(seed)
-    points = normalised(rng.normal(size=(face_count // 2 + 2, 3)))
+    points = normalised(np.random.default_rng(seed).normal(size=(face_count // 2 + 2, 3)))
     points[:4] = _TETRAHEDRON  # which certainly surround the centre
     points[4:, 2] += clustering
     return sphere_from_directions(normalised(points))
@@ -303,8 +302,7 @@ def hippocampus(
     centre = np.array([radius * np.cos(angle), radius * np.sin(angle), share * length])
     factor *= 1.0 + bump * np.exp(-((points - centre) ** 2).sum(axis=1) / (2.0 * width * width))
     shaped = np.column_stack([across * factor[:, None] * [1.0, 0.8 * flatness], along])
-    bent = _bend(shaped, hippocampus_bend * bend / length, length)
-    return Surface(bent * [1.0, 1.0, stretch], base.faces)
+    return Surface(_bend(shaped, hippocampus_bend * bend / length, length) * [1.0, 1.0, stretch], base.faces)
 
 
 def _bend(points: Floats, curvature: float, length: float) -> Floats:
@@ -520,8 +518,7 @@ def flip_edges(surface: Surface, rounds: int = 10, seed: int = 0) -> Surface:
     points, faces = surface.vertices, surface.faces.astype(np.int64)
     for _ in range(rounds):
         half = np.flatnonzero(faces.ravel() < np.roll(faces, -1, axis=1).ravel())
-        current = Surface(points, faces)
-        other = current.face_neighbours.ravel()[half].astype(np.int64)
+        other = Surface(points, faces).face_neighbours.ravel()[half].astype(np.int64)
         face, k = half // 3, half % 3
         a, b, c = faces[face, k], faces[face, (k + 1) % 3], faces[face, (k + 2) % 3]
         d = faces[other].sum(axis=1) - a - b
@@ -549,8 +546,7 @@ def shuffled(surface: Surface, seed: int = 0) -> Surface:
     """Reorder the vertices and faces of a surface at random, and begin every face at a random corner."""
     rng = np.random.default_rng(seed)
     order = rng.permutation(surface.vertex_count)
-    place = np.argsort(order)
-    faces = place[surface.faces[rng.permutation(surface.face_count)]]
+    faces = np.argsort(order)[surface.faces[rng.permutation(surface.face_count)]]
     turn = (np.arange(3)[None] + rng.integers(3, size=len(faces))[:, None]) % 3
     return Surface(surface.vertices[order], np.take_along_axis(faces, turn, axis=1))
 

@@ -59,8 +59,7 @@ class Surface:
 
     def __init__(self, vertices: ArrayLike, faces: ArrayLike, areas: ArrayLike | None = None):
         self.vertices: Floats = np.array(real_numbers(vertices, "vertices", (None, 3), finite=False))
-        corners = whole_numbers(faces, "faces", (None, 3), below=len(self.vertices))
-        self.faces: Ints = corners.astype(np.int32)
+        self.faces: Ints = whole_numbers(faces, "faces", (None, 3), below=len(self.vertices)).astype(np.int32)
         self.vertices.flags.writeable = self.faces.flags.writeable = False
         self.checked = False
         self.origins: Origins | None = None

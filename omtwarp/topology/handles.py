@@ -304,8 +304,7 @@ def _cut_along(
     place = np.minimum(np.searchsorted(ranked, head * count + tail), len(ranked) - 1)
     twin = np.where(ranked[place] == head * count + tail, sorter[place], -1)
     joined = (twin >= 0) & ~np.isin(np.minimum(tail, head) * count + np.maximum(tail, head), cut)
-    links = np.stack([corner[joined], following[twin[joined]]], axis=1)
-    _, label = components_of(len(tail), links)
+    _, label = components_of(len(tail), np.stack([corner[joined], following[twin[joined]]], axis=1))
     _, first = np.unique(label, return_index=True)
     owner = tail[first]
     kept = np.zeros(len(first), dtype=bool)
@@ -420,8 +419,7 @@ def loops_across(
 
 def _thickness(cut: CutSurface) -> float:
     """Return the vertices around the thinnest limb of a cut surface, all its holes filled, for those needed there."""
-    loops = boundary_loops(cut.faces, len(cut.vertices))
-    filled = fill_holes(cut.vertices, cut.faces, loops)
+    filled = fill_holes(cut.vertices, cut.faces, boundary_loops(cut.faces, len(cut.vertices)))
     surface = Surface(filled.vertices, filled.faces)
     ring = thinnest_ring(surface)
     return np.inf if ring is None else ring.around / vertices_needed(ring.share, surface.face_count)

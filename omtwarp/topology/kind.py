@@ -132,8 +132,7 @@ def numbered_in_space(part: Part) -> Part:
 
 def places_of(parts: list[Part]) -> NDArray[np.int64]:
     """Return the parts' numbers in the order of their first vertices along a curve through all of them, shape [P]."""
-    points = np.concatenate([part.vertices for part in parts])
-    place = np.argsort(order_along_curve(in_range(points)))
+    place = np.argsort(order_along_curve(in_range(np.concatenate([part.vertices for part in parts]))))
     ends = np.cumsum([len(part.vertices) for part in parts])
     return np.argsort([own.min() for own in np.split(place, ends[:-1])])
 
