@@ -33,21 +33,6 @@ def sides_of(faces: Ints) -> Ints:
     return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
 
 
-def _numbered_anew(corners: Ints, freed: NDArray[np.bool_]) -> tuple[NDArray[np.intp], Ints]:
-    """Return the freed vertices, then the others at corners of triangles, and the corners by their places among these.
-
-    Args:
-        corners: of the triangles, shape [T, 3].
-        freed: which vertices are, shape [V].
-    """
-    beside = np.zeros(len(freed), dtype=bool)
-    beside[corners.ravel()] = True
-    vertices = np.concatenate([np.flatnonzero(freed), np.flatnonzero(beside & ~freed)])
-    local = np.full(len(freed), -1, dtype=np.int32)
-    local[vertices] = np.arange(len(vertices), dtype=np.int32)
-    return vertices, np.ascontiguousarray(local[corners])
-
-
 @dataclass(frozen=True, eq=False)
 class Patches:
     """The freed vertices of a surface, in pieces that share no edge, and the triangles around them.
@@ -80,7 +65,12 @@ class Patches:
         """
         triangles = np.flatnonzero(touching(faces, freed))
         corners = faces[triangles]
-        vertices, own = _numbered_anew(corners, freed)
+        beside = np.zeros(len(freed), dtype=bool)
+        beside[corners.ravel()] = True
+        vertices = np.concatenate([np.flatnonzero(freed), np.flatnonzero(beside & ~freed)])
+        local = np.full(len(freed), -1, dtype=np.int32)
+        local[vertices] = np.arange(len(vertices), dtype=np.int32)
+        own = np.ascontiguousarray(local[corners])
         free = int(freed.sum())
         pairs = sides_of(own)
         pairs = pairs[(pairs[:, 0] < free) & (pairs[:, 1] < free)]
@@ -104,17 +94,3 @@ class Patches:
         lengths = np.zeros(self.count)
         np.maximum.at(lengths, self.vertex_patch, np.linalg.norm(vectors, axis=1))
         return lengths
-
-    def only(self, kept: NDArray[np.bool_]) -> "tuple[Patches, NDArray[np.intp]]":
-        """Select some of the patches; return them, and the indices of their vertices among those of all patches.
-
-        Args:
-            kept: which, shape [count].
-        """
-        triangles = kept[self.face_patch]
-        freed = np.zeros(len(self.vertices), dtype=bool)
-        freed[: self.free] = kept[self.vertex_patch]
-        places, own = _numbered_anew(self.faces[triangles], freed)
-        inside, number = np.flatnonzero(freed), np.cumsum(kept) - 1
-        numbers = number[self.vertex_patch[inside]], number[self.face_patch[triangles]], int(kept.sum())
-        return Patches(self.vertices[places], len(inside), self.triangles[triangles], own, *numbers), places

@@ -168,8 +168,8 @@ def untangle(
         history.append(
             {
                 "rings": min(freed, surface.vertex_count),
-                "vertices": untangling.whole.free,
-                "patches": untangling.whole.count,
+                "vertices": untangling.patches.free,
+                "patches": untangling.patches.count,
                 "rounds": done,
                 "flips": examined.flips,
             }
@@ -215,62 +215,39 @@ class _Untangling:
         held: NDArray[np.bool_] | None = None,
     ):
         self.device = device
-        self.surface = surface
         self.sphere = sphere
-        self.result = sphere.copy()
         seed = np.zeros(surface.vertex_count, dtype=bool)
         seed[surface.faces[flipped].ravel()] = True
         freed = grow(surface.faces, seed, rings)
         if held is not None:
             freed &= ~held
-        self.whole = Patches.of_vertices(surface.faces, freed)
-        self.frames = triangle_frames(surface, FATTENED, self.whole.triangles)
-        covered = self._covered(vectors(sphere[self.whole.vertices], device), self.whole)
+        self.patches = patches = Patches.of_vertices(surface.faces, freed)
+        frames = triangle_frames(surface, FATTENED, patches.triangles)
+        covered = self._covered(vectors(sphere[patches.vertices], device))
         # The surroundings of a patch determine the area that it has to cover, up to whole spheres; the whole map covers
         # one.
-        alone = self.whole.free == len(self.whole.vertices)
+        alone = patches.free == len(patches.vertices)
         # Of the sphere: a patch whose triangles cover nothing in sum is not mistaken for one that covers everything.
         self.share = np.ones(1) if alone else covered - np.floor(covered + 1e-9)
-        self.whole_share, self.surplus = self.share, np.rint(covered - self.share)
-
-    def _take(self, patches: Patches) -> None:
-        """Create the matrix, the gradient's index and the arrays on the device for these patches."""
-        self.patches = patches
-        self.matrix = PatchMatrix(patches, self.surface, DAMPING)
+        self.surplus = np.rint(covered - self.share)
+        self.matrix = PatchMatrix(patches, surface, DAMPING)
         corner = np.repeat(patches.faces, 2, axis=1)
         index = np.where(corner < patches.free, 2 * corner + np.array([0, 1] * 3), -1).ravel()
         self.gradient_kept = np.flatnonzero(index >= 0)
         self.gradient_slot = index[self.gradient_kept]
-        count, device = len(patches.faces), self.device
+        count = len(patches.faces)
         self.d_faces = wp.array(patches.faces, dtype=wp.vec3i, device=device)
-        self.d_frames = wp.array(self.frames, dtype=wp.vec3d, device=device)
-        self.d_areas = wp.array(self.surface.face_areas[patches.triangles], dtype=wp.float64, device=device)
+        self.d_frames = wp.array(frames, dtype=wp.vec3d, device=device)
+        self.d_areas = wp.array(surface.face_areas[patches.triangles], dtype=wp.float64, device=device)
         self.d_value, self.d_solid = (wp.empty(count, dtype=wp.float64, device=device) for _ in range(2))
         self.d_gradient = wp.empty((count, 6), dtype=wp.float64, device=device)
         self.d_hessian = wp.empty((count, 21), dtype=wp.float64, device=device)
 
-    def _narrow(self, active: NDArray[np.bool_], points: Floats) -> Floats:
-        """Continue with the active patches alone, and return their points.
-
-        Patches are independent, so that solved ones can be left out of the matrix.
-        """
-        self._keep(points)
-        self.frames = np.ascontiguousarray(self.frames[active[self.patches.face_patch]])
-        self.share, self.surplus = self.share[active], self.surplus[active]
-        patches, places = self.patches.only(active)
-        self._take(patches)
-        return points[places]
-
-    def _keep(self, points: Floats) -> None:
-        free = self.patches.free
-        self.result[self.patches.vertices[:free]] = points[:free]
-
     def solve(self, budget: RepairBudget) -> tuple[Floats, int]:
         """Lower ε to its smallest, or until no patch has a flip; return the map and the number of rounds."""
-        self._take(self.whole)
         points = wp.array(self.sphere[self.patches.vertices], dtype=wp.vec3d, device=self.device)
-        epsilon = np.full(self.whole.count, LARGEST_EPSILON)
-        active = np.ones(self.whole.count, dtype=bool)
+        epsilon = np.full(self.patches.count, LARGEST_EPSILON)
+        active = np.ones(self.patches.count, dtype=bool)
         rounds = 0
         while True:
             rounds += 1
@@ -283,37 +260,29 @@ class _Untangling:
                     break
             flipped = flipped_faces(points.numpy(), self.patches.faces)
             tangled = np.bincount(self.patches.face_patch[flipped], minlength=self.patches.count) > 0
-            self.surplus = np.rint(self._covered(points, self.patches) - self.share)
+            self.surplus = np.rint(self._covered(points) - self.share)
             active &= (tangled | (self.surplus != 0)) & (epsilon > SMALLEST_EPSILON)
             if not active.any() or budget.exhausted:
                 break
             epsilon[active] = np.maximum(epsilon[active] * LOWERED, SMALLEST_EPSILON)
-            # Max active share, of the triangles: where fewer are in tangled patches, the solved patches are dropped
-            if active[self.patches.face_patch].mean() < 0.7:
-                points = wp.array(self._narrow(active, points.numpy()), dtype=wp.vec3d, device=self.device)
-                epsilon, active = epsilon[active], active[active]
-        self._keep(points.numpy())
-        self._take_back()
-        return self.result, rounds
+        return self._taken(points.numpy()), rounds
 
-    def _take_back(self) -> None:
-        """Restore patches that ended with no fewer flips, or with any; the next attempt frees more around them.
+    def _taken(self, points: Floats) -> Floats:
+        """Return the map with the points of those patches that are solved, or have fewer flips than they had.
 
         A patch too small for its triangles can end with more flips than it began with. Patches that cover their part of
-        the sphere more than once are restored too: the next attempt finds tangled patches by their flipped triangles,
-        not by vertices whose rings turn twice.
+        the sphere more than once stay as they were too: the next attempt, which frees more around them, finds tangled
+        patches by their flipped triangles, not by vertices whose rings turn twice.
         """
-        whole = self.whole
-        faces = self.surface.faces[whole.triangles]
+        patches, result = self.patches, self.sphere.copy()
         before, after = (
-            np.bincount(whole.face_patch[flipped_faces(sphere, faces)], minlength=whole.count)
-            for sphere in (self.sphere, self.result)
+            np.bincount(patches.face_patch[flipped_faces(places, patches.faces)], minlength=patches.count)
+            for places in (self.sphere[patches.vertices], points)
         )
-        covered = self._covered(vectors(self.result[whole.vertices], self.device), whole)
-        twice = np.rint(covered - self.whole_share) != 0
-        unsolved = (after > 0) & (after >= before)
-        back = whole.vertices[: whole.free][(unsolved | twice)[whole.vertex_patch]]
-        self.result[back] = self.sphere[back]
+        taken = ((after == 0) | (after < before)) & (self.surplus == 0)
+        moved = np.flatnonzero(taken[patches.vertex_patch])
+        result[patches.vertices[moved]] = points[moved]
+        return result
 
     def _newton_step(self, points, epsilon, active) -> tuple[wp.array, NDArray[np.bool_]]:
         """Take a step of the active patches; return the points, and of which patches the expected gain is small."""
@@ -371,8 +340,9 @@ class _Untangling:
         energy[np.abs(np.rint(covered - self.share)) > np.abs(self.surplus)] = np.inf
         return energy
 
-    def _covered(self, points: wp.array, patches: Patches) -> Floats:
+    def _covered(self, points: wp.array) -> Floats:
         """Return the signed area that every patch covers, with multiplicity, over that of the sphere, shape [count]."""
+        patches = self.patches
         faces = triangles(patches.faces, self.device)
         solid = empty(len(faces), wp.float64, self.device)
         wp.launch(solid_angles, dim=len(faces), inputs=[points, faces], outputs=[solid], device=self.device)

@@ -30,17 +30,6 @@ def test_patches_of_random_vertices(seed, share):
     freed = rng.random(surface.vertex_count) < share
     freed[0] = True
     patches = Patches.of_vertices(surface.faces, freed)
-    check(surface, patches, freed)
-    kept = rng.random(patches.count) < 0.5
-    kept[0] = True
-    some, places = patches.only(kept)
-    np.testing.assert_array_equal(some.vertices, patches.vertices[places])
-    inside = np.zeros_like(freed)
-    inside[patches.vertices[: patches.free][kept[patches.vertex_patch]]] = True
-    check(surface, some, inside)
-
-
-def check(surface, patches, freed):
     edges = surface.edges[freed[surface.edges].all(axis=1)]
     links = coo_matrix((np.ones(len(edges)), edges.T), shape=(len(freed), len(freed)))
     piece = connected_components(links, directed=False)[1]
