@@ -216,10 +216,6 @@ class Surface:
             self._kept[name] = make()
         return cast(Kind, self._kept[name])
 
-    def let_go(self, name: str) -> None:
-        """Remove what is cached under a name; it is recomputed when it is needed."""
-        self._kept.pop(name, None)
-
     def on(self, device: str | wp.Device | None) -> SurfaceArrays:
         """Return the surface's arrays on a device, for kernels; each is copied there once."""
         where = resolve_device(device)

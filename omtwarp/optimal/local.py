@@ -208,11 +208,6 @@ def launch_patches(
     lanes = lanes_on(where)
     order = np.argsort(-sizes, kind="stable").astype(np.int32)
     cores = 1 if lanes > 1 or sizes.sum() < MIN_SHARED_TRIANGLES else min(core_count(), len(sizes))
-    work = np.zeros(cores)
-    core_of = np.zeros(len(sizes), dtype=np.intp)
-    for patch in order:
-        core_of[patch] = int(work.argmin())
-        work[core_of[patch]] += sizes[patch]
     load(kernel, where)
 
     def run(group: NDArray[np.int32]) -> None:
@@ -220,7 +215,7 @@ def launch_patches(
         grid = (len(group), lanes)
         wp.launch(kernel, dim=grid, inputs=arguments, outputs=outputs, device=where, block_dim=BLOCK)
 
-    run_all(run, [order[core_of[order] == k] for k in range(cores)])
+    run_all(run, [order[k::cores] for k in range(cores)])
 
 
 __all__ = ["LocalSteps", "freed_vertices"]

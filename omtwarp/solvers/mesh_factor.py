@@ -7,7 +7,6 @@ an ordinary sparse matrix of them and passes it to SuperLU.
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Future
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import numpy as np
@@ -17,7 +16,6 @@ from numpy.typing import NDArray
 from omtwarp.device.arrays import Workspace
 from omtwarp.device.policy import solves_with_cudss, solves_with_scipy
 from omtwarp.device.start import wp
-from omtwarp.device.threads import pool
 from omtwarp.mesh.surface import Surface
 from omtwarp.solvers.cholesky import (
     Dissection,
@@ -34,8 +32,6 @@ if TYPE_CHECKING:
 
 Numbers = NDArray[np.float64]
 SaddleOrder: TypeAlias = tuple[Dissection, NDArray[np.int32]]
-
-BEGUN_ORDER = "saddle-point order, begun"  # name under which a surface keeps it while it is computed
 
 
 class MeshFactor(Protocol):
@@ -259,22 +255,8 @@ def surface_saddle_factor(surface: Surface, workspace: Workspace | None = None) 
     """Create the chosen factorisation with a multiplier for every vertex; ``workspace`` as of :func:`mesh_factor`."""
     if solves_with_scipy():
         return vertex_saddle_factor(surface.vertex_count, surface.edges, lambda: surface_dissection(surface))
-    order = surface.cached("saddle-point order", lambda: begin_saddle_order(surface).result())
-    surface.let_go(BEGUN_ORDER)
+    order = surface.cached("saddle-point order", lambda: expand(surface_dissection(surface)))
     return OrderedSaddleFactor(order, workspace)
-
-
-def begin_saddle_order(surface: Surface) -> Future[SaddleOrder]:
-    """Begin to compute the order of a surface's saddle-point systems on another thread.
-
-    It takes 0.04 seconds for 12,000 vertices, most of them beside parts of Moser's flow that run on one thread.
-    """
-
-    def begin() -> Future[SaddleOrder]:
-        order = surface_dissection(surface)
-        return pool().submit(expand, order)
-
-    return surface.cached(BEGUN_ORDER, begin)
 
 
 def coordinate_factor(surface: Surface, workspace: Workspace | None = None) -> SaddlePointFactor:
