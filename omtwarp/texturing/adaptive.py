@@ -151,7 +151,6 @@ class BentLook(Look):
         # Hint reach: blocks past the borders of charts to which the hints go, which is more than a gutter
         part = np.where(part == NOBODY, claimed(corners, across, down, 1.0, where), part)
         hints = np.where(part == NOBODY, -1, cut.source_face[np.minimum(part, len(cut.source_face) - 1)])
-        self._kernel = kernels.bent_sample_directions
         self._tables = [
             hint_block,
             across,

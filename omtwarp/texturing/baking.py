@@ -157,15 +157,15 @@ class Look:
         offset, gutter = atlas.parameters
         self.atlas, self.where = atlas, where
         self._picture = [atlas.kind, atlas.width, atlas.height, wp.float64(offset), wp.float64(gutter)]
-        self._kernel: wp.Kernel = kernels.texel_sample_directions
-        self._tables: list[object] = []
+        kinds = wp.int32, wp.vec3i, wp.vec3i, wp.vec3d, wp.int32, wp.int32, wp.int32, wp.vec3d
+        self._tables: list[object] = [0, 0, *(wp.empty(0, dtype=kind, device=where) for kind in kinds)]
 
     def directions(self, texels: wp.array, samples: int) -> wp.array:
         """Return the directions of texels' samples, a regular grid in each texel, vec3d [N samples²]."""
         count = samples**2
         out = wp.empty(len(texels) * count, dtype=wp.vec3d, device=self.where)
         inputs = [*self._picture, Each(texels), samples, *self._tables]
-        launch_parts(self._kernel, len(texels), inputs, [Each(out, count)], self.where)
+        launch_parts(kernels.texel_sample_directions, len(texels), inputs, [Each(out, count)], self.where)
         return out
 
 

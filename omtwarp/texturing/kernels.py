@@ -186,26 +186,6 @@ def sample_place(number: int, width: int, k: int, samples: int):
 
 
 @wp.kernel
-def texel_sample_directions(
-    kind: int,
-    width: int,
-    height: int,
-    offset: wp.float64,
-    gutter: wp.float64,
-    texels: wp.array[wp.int32],
-    samples: int,
-    # Data out:
-    directions: wp.array[wp.vec3d],
-):
-    """Compute the directions of the samples, a regular grid, of texels that are given by their numbers row by row."""
-    i, _compiled_once = wp.tid()
-    number = texels[i]
-    for k in range(samples * samples):
-        x, y = sample_place(number, width, k, samples)
-        directions[i * samples * samples + k] = picture_direction(kind, x, y, width, height, offset, gutter)
-
-
-@wp.kernel
 def sample_picture(
     kind: int,
     offset: wp.float64,
@@ -438,7 +418,7 @@ def grid_place(bary: wp.vec3d, parts: int, first: int, grid: wp.array[wp.int32],
 
 
 @wp.kernel
-def bent_sample_directions(
+def texel_sample_directions(
     kind: int,
     width: int,
     height: int,
@@ -459,55 +439,57 @@ def bent_sample_directions(
     # Data out:
     directions: wp.array[wp.vec3d],
 ):
-    """Compute the directions of texels' samples, moved by the difference of the smooth map from the linear one.
+    """Compute the directions of the samples, a regular grid, of texels that are given by their numbers row by row.
 
-    ``hints`` names a triangle of the mesh near every block of texels, -1 where there is none. ``divided`` says into how
-    many parts the edges of a triangle are divided, 0 where the smooth map is the linear one; ``first`` where its points
-    begin in the grid.
+    With hints they are moved by the difference of a smooth map from the linear one. ``hints`` names a triangle of the
+    mesh near every block of texels, -1 where there is none. ``divided`` says into how many parts the edges of a
+    triangle are divided, 0 where the smooth map is the linear one; ``first`` where its points begin in the grid.
     """
     i, _compiled_once = wp.tid()
     number = texels[i]
-    row, column = number // width, number % width
-    # All samples are moved as the middle is: across a texel that changes by a small part of one.
-    d = picture_direction(kind, wp.float64(column) + HALF, wp.float64(row) + HALF, width, height, offset, gutter)
-    f = hints[row // block * blocks_across + column // block]
-    if f < 0:  # in a gutter, which shows what lies elsewhere on the picture
-        place = picture_point(kind, d, width, height, offset, gutter)
-        column_there = wp.clamp(int(wp.floor(place[0])), 0, width - 1)
-        row_there = wp.clamp(int(wp.floor(place[1])), 0, height - 1)
-        f = hints[row_there // block * blocks_across + column_there // block]
-    weights = wp.vec3d()
-    inside = bool(False)
-    steps = int(0)
-    # The meshes of most surfaces have fewer triangles across a block of texels than this.
-    most_steps = int(64)
-    while f >= 0 and steps < most_steps and not inside:
-        face = faces[f]
-        weights = spherical_coordinates(sphere[face[0]], sphere[face[1]], sphere[face[2]], d)
-        total = weights[0] + weights[1] + weights[2]
-        worst = int(wp.argmin(weights))
-        # In shares of the triangle: ten times round-off's part of the least one that a texel shows
-        if weights[worst] >= wp.float64(-1.0e-9) * total and total > ZERO:
-            inside = True
-        else:
-            f = neighbours[f][(worst + 1) % 3]  # corner k is opposite to the edge from corner k + 1
-            steps = steps + 1
     move = wp.vec3d(ZERO, ZERO, ZERO)
-    if inside:
-        parts = divided[f]
-        if parts > 0:
-            bary = clamped(weights)
+    bent = bool(False)
+    if hints.shape[0] > 0:
+        row, column = number // width, number % width
+        # All samples are moved as the middle is: across a texel that changes by a small part of one.
+        d = picture_direction(kind, wp.float64(column) + HALF, wp.float64(row) + HALF, width, height, offset, gutter)
+        f = hints[row // block * blocks_across + column // block]
+        if f < 0:  # in a gutter, which shows what lies elsewhere on the picture
+            place = picture_point(kind, d, width, height, offset, gutter)
+            column_there = wp.clamp(int(wp.floor(place[0])), 0, width - 1)
+            row_there = wp.clamp(int(wp.floor(place[1])), 0, height - 1)
+            f = hints[row_there // block * blocks_across + column_there // block]
+        weights = wp.vec3d()
+        inside = bool(False)
+        steps = int(0)
+        # The meshes of most surfaces have fewer triangles across a block of texels than this.
+        most_steps = int(64)
+        while f >= 0 and steps < most_steps and not inside:
             face = faces[f]
-            linear = bary[0] * sphere[face[0]] + bary[1] * sphere[face[1]] + bary[2] * sphere[face[2]]
-            smooth = grid_place(bary, parts, first[f], grid, points)
-            move = wp.normalize(smooth) - wp.normalize(linear)
-    if samples == 1:
-        directions[i] = wp.normalize(d + move)
-        return
+            weights = spherical_coordinates(sphere[face[0]], sphere[face[1]], sphere[face[2]], d)
+            total = weights[0] + weights[1] + weights[2]
+            worst = int(wp.argmin(weights))
+            # In shares of the triangle: ten times round-off's part of the least one that a texel shows
+            if weights[worst] >= wp.float64(-1.0e-9) * total and total > ZERO:
+                inside = True
+            else:
+                f = neighbours[f][(worst + 1) % 3]  # corner k is opposite to the edge from corner k + 1
+                steps = steps + 1
+        if inside:
+            parts = divided[f]
+            if parts > 0:
+                bary = clamped(weights)
+                face = faces[f]
+                linear = bary[0] * sphere[face[0]] + bary[1] * sphere[face[1]] + bary[2] * sphere[face[2]]
+                smooth = grid_place(bary, parts, first[f], grid, points)
+                move = wp.normalize(smooth) - wp.normalize(linear)
+                bent = True
     for k in range(samples * samples):
         x, y = sample_place(number, width, k, samples)
         sample = picture_direction(kind, x, y, width, height, offset, gutter)
-        directions[i * samples * samples + k] = wp.normalize(sample + move)
+        if bent:
+            sample = wp.normalize(sample + move)
+        directions[i * samples * samples + k] = sample
 
 
 @wp.kernel
