@@ -145,10 +145,7 @@ def grid(
         x, y = (k % columns) * width, head + (k // columns) * (height + band)
         place = (x + (width - image.width) // 2, y)
         # Panels come transparent where the background runs through the whole sheet.
-        if image.mode == "RGBA":
-            canvas.paste(image, place) if transparent else canvas.paste(image, place, image)
-        else:
-            canvas.paste(image, place)
+        canvas.paste(image, place, image if image.mode == "RGBA" and not transparent else None)
         if band and captions[k]:
             draw.text(
                 (x + width / 2, y + height + band * 0.42), captions[k], font=font(letters), fill=color, anchor="mm"

@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 import os
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -239,8 +240,8 @@ class _Studio:
         # Captioned height, in pixels: a caption of legible letters takes half of that
         band = round(2.0 * letters) if self.captions and height >= 44 else 0
         ink = annotate.ink(self.background, False)
-        moments = sorted(set(times))
-        repeats = {moment: times.count(moment) for moment in moments}
+        repeats = Counter(times)
+        moments = sorted(repeats)
         done = 0
         for start in range(0, len(moments), BATCH):
             some = moments[start : start + BATCH]

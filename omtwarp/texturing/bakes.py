@@ -179,66 +179,41 @@ def _as_picture(vectors: NDArray[np.floating], size: tuple[int, int]) -> Bytes:
     return np.rint((np.clip(vectors, -1.0, 1.0) * 0.5 + 0.5) * 255.0).astype(np.uint8).reshape(size[1], size[0], 3)
 
 
-def scalar(
-    what: str | Path,
-    vertices: Floats,
-    faces: Ints,
-    on_map: Floats,
-    parts: NDArray[np.intp] | None = None,
-    origins: Origins | None = None,
-    structure: str | None = None,
-) -> tuple[Floats, str, float, float]:
-    """Compute or read numbers at the vertices, by the name of a quantity or of a file, and how they are coloured.
+def data_at_vertices(path: Path, count: int, origins: Origins | None, structure: str | None) -> Floats:
+    """Read the numbers at a surface's vertices from a file of data, NaN where there is none, shape [count].
 
     Args:
-        what: ``curvature``, ``area``, or a file of numbers at the vertices (see :mod:`omtwarp.mesh.data`).
-        vertices: shape [V, 3].
-        faces: shape [F, 3].
-        on_map: areas of the triangles' images, shape [F].
-        parts: the sphere of every triangle where there are several, shape [F].
+        path: the file (see :mod:`omtwarp.mesh.data`).
+        count: of the vertices.
         origins: what the vertices are in the input, whose data are taken too.
         structure: the part of the brain that the surface is, as GIFTI names it; None where that is not known.
 
-    Returns:
-        The numbers, shape [V], NaN where there is none, the colour map, and the values at its ends.
-
     Raises:
-        OmtwarpError: an unknown name, a file that cannot be read, or one with another number of vertices.
+        OmtwarpError: no file, or one that cannot be read, or with another number of vertices.
     """
-    # per cent of the vertices whose curvature or area the colours distinguish; few corners have far more
-    spread = 95.0
-    if what == "curvature":
-        values = mean_curvature(vertices, faces)
-        most = float(np.percentile(np.abs(values), spread))
-        return values, "coolwarm", -most, most
-    if what == "area":
-        values = np.log2(area_ratio(vertices, faces, on_map, parts))
-        # Least range, of a binary logarithm: a map that keeps areas to round-off still has a range of colours
-        most = max(float(np.percentile(np.abs(values), spread)), 1e-9)
-        return values, "coolwarm", -most, most
-    path = Path(what)
     if not path.suffix:
-        raise OmtwarpError(f"cannot bake '{what}': use {', '.join(BAKES)}, or a file of data at the vertices")
-    data = read_data(path, structure)
-    given = data.values[:, 0]
-    if origins is not None and len(given) != len(vertices):
+        raise OmtwarpError(f"cannot bake '{path}': use {', '.join(BAKES)}, or a file of data at the vertices")
+    given = read_data(path, structure).values[:, 0]
+    if origins is not None and len(given) != count:
         given = origins.prolong(given)
-    if len(given) != len(vertices):
-        raise OmtwarpError(f"{path}: {len(given)} values for {len(vertices)} vertices")
+    if len(given) != count:
+        raise OmtwarpError(f"{path}: {len(given)} values for {count} vertices")
     values = given.astype(np.float64)
     bad = np.flatnonzero(np.isinf(values))
     if len(bad):
         raise OmtwarpError(f"{path}: {len(bad)} values are infinite, first vertex {bad[0]}")
     if np.isnan(values).all():
         raise OmtwarpError(f"{path}: no number in it")
-    return values, "viridis", float(np.nanmin(values)), float(np.nanmax(values))
+    return values
 
 
 def colored(values: Floats, colormap: str, low: float, high: float, target: Target) -> Bytes:
     """Return the picture of numbers at the vertices, uint8 sRGB, shape [H, W, 3]; grey where there is none.
 
     Args:
-        values, colormap, low, high: as :func:`scalar` gives them.
+        values: shape [V].
+        colormap: its name.
+        low, high: the values at its ends.
         target: the triangles on the picture.
     """
     missing = np.isnan(values)

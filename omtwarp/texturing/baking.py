@@ -29,7 +29,7 @@ from omtwarp.errors import OmtwarpError, check_word
 from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints, real_numbers, whole_numbers
 from omtwarp.options import ProjectionName
 from omtwarp.texturing import kernels
-from omtwarp.texturing.atlas import Atlas, Kind, check_size, make_atlas
+from omtwarp.texturing.atlas import Atlas, Kind, check_size, make_atlas, normalised
 from omtwarp.texturing.export import Material, uv_of_corners
 from omtwarp.texturing.image import PictureLike, as_floats, read_image, with_opacity
 from omtwarp.texturing.patterns import Pattern, is_name, pattern
@@ -45,7 +45,7 @@ PADDING = 16
 
 
 class ValueSource(ABC):
-    """Values of directions, on a device."""
+    """Values of directions of any length, on a device."""
 
     channels: int
 
@@ -86,7 +86,7 @@ class _CallableSource(ValueSource):
         return got.reshape(len(directions), -1)
 
     def launch(self, directions: wp.array, out: wp.array) -> None:
-        got = self._call(directions.numpy())
+        got = self._call(normalised(directions.numpy()))
         wp.copy(out, wp.array(np.ascontiguousarray(got), dtype=wp.float64, device=out.device), count=got.size)
 
 
@@ -331,6 +331,15 @@ class Layout:
             device=self.where,
         )
 
+    def look_up(
+        self, source: ValueSource | Pattern, corners: wp.array, texels: wp.array, samples: int, out: wp.array
+    ) -> None:
+        """Write a source's values at vectors that are interpolated between those at corners, shape [F, 3, 3]."""
+        vectors = wp.empty(len(out), dtype=wp.vec3d, device=self.where)
+        rows = wp.array(ptr=vectors.ptr, shape=(len(out), 3), dtype=wp.float64, device=self.where)
+        self.interpolate(corners, texels, samples, rows)
+        source.launch(vectors, out)
+
     def show_sphere(self, atlas: Atlas, chords: Floats) -> None:
         """Locate samples by the directions of an atlas from now on; ``chords`` are the corners, [F, 3, 3]."""
         offset, gutter = atlas.parameters
@@ -391,15 +400,8 @@ def bake_to_uv(
     turned = s if rotation is None else s @ np.asarray(rotation, dtype=np.float64)
     points = wp.array(np.ascontiguousarray(turned[faces]), dtype=wp.float64, device=where)
 
-    def evaluate(texels: wp.array, samples: int, values: wp.array) -> None:
-        chords = wp.empty((len(values), 3), dtype=wp.float64, device=where)
-        directions = wp.empty(len(values), dtype=wp.vec3d, device=where)
-        layout.interpolate(points, texels, samples, chords)
-        wp.launch(kernels.unit_vectors, dim=len(values), inputs=[chords, directions], device=where)
-        given.launch(directions, values)
-
     picture = wp.zeros((width * height, given.channels), dtype=wp.float32, device=where)
-    supersampled(layout.owned(), int(supersample), evaluate, width, picture)
+    supersampled(layout.owned(), int(supersample), partial(layout.look_up, given, points), width, picture)
     return layout.dilate(picture, padding).reshape(height, width, given.channels)
 
 
@@ -591,12 +593,6 @@ def bake_materials(
     coordinates = np.zeros((len(which), 3, 3)) if own is None else np.pad(own, ((0, 0), (0, 0), (0, 1)))
     corners = sent(coordinates, wp.float64, where)
 
-    def through_coordinates(source: ValueSource, some: wp.array, samples: int, sampled: wp.array) -> None:
-        points = wp.empty(len(sampled), dtype=wp.vec3d, device=where)
-        rows = wp.array(ptr=points.ptr, shape=(len(points), 3), dtype=wp.float64, device=where)
-        layout.interpolate(corners, some, samples, rows)
-        source.launch(points, sampled)
-
     for k, material in enumerate(materials):
         mine = texels[number == k]
         if not len(mine):
@@ -607,7 +603,7 @@ def bake_materials(
             white = np.ones((1, 1, 4), dtype=np.float32)
             picture = white if material.picture is None else with_opacity(as_floats(material.picture))
             picture = tinted(picture, np.array(material.color, dtype=np.float32))
-            evaluate = partial(through_coordinates, _PictureSource(picture, Kind.REPEATED, 0.0, 0.0, where))
+            evaluate = partial(layout.look_up, _PictureSource(picture, Kind.REPEATED, 0.0, 0.0, where), corners)
         fill(mine, 2, evaluate, out)
     sampled = layout.dilate(out, rings)
     # Texels outside of all triangles make no material transparent.

@@ -337,17 +337,6 @@ def owner_values(
 
 
 @wp.kernel
-def unit_vectors(
-    values: wp.array2d[wp.float64],
-    # Data out:
-    out: wp.array[wp.vec3d],
-):
-    """Convert rows of three numbers to unit vectors."""
-    i = wp.tid()
-    out[i] = wp.normalize(wp.vec3d(values[i, 0], values[i, 1], values[i, 2]))
-
-
-@wp.kernel
 def fill_calm(
     first: int,
     step: int,

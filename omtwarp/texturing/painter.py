@@ -6,6 +6,7 @@ import os
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import cast
 
 import numpy as np
@@ -343,9 +344,7 @@ class _Painting:
         elif self.color == "normal":
             finished = replace(material, picture=bakes.object_normals(target), color=WHITE)
         elif self.color is not None:
-            where = self.on_map, self.parts, self.origins, self.structure
-            numbers = bakes.scalar(self.color, self.vertices, self.faces, *where)
-            finished = replace(material, picture=bakes.colored(*numbers, target), color=WHITE)
+            finished = replace(material, picture=bakes.colored(*self._numbers(self.color), target), color=WHITE)
         else:
             finished = material
         if "ao" in self.names:
@@ -354,6 +353,21 @@ class _Painting:
             normals = bakes.detail_normals(target, tangents, self.detail)
             finished = replace(finished, normal_picture=normals, own_tangents=True)
         return finished
+
+    def _numbers(self, what: str) -> tuple[Floats, str, float, float]:
+        """Return numbers at vertices by the name of a quantity or file, their colour map and the values at its ends."""
+        if what not in ("curvature", "area"):
+            values = bakes.data_at_vertices(Path(what), len(self.vertices), self.origins, self.structure)
+            return values, "viridis", float(np.nanmin(values)), float(np.nanmax(values))
+        # Least range, of a binary logarithm: a map that keeps areas to round-off still has a range of colours
+        least = 1e-9 if what == "area" else 0.0
+        if what == "area":
+            values = np.log2(bakes.area_ratio(self.vertices, self.faces, self.on_map, self.parts))
+        else:
+            values = bakes.mean_curvature(self.vertices, self.faces)
+        # Per cent of the vertices whose curvature or area the colours distinguish; few corners have far more
+        most = max(float(np.percentile(np.abs(values), 95.0)), least)
+        return values, "coolwarm", -most, most
 
     def on_atlas(self) -> PaintedMesh:
         """Lay the surface out on one picture, which all of its materials share."""
