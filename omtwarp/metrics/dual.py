@@ -36,10 +36,6 @@ from omtwarp.metrics.tree_kernels import (
 )
 from omtwarp.solvers.poisson import EdgeLaplacianSolver
 
-# Few steps go on, up to so many times as many, while each takes away this share of the excess: on half of a caudate
-# nucleus the gap falls from 5.8 to 1.97, 1.03, 0.46 % in three, whose map is nearer than that.
-FEW_STEPS, LONGEST, LARGE_GAIN = 3, 3, 0.25
-
 
 def ascend(
     dual: MapDual, best: Bound, most: int, enough: float, notify: Callable[[int, Bound], None] | None = None
@@ -49,7 +45,7 @@ def ascend(
     Args:
         dual: the problem.
         best: the bound to begin with.
-        most: steps; where they are few, up to LONGEST times as many while each takes away a large share of the excess.
+        most: steps.
         enough: the excess at which steps end.
         notify: called before every step with the number of steps taken and the bound.
 
@@ -62,10 +58,10 @@ def ascend(
     pairs = _Pairs(dual)
     slope = dual.slope(best)
     excesses, done = [best.excess], 0
-    while best.excess > enough and (done < most or _goes_on(excesses, most)):
+    while best.excess > enough and done < most:
         if notify is not None:
-            notify(min(done, most), best)
-        step = _step(dual, pairs, best, slope, most)
+            notify(done, best)
+        step = _step(dual, pairs, best, slope)
         if step is None:
             if pairs.empty:
                 break
@@ -80,28 +76,15 @@ def ascend(
     return best, done
 
 
-def _goes_on(excesses: list[float], most: int) -> bool:
-    """Return whether few steps, all taken, are followed by more."""
-    done = len(excesses) - 1
-    return most <= FEW_STEPS and 0 < done < LONGEST * most and excesses[-1] < (1.0 - LARGE_GAIN) * excesses[-2]
-
-
-def _step(dual: MapDual, pairs: _Pairs, best: Bound, slope: Floats, most: int) -> Bound | None:
+def _step(dual: MapDual, pairs: _Pairs, best: Bound, slope: Floats) -> Bound | None:
     """Return the bound after one step, or None where no length raises it."""
     trials, shorter = 6, 0.4  # lengths of a step that are tried, each so many times the one before
-    # The first step is this long, in units of what would bring a straight line to zero. Above so many points it is as
-    # long as the third number says: a parabola whose least excess is zero has it at 2, and a bound takes long. On a
-    # bunny of 35,000 vertices one step of that length leaves a gap of 0.083 of 0.357 %, one of half of it 0.172. Small
-    # meshes end farther above zero.
-    first, many_points, first_of_many = 0.4, 8_000, 2.0
+    first = 0.4  # length of the first step, in units of what would bring a straight line to zero
     direction = pairs.direction(slope)
     along = float(direction @ slope)
     if not along > 0.0:
         return None
-    length = 1.0
-    if pairs.empty:
-        many = most <= FEW_STEPS and len(slope) > many_points
-        length = (first_of_many if many else first) * best.excess / along
+    length = first * best.excess / along if pairs.empty else 1.0
     for _ in range(trials):
         raised = dual.bound(best.potential + length * direction)
         if raised.excess < best.excess:

@@ -146,8 +146,8 @@ def optimality(
         start: the x_i that are transported (the conformal or substitute start), in the same way.
         masses: the m_i, shape [V], positive; scaled to sum to 4π. The surface's areas around vertices by default.
         potential: ψ at the y_i, shape [V], radians²; estimated from the map by default.
-        ascent_steps: at most this many improvements of the potential; of up to three, three times as many while each
-            takes away a quarter of what is left. None where the first bound is below a twentieth of the cost.
+        ascent_steps: at most this many improvements of the potential; none where the first bound is below a twentieth
+            of the cost.
         enough: the gap at which the improvements end.
         curl: what :func:`map_curl` returned for this map and the squared cost, if that is known.
         device: where kernels run.
@@ -185,8 +185,7 @@ def map_optimality(
     Args:
         result: what :func:`omtwarp.map_to_sphere` or :meth:`omtwarp.MapResult.load` returned.
         stage: the final map (``sphere``), or ``moser`` or ``transported`` for the map of that stage.
-        ascent_steps: at most this many improvements of the potential; of up to three, three times as many while each
-            takes away a quarter of what is left.
+        ascent_steps: at most this many improvements of the potential.
         device: where kernels run.
         progress: called as ``progress("optimality", step, most steps, {"gap": gap})``.
 
