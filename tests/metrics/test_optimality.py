@@ -204,18 +204,18 @@ def test_segments_are_the_leaves_below_a_node_once(leaves):
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 10_000), count=st.integers(1, 70))
 def test_halves_of_the_order_in_space_are_apart(seed, count):
-    """Every node's first child lies below the second along the longest side of their bounding box."""
-    points = np.round(np.random.default_rng(seed).normal(size=(count, 3)), 1)
+    """The children of every full node are apart along some axis: that of the longest side where all nodes are full."""
+    points = np.random.default_rng(seed).normal(size=(count, 3))
     order = order_by_halves(points)
     assert sorted(order) == list(range(count))
-    size = 2
-    while size < 2 * count:
-        for first in range(0, count, size):
+    size, full = 2, count & (count - 1) == 0
+    while size <= count:
+        for first in range(0, count - size + 1, size):
             one, other = points[order[first : first + size // 2]], points[order[first + size // 2 : first + size]]
-            if len(other):
-                both = np.concatenate([one, other])
-                axis = np.ptp(both, axis=0).argmax()
-                assert one[:, axis].max() <= other[:, axis].min()
+            between = other.min(axis=0) - one.max(axis=0)
+            assert between.max() >= 0.0
+            if full:
+                assert between[np.ptp(points[order[first : first + size]], axis=0).argmax()] >= 0.0
         size *= 2
 
 
