@@ -131,7 +131,15 @@ def complete(given: PreviewOptions, function: str) -> PreviewOptions:
     options: PreviewOptions = {**PREVIEW_DEFAULTS, **given}
     options["backend"] = choose(Backend, options["backend"])
     options["size"] = checked_size(options["size"])
-    _check_film(options)
+    if options["frames"] is not None:
+        checked_rate(options["fps"])
+        width, height = options["size"]
+        frames = whole_number(options["frames"], "frames", least=1)
+        if frames > min(MOST_FRAMES, MOST_FILM_PIXELS // (width * height)):
+            raise OmtwarpError(
+                f"a film of {frames} frames of {width} x {height} pixels: {MOST_FRAMES} frames and "
+                f"{MOST_FILM_PIXELS / 1e6:.0f} million pixels in all is the most"
+            )
     samples = options["samples"]
     if samples is not None and not 1 <= int(samples) <= most_samples:
         raise OmtwarpError(f"{samples} samples along a pixel's side asked for: use 1 to {most_samples}")
@@ -174,18 +182,6 @@ def checked_rate(given: float) -> float:
     if not slowest <= real_number(given, "frames per second") <= fastest:
         raise OmtwarpError(f"{given} frames per second asked for: use {slowest:g} to {fastest:g}")
     return float(given)
-
-
-def _check_film(options: PreviewOptions) -> None:
-    if options["frames"] is None:
-        return
-    checked_rate(options["fps"])
-    width, height = options["size"]
-    if whole_number(options["frames"], "frames", least=1) > min(MOST_FRAMES, MOST_FILM_PIXELS // (width * height)):
-        raise OmtwarpError(
-            f"a film of {options['frames']} frames of {width} x {height} pixels: {MOST_FRAMES} frames and "
-            f"{MOST_FILM_PIXELS / 1e6:.0f} million pixels in all is the most"
-        )
 
 
 def cameras_of(options: PreviewOptions) -> list[Camera]:

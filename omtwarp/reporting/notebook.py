@@ -75,8 +75,9 @@ def to_pyvista(result: MapResult | TorusMap) -> pyvista.PolyData:
     except ImportError:
         raise OmtwarpError("PyVista is not installed: pip install 'omtwarp[viewers]'") from None
     mesh = pyvista.PolyData.from_regular_faces(np.asarray(result.vertices), np.asarray(result.faces))
-    for name, values in _maps(result).items():
-        mesh.point_data[name] = values
+    for name in ("sphere", "conformal", "moser", "transported", "coordinates"):
+        if (values := getattr(result, name, None)) is not None:
+            mesh.point_data[name] = np.array(values)
     for name, values in _distortions(result).items():
         mesh.cell_data[name] = values
     return mesh
@@ -103,11 +104,6 @@ def to_polyscope(result: MapResult | TorusMap, name: str = "surface") -> polysco
         for mesh in meshes:
             mesh.add_scalar_quantity(quantity, values, defined_on="faces", enabled=quantity == "area_ratio")
     return shown
-
-
-def _maps(result: MapResult | TorusMap) -> dict[str, np.ndarray]:
-    names = ("sphere", "conformal", "moser", "transported", "coordinates")
-    return {name: np.array(value) for name in names if (value := getattr(result, name, None)) is not None}
 
 
 def _distortions(result: MapResult | TorusMap) -> dict[str, np.ndarray]:

@@ -21,7 +21,7 @@ from omtwarp.options import PatternLike
 from omtwarp.render import Camera, ScalarField, SurfaceView, preview
 from omtwarp.render.subject import posed, torus_view
 from omtwarp.reporting import scene as views, sections
-from omtwarp.reporting.markup import Markup, data_uri, element, figure, html, join
+from omtwarp.reporting.markup import Markup, data_uri, element, figure, fill_page, html, join
 from omtwarp.reporting.scene import AREA_COLOURS, RANGE, Scene, make_scene
 from omtwarp.reporting.stages import TORUS, Stage, shown_history, shown_report, stages_of, view_on_domain
 from omtwarp.texturing import read_image
@@ -301,9 +301,7 @@ def _certificate(result: TorusMap) -> Markup:
     words = "The map is one to one" if result.certificate.bijective else "The map is not one to one"
     along = np.linalg.norm(result.lattice, axis=1)
     angle = np.degrees(np.arccos(np.clip(result.lattice[0] @ result.lattice[1] / along.prod(), -1.0, 1.0)))
-    torus = (
-        f"The torus repeats along vectors of length {along[0]:.6g} and {along[1]:.6g} at {angle:.2f} degrees; it has "
-        "the surface's area."
-    )
-    said = html("{}: {}, decided exactly in the universal cover.", words, result.certificate)
-    return sections.section("Certificate", said, element("p", torus))
+    return fill_page(
+        "torus_certificate.html", words=words, certificate=result.certificate, one=f"{along[0]:.6g}",
+        other=f"{along[1]:.6g}", angle=f"{angle:.2f}",
+    )  # fmt: skip

@@ -156,13 +156,10 @@ def _effect(study: GroupStudy, effect: Effect) -> list[Markup]:
         shown = -np.log10(values)
         drawn.append((f"-log10 of the {name}", ScalarField(shown, "magma", (0.0, max(2.0, float(shown.max()))))))
     figures = [_picture(study.mean, name, values, view=view) for name, values in drawn for view in ("front", "back")]
+    title = f"What goes with {effect.name}"
     if effect.levels:
-        last = effect.levels[-1]
-        title = f"Where {', '.join(effect.levels[:-1])} and {last} differ" + (
-            "" if effect.name == GROUP[0] else f" ({effect.name})"
-        )
-    else:
-        title = f"What goes with {effect.name}"
+        column = "" if effect.name == GROUP[0] else f" ({effect.name})"
+        title = f"Where {', '.join(effect.levels[:-1])} and {effect.levels[-1]} differ{column}"
     return [element("h2", title), element("p", words), pictures(figures)]
 
 

@@ -12,7 +12,6 @@ charts.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import partial, reduce
 from typing import TypeAlias, cast
@@ -32,7 +31,7 @@ from omtwarp.texturing import kernels
 from omtwarp.texturing.atlas import Atlas, Kind, check_size, make_atlas, normalised
 from omtwarp.texturing.export import Material, uv_of_corners
 from omtwarp.texturing.image import PictureLike, as_floats, read_image, with_opacity
-from omtwarp.texturing.patterns import Pattern, is_name, pattern
+from omtwarp.texturing.patterns import ValueSource, is_name, pattern
 from omtwarp.texturing.seams import Unwrapped, shares_of_corners, unwrap
 
 Picture = NDArray[np.float32]
@@ -44,17 +43,7 @@ PADDING = 16
 """Texels by which charts are continued beyond their borders: bilinear samples see them at the fifth mip level yet."""
 
 
-class ValueSource(ABC):
-    """Values of directions of any length, on a device."""
-
-    channels: int
-
-    @abstractmethod
-    def launch(self, directions: wp.array, out: wp.array) -> object:
-        """Write the values of directions, vec3d [N], to an array, float64 [N, channels]."""
-
-
-Source: TypeAlias = "ValueSource | Pattern | Callable[[Floats], ArrayLike] | PictureLike"
+Source: TypeAlias = "ValueSource | Callable[[Floats], ArrayLike] | PictureLike"
 """What can be baked: the name of a pattern, a pattern, a function of directions, or a picture."""
 
 
@@ -90,14 +79,14 @@ class _CallableSource(ValueSource):
         wp.copy(out, wp.array(np.ascontiguousarray(got), dtype=wp.float64, device=out.device), count=got.size)
 
 
-def source_of(given: Source, projection: str, device: wp.Device) -> ValueSource | Pattern:
+def source_of(given: Source, projection: str, device: wp.Device) -> ValueSource:
     """Convert anything that can be baked to a source of values for directions.
 
     Raises:
         OmtwarpError: an unknown projection, or a picture that cannot be read.
     """
     check_word("projection", projection, ProjectionName)
-    if isinstance(given, ValueSource | Pattern):
+    if isinstance(given, ValueSource):
         return given
     if is_name(given):
         return pattern(given)
@@ -124,7 +113,7 @@ def bake(
     """Bake a function on the sphere into the picture of an atlas.
 
     Args:
-        source: name of a pattern, :class:`Pattern`, picture (path, PIL image, array), or callable from unit vectors
+        source: name of a pattern, :class:`~omtwarp.texturing.patterns.Pattern`, picture (path, PIL image, array), or callable from unit vectors
             [N, 3] to values [N] or [N, C].
         atlas: ``equirectangular``, ``cube`` or ``octahedral``, or an :class:`~omtwarp.texturing.atlas.Atlas`.
         size: width in texels (equirectangular: or width, height) where the atlas is given by name.
@@ -205,7 +194,7 @@ def supersampled(texels: Ints, samples: int, evaluate: Evaluate, width: int, pic
         fill(texels[flags.ravel()[texels]], samples, evaluate, picture)
 
 
-def bake_texels(texels: Ints, given: ValueSource | Pattern, look: Look, samples: int, picture: wp.array) -> NDArray:
+def bake_texels(texels: Ints, given: ValueSource, look: Look, samples: int, picture: wp.array) -> NDArray:
     """Bake texels of an atlas's picture [texels, C]; return the whole of it, shape [H, W, C]."""
 
     def evaluate(some: wp.array, count: int, values: wp.array) -> None:
@@ -306,8 +295,9 @@ class Layout:
 
     def __init__(self, corner_uv: Floats, width: int, height: int, where: wp.Device, padding: int = -1):
         self.width, self.height, self.where = width, height, where
-        self._picture: list[object] = [0, wp.float64(0.0), wp.float64(0.0)]
-        self._points = wp.empty((0, 3), dtype=wp.vec3d, device=where)
+        # Of an atlas by whose directions samples are located: its kind and parameters, and the corners' chord points.
+        self.on_sphere: list[object] = [0, wp.float64(0.0), wp.float64(0.0)]
+        self.chords = wp.empty((0, 3), dtype=wp.vec3d, device=where)
         self.corners = in_texels(corner_uv, width, height, where)
         # Texels around the charts in which the function itself is continued, for filtering
         ring_width = 1.5 if padding < 0 else min(1.5, float(padding))
@@ -323,7 +313,7 @@ class Layout:
 
     def interpolate(self, values: wp.array, texels: wp.array, samples: int, out: wp.array) -> None:
         """Interpolate values at corners [F, 3, C] at the samples of texels, into ``out`` [texels * samples², C]."""
-        known = [*self._picture, self.corners, self._points, values, self.owner, texels]
+        known = [*self.on_sphere, self.corners, self.chords, values, self.owner, texels]
         wp.launch(
             kernels.owner_values,
             dim=len(texels) * samples**2,
@@ -331,20 +321,12 @@ class Layout:
             device=self.where,
         )
 
-    def look_up(
-        self, source: ValueSource | Pattern, corners: wp.array, texels: wp.array, samples: int, out: wp.array
-    ) -> None:
+    def look_up(self, source: ValueSource, corners: wp.array, texels: wp.array, samples: int, out: wp.array) -> None:
         """Write a source's values at vectors that are interpolated between those at corners, shape [F, 3, 3]."""
         vectors = wp.empty(len(out), dtype=wp.vec3d, device=self.where)
         rows = wp.array(ptr=vectors.ptr, shape=(len(out), 3), dtype=wp.float64, device=self.where)
         self.interpolate(corners, texels, samples, rows)
         source.launch(vectors, out)
-
-    def show_sphere(self, atlas: Atlas, chords: Floats) -> None:
-        """Locate samples by the directions of an atlas from now on; ``chords`` are the corners, [F, 3, 3]."""
-        offset, gutter = atlas.parameters
-        self._picture = [atlas.kind, wp.float64(offset), wp.float64(gutter)]
-        self._points = wp.array(np.ascontiguousarray(chords), dtype=wp.vec3d, device=self.where)
 
     def dilate(self, picture: wp.array, rings: int) -> Picture:
         """Fill the texels up to some rings around the owned ones with the nearest of these, all of them with -1."""
@@ -488,7 +470,8 @@ def sphere_layout(
         corner_uv = np.concatenate([corner_uv, np.stack([over_a, a, b], 1), np.stack([over_a, b, over_b], 1)])
         part = np.concatenate([part, at, at])
     layout = Layout(corner_uv, atlas.width, atlas.height, where)
-    layout.show_sphere(atlas, chords[part])
+    layout.on_sphere = [atlas.kind, *map(wp.float64, atlas.parameters)]
+    layout.chords = sent(chords[part], wp.vec3d, where)
     return layout, part
 
 

@@ -58,7 +58,17 @@ def srgb_colours(*names: str) -> Floats:
     return np.array([[int(name[k : k + 2], 16) for k in (1, 3, 5)] for name in names]) / 255.0
 
 
-class Pattern(ABC):
+class ValueSource(ABC):
+    """Values of directions of any length, on a device."""
+
+    channels: int
+
+    @abstractmethod
+    def launch(self, directions: wp.array, out: wp.array) -> object:
+        """Write the values of directions, vec3d [N], to an array, float64 [N, channels]."""
+
+
+class Pattern(ValueSource):
     """A colour for every direction on the sphere.
 
     Attributes:
