@@ -113,8 +113,8 @@ def bake(
     """Bake a function on the sphere into the picture of an atlas.
 
     Args:
-        source: name of a pattern, :class:`~omtwarp.texturing.patterns.Pattern`, picture (path, PIL image, array), or callable from unit vectors
-            [N, 3] to values [N] or [N, C].
+        source: name of a pattern, :class:`~omtwarp.texturing.patterns.Pattern`, picture (path, PIL image, array), or
+            callable from unit vectors [N, 3] to values [N] or [N, C].
         atlas: ``equirectangular``, ``cube`` or ``octahedral``, or an :class:`~omtwarp.texturing.atlas.Atlas`.
         size: width in texels (equirectangular: or width, height) where the atlas is given by name.
         projection: of a picture given as source.
