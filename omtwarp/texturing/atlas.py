@@ -124,24 +124,17 @@ class Atlas(ABC):
     @property
     def texels(self) -> Ints:
         """Numbers of the texels that charts and gutters cover, row by row."""
-        if self.filled:
-            return np.arange(self.width * self.height, dtype=np.int32)
         return np.flatnonzero(np.arange(self.width) < self.row_lengths[:, None]).astype(np.int32)
 
     def fill_empty(self, picture: NDArray[np.generic]) -> None:
         """Fill the texels of a picture [H, W, C] that no chart covers with the mean colour of the others."""
-        lengths = self.row_lengths
         if self.filled:
             return
+        empty = np.arange(self.width) >= self.row_lengths[:, None]
         # Mean samples: texels along a side that the mean colour of a picture is taken from
         step = max(self.width // 256, 1)
-        inside = np.arange(0, self.width, step) < lengths[::step, None]
-        mean = picture[::step, ::step][inside].mean(axis=0, dtype=np.float64)
-        if picture.dtype == np.uint8:
-            mean = np.rint(mean)
-        starts = np.flatnonzero(np.diff(lengths, prepend=-1))
-        for first, end in zip(starts, [*starts[1:], self.height], strict=True):
-            picture[first:end, lengths[first] :] = mean
+        mean = picture[::step, ::step][~empty[::step, ::step]].mean(axis=0, dtype=np.float64)
+        picture[empty] = np.rint(mean) if picture.dtype == np.uint8 else mean
 
     @abstractmethod
     def charts(self, directions: Floats) -> Ints:
