@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias, TypeVar, cast
+from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 import omtwarp
 from omtwarp.commands._options import Printing, Source
@@ -39,9 +39,8 @@ def facts_of(result: AnyMap, output: Path, report: Path | None = None) -> dict:
     stages, certificate = result.report["stages"], result.certificate
     last = stages[-1]
     # Of parts mapped each by itself, the figure of the part that has the largest is told.
-    whole = cast("MapReport", result.report)
-    parts = whole.get("parts", [])
-    reports = [whole, *parts]
+    parts = result.report.get("parts", [])
+    reports: list[MapReport] = [result.report, *parts]
     errors = [stage.get("largest_area_error") for each in reports for stage in each["stages"]]
     apart = getattr(result, "cap_centres", None) is None  # not side by side on one sphere
     gaps = [each.get("optimality", {}).get("gap") for each in reports]  # the bound is on squared distances only

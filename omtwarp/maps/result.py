@@ -24,7 +24,7 @@ from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.mesh.validate import Topology
 from omtwarp.metrics.certificate import Certificate, certify_triangles
-from omtwarp.metrics.distortion import Distortion, measure_in_plane, measure_triangles
+from omtwarp.metrics.distortion import Aggregates, Distortion, measure_in_plane, measure_triangles
 from omtwarp.options import ChosenOptions, Domain, Record
 from omtwarp.topology.kind import boundary_half_edges
 
@@ -36,7 +36,7 @@ OF_TORUS_MAPS = ("wraps", "coordinates", "lattice")
 OF_MAPS = ("sphere", "conformal", *OF_TORUS_MAPS)
 
 
-class StageReport(TypedDict, total=False):
+class StageReport(Aggregates, total=False):
     """A stage in a report: its time, its steps, the quality of its map, and what else is known of it.
 
     Attributes:
@@ -54,11 +54,6 @@ class StageReport(TypedDict, total=False):
     name: str
     seconds: float
     iterations: int
-    flips: int
-    degree: float
-    finite: bool
-    area: dict[str, float]
-    angle: dict[str, float]
     transport_cost: float
     repaired: int
     converged: bool

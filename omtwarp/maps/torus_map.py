@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TypedDict, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,24 +13,18 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import flipped_faces
 from omtwarp.maps import result
-from omtwarp.maps.result import MapResult, MeshReport, StageReport, StoredMap
+from omtwarp.maps.result import MapReport, MapResult, StoredMap
 from omtwarp.mesh.arrays import Floats, Ints
 from omtwarp.mesh.surface import plane_areas
 from omtwarp.metrics.distortion import Distortion, measure_corners
 from omtwarp.options import Record
 
 
-class TorusReport(TypedDict, total=False):
-    """How a map to a torus was made, as plain values ready for JSON."""
+class TorusReport(MapReport, total=False):
+    """How a map to a torus was made, as plain values ready for JSON, and the unit of its coordinates."""
 
     domain: str
-    mesh: MeshReport
-    structure: str
     quantum: float
-    seconds: float
-    stages: list[StageReport]
-    certificate: dict[str, int | bool]
-    optimality: dict[str, float | None]
 
 
 @dataclass(frozen=True)

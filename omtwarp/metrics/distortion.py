@@ -69,7 +69,7 @@ def triangle_distortion(
     solid[f] = solid_angle(a, b, c)
 
 
-class Aggregates(TypedDict):
+class Aggregates(TypedDict, total=False):
     """The fields of :class:`Distortion` other than its arrays."""
 
     flips: int
