@@ -177,8 +177,7 @@ def _read_gifti(path: Path) -> VertexData:
     if labels:
         table = {}
         for label in image.labeltable.labels:
-            parts = (label.red, label.green, label.blue, label.alpha)
-            red, green, blue, alpha = (1.0 if part is None else float(part) for part in parts)
+            red, green, blue, alpha = (1.0 if part is None else float(part) for part in label.rgba)
             table[int(label.key)] = (label.label or str(label.key), (red, green, blue, alpha))
     meta = dict(image.meta)
     structure = meta.get("AnatomicalStructurePrimary")
@@ -347,10 +346,9 @@ def _write_annot(file: Path, data: VertexData) -> None:
     assert data.table is not None
     keys = [key for key in sorted(data.table) if key >= 0]
     places = np.full(len(data.values), -1, dtype=np.int64)
-    for place, key in enumerate(keys):
-        places[data.values[:, 0] == key] = place
     colors = np.zeros((len(keys), 4), dtype=np.int64)
     for place, key in enumerate(keys):
+        places[data.values[:, 0] == key] = place
         red, green, blue, alpha = (round(255.0 * part) for part in data.table[key][1])
         colors[place] = red, green, blue, 255 - alpha
     # FreeSurfer identifies labels by their colours: two labels of one colour would become one.

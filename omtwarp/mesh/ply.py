@@ -41,7 +41,7 @@ class _Element:
 
     name: str
     count: int
-    properties: tuple[_Property, ...]
+    properties: list[_Property]
 
 
 def read_ply(data: bytes) -> tuple[Floats, NDArray[np.generic], NDArray[np.int64], list[str]]:
@@ -123,10 +123,9 @@ def _header(data: bytes) -> tuple[list[_Element], str | None, bytes]:
         if words[0] == "format" and len(words) > 1:
             order = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}[words[1]]
         elif words[0] == "element" and len(words) == 3 and words[2].isdecimal():
-            elements.append(_Element(words[1], int(words[2]), ()))
+            elements.append(_Element(words[1], int(words[2]), []))
         elif words[0] == "property" and elements and len(words) in (3, 5):
-            last = elements[-1]
-            elements[-1] = _Element(last.name, last.count, (*last.properties, _property(words[1:])))
+            elements[-1].properties.append(_property(words[1:]))
         else:
             raise ValueError(f"its header says '{line[:60]}'")
     if order == "":
@@ -200,7 +199,7 @@ def _text_columns(body: bytes, elements: list[_Element]) -> dict[str, dict[str, 
     doubles = []
     for element in elements:
         properties = [_Property(part.name, "f8", part.length and "f8") for part in element.properties]
-        doubles.append(_Element(element.name, element.count, tuple(properties)))
+        doubles.append(_Element(element.name, element.count, properties))
     return _columns(numbers.tobytes(), doubles, "=", ("numbers", numbers.itemsize))
 
 

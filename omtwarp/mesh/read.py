@@ -171,17 +171,14 @@ def utf8(data: bytes) -> bytes:
 
 def _read_off(data: bytes) -> Triangles:
     """Read the Object File Format by its lines; values after coordinates and corners, such as colours, are ignored."""
-    lines = [line.split() for line in re.sub(rb"#[^\n]*", b"", utf8(data)).replace(b"\r", b"\n").split(b"\n")]
-    lines = [line for line in lines if line]
-    if lines:
-        lines[0][0] = re.sub(rb"^(ST|C|N|4|n)*OFF", b"", lines[0][0])  # the counts may follow it, even without a space
-        lines[0] = [word for word in lines[0] if word]
-        lines = lines if lines[0] else lines[1:]
+    text = re.sub(rb"#[^\n]*", b"", utf8(data)).replace(b"\r", b"\n")
+    text = re.sub(rb"^\s*(ST|C|N|4|n)*OFF", b"", text)  # the counts may follow it, even without a space
+    lines = [words for line in text.split(b"\n") if (words := line.split())]
     vertex_count, face_count = (int(word) for word in lines[0][:2])
+    announced = f"{vertex_count} vertices and {face_count} faces announced"
     if vertex_count < 0 or face_count < 0:
-        raise OmtwarpError(f"damaged: {vertex_count} vertices and {face_count} faces announced")
+        raise OmtwarpError(f"damaged: {announced}")
     if len(lines) < 1 + vertex_count + face_count:
-        announced = f"{vertex_count} vertices and {face_count} faces announced"
         raise OmtwarpError(f"cut short: {announced}, {len(lines) - 1} lines there")
     vertices = np.array([line[:3] for line in lines[1 : 1 + vertex_count]], dtype=np.float64)
     rows = lines[1 + vertex_count : 1 + vertex_count + face_count]

@@ -290,8 +290,6 @@ class _Work:
         """
         valid: NDArray[np.bool_] = np.all((faces >= 0) & (faces < len(points)), axis=1)
         valid[np.flatnonzero(valid)] = np.isfinite(points[faces[valid]]).all(axis=(1, 2))
-        if not valid.any():
-            return
         corners = points[faces[valid]] / np.abs(points[faces[valid]]).max(initial=TINY)
         areas = np.zeros(len(faces))
         areas[valid] = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)

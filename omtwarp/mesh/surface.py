@@ -17,7 +17,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.mesh import arrays
 from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints, real_numbers, whole_numbers
 from omtwarp.mesh.origins import Origins
-from omtwarp.mesh.validate import MeshLike, mesh_arrays, require_valid
+from omtwarp.mesh.validate import MeshLike, mesh_arrays, require_valid, unit_coordinates
 
 Kind = TypeVar("Kind")
 SPHERE_AREA = 4.0 * np.pi
@@ -115,9 +115,7 @@ class Surface:
     @cached_property
     def scaled_vertices(self) -> Floats:
         """Vertices moved to their bounding box's centre and scaled so that the surface's area is 4π, shape [V, 3]."""
-        low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
-        # Dividing by the extent first keeps the squares below in range at any scale of the input.
-        unit = (self.vertices - (low / 2 + high / 2)) / max(float((high / 2 - low / 2).max()), np.finfo(float).tiny)
+        unit = unit_coordinates(self.vertices)  # whose squares are in range at any scale of the input
         area = triangle_areas(unit, self.faces).sum()
         return unit * np.sqrt(SPHERE_AREA / area)
 

@@ -72,8 +72,8 @@ def mesh_arrays(mesh: MeshLike | ArrayLike, faces: ArrayLike | None = None) -> t
         given = cast("HasTriangles", mesh)
         return given.vertices, given.faces
     except AttributeError:
-        pass
-    raise OmtwarpError(f"expected a trimesh.Trimesh or (vertices, faces), got {type(mesh).__name__}")
+        words = f"expected a trimesh.Trimesh or (vertices, faces), got {type(mesh).__name__}"
+        raise OmtwarpError(words) from None
 
 
 def check(mesh: MeshLike | ArrayLike, faces: ArrayLike | None = None) -> list[Defect]:
