@@ -8,7 +8,6 @@ import threading
 from collections.abc import Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
-from typing import Protocol
 
 from omtwarp.cohort.item import CRASHED, MEMORY, TIMEOUT, Job, Row, read_record, settle
 from omtwarp.errors import OmtwarpError
@@ -16,14 +15,6 @@ from omtwarp.files.interruptions import interpreter, safe_paths
 from omtwarp.files.output import make_folder
 
 ATTEMPTS = 2  # an item whose process was killed from outside is tried once more
-
-
-class Executor(Protocol):
-    """The interface of executors, which compute the items of a cohort."""
-
-    def records(self, jobs: Sequence[Job]) -> Generator[Row, None, None]:
-        """Yield the records of all jobs, in the order in which these finish; closing it ends what is at work."""
-        ...
 
 
 class Stopped(Exception):
@@ -143,6 +134,7 @@ class LocalPool:
         self._workers = workers
 
     def records(self, jobs: Sequence[Job]) -> Generator[Row, None, None]:
+        """Yield the records of all jobs, in the order in which these finish; closing it ends what is at work."""
         hosts: list[Host] = []
 
         def begin() -> None:
@@ -278,7 +270,7 @@ class SubmititArray:
                 yield settle(job, CRASHED, f"its job {task.job_id} ended: {failed}")
 
 
-def executor_for(name: str, folder: Path, workers: int) -> Executor:
+def executor_for(name: str, folder: Path, workers: int) -> LocalPool | DaskCluster | SubmititArray:
     """Return the executor of a name: ``local``, ``dask``, ``dask:ADDRESS``, ``slurm`` or ``submitit-local``.
 
     Raises:

@@ -1,4 +1,4 @@
-"""A process with all modules loaded that forks for every item: ``python -m omtwarp.cohort.host``.
+"""A process with all modules loaded that forks for every item.
 
 Loading Warp and the kernels takes seconds, a fork milliseconds. Jobs are lines on standard input, and the answer to
 each is a line of JSON: its exit status, and whether it exceeded its time. When standard input ends, because the driver
@@ -219,7 +219,3 @@ def _work(job: Job, host: int) -> None:
         status = 0
     finally:
         os._exit(status)
-
-
-if __name__ == "__main__":
-    main()

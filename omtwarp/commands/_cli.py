@@ -223,7 +223,3 @@ def main(arguments: list[str] | None = None) -> None:
 def _fail(message: str) -> None:
     say(f"error: {message}")
     sys.exit(1)
-
-
-if __name__ == "__main__":
-    main()
