@@ -88,12 +88,7 @@ class TextureFormat(StrEnum):
 class Domain(StrEnum):
     """The domain of a map; ``auto`` is the sphere for closed surfaces and the hemisphere for those with one hole."""
 
-    AUTO = "auto"
-    SPHERE = "sphere"
-    HEMISPHERE = "hemisphere"
-    DISK = "disk"
-    CAP = "cap"
-    TORUS = "torus"
+    AUTO, SPHERE, HEMISPHERE, DISK, CAP, TORUS = "auto", "sphere", "hemisphere", "disk", "cap", "torus"
 
 
 class FillArea(StrEnum):
