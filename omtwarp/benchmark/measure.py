@@ -171,7 +171,8 @@ def markdown(result: Facts) -> str:
     parts = [_machine(result["machine"], result["settings"]), MAPS, maps_table(result)]
     parts += [_kernels(table) for table in result.get("kernels", [])]
     if "first_use" in result:
-        parts.append(_first_use(result["first_use"]))
+        rows = [[device, *(_number(one[key]) for key in FIRST_USE)] for device, one in result["first_use"].items()]
+        parts += ["First use:", table(["device", *(f"{words}, s" for words in FIRST_USE.values())], rows)]
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
@@ -227,12 +228,6 @@ def _kernels(kernels: Facts) -> str:
         f"{kernels['bandwidth'] / 1e9:.0f} GB/s there:"
     )
     return head + "\n\n" + table(["kernel", "launches", "ms", "MB moved", "GB/s", "of a copy"], rows)
-
-
-def _first_use(first: dict[str, dict[str, float]]) -> str:
-    rows = [[device, *(_number(one[key]) for key in FIRST_USE)] for device, one in first.items()]
-    heads = ["device", *(f"{words}, s" for words in FIRST_USE.values())]
-    return "First use:\n\n" + table(heads, rows)
 
 
 # Kernels that work through a list whose length only the device knows: next to nothing, and counted as nothing.

@@ -135,7 +135,8 @@ def map_surface(
     """
     domain, fill_area = choose(Domain, domain), choose(FillArea, fill_area)
     chosen = MapOptions.parse(**options)
-    along = _loops_to_cut(cut, cut_along)
+    loops = choose(CutAlong, cut_along)
+    along = loops if cut else None
     vertices, faces = mesh_arrays(mesh)
     parts, of_file = parts_of(vertices, faces), mesh.origins if isinstance(mesh, Surface) else None
     together = together and len(parts) > 1
@@ -172,12 +173,6 @@ def _in_file(result: MapResult | TorusMap, of_file: Origins | None, count: int) 
         count = of_file.given or count
     result.report["mesh"]["input_vertices"] = count
     return result
-
-
-def _loops_to_cut(cut: bool, cut_along: str) -> CutAlong | None:
-    """Return the loops that handles are cut along; None where they are not to be cut."""
-    along = choose(CutAlong, cut_along)
-    return along if cut else None
 
 
 def _check_domain(domain: Domain, parts: list[Part], components: bool, together: bool, along: CutAlong | None) -> None:

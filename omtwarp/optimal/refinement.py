@@ -276,10 +276,6 @@ class _Refinement:
         least = min(weight, of_triangles)
         return self.minimised(sphere, least, of_rings=weight - least)
 
-    def by_triangles(self, sphere: NDArray[np.float64], weight: float) -> RefineResult:
-        """Minimise the distortion with the whole weight on the areas of triangles, none on those around vertices."""
-        return self.minimised(sphere, weight)
-
     def towards_area(self, sphere: NDArray[np.float64]) -> RefineResult:
         """Refine at the weight of ``area``, with more of it on triangles where their areas would become worse."""
         largest = LOST_AREA * self.excess(sphere)
@@ -299,7 +295,7 @@ class _Refinement:
         least = LEAST_WEIGHT
         best = refine(sphere, MOST_WEIGHT)
         if self.area(best) > area:
-            refine, least = self.by_triangles, AREA_WEIGHT
+            refine, least = self.minimised, AREA_WEIGHT  # none of the weight on areas around vertices
             best = refine(best.sphere, MOST_WEIGHT)
             if self.area(best) > area:
                 return replace(best, converged=False)
