@@ -45,8 +45,7 @@ def split_chords(vertices: Floats, faces: NDArray, loop: NDArray[np.int64] | Non
     on_boundary = np.zeros(count, dtype=bool)
     on_boundary[half if loop is None else loop] = True
     tail, head = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
-    low, high = np.minimum(tail, head), np.maximum(tail, head)
-    keys = low * count + high
+    keys = edge_keys(np.stack([tail, head], axis=1), count)
     chord = on_boundary[tail] & on_boundary[head] & ~np.isin(keys, edge_keys(half, count))
     split = np.unique(keys[chord])
     return split_at(vertices, triangles, np.stack([split // count, split % count], axis=1))
@@ -156,8 +155,7 @@ def quartered_double(whole: Double, quartered: QuarteredSurface) -> Double:
         quartered: the same with every triangle cut into four, the surface's own first.
     """
     count, ends = len(whole.mirror), quartered.ends.astype(np.int64)
-    images = np.sort(whole.mirror[ends], axis=1)
-    keys, wanted = edge_keys(ends, count), images[:, 0] * count + images[:, 1]
+    keys, wanted = edge_keys(ends, count), edge_keys(whole.mirror[ends], count)
     order = np.argsort(keys)
     image = order[np.searchsorted(keys, wanted, sorter=order)]
     own = np.zeros(len(ends), dtype=bool)
