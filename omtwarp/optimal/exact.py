@@ -128,9 +128,7 @@ def exact_map(
     *,
     start: ArrayLike,
     shape_weight: float = SHAPE_WEIGHT,
-    multipliers: ArrayLike | None = None,
     iterations: int = ITERATIONS,
-    gain: float = CELL_GAIN,
     cost: str = Cost.SQUARED,
     domain: Sphere | None = None,
     device: str | None = "auto",
@@ -143,9 +141,7 @@ def exact_map(
         sphere: a map without flips to begin with, unit vectors, shape [V, 3].
         start: the points x that are transported, unit vectors, shape [V, 3].
         shape_weight: weight of angle and area distortion of the parts relative to the mean squared distance.
-        multipliers: initial multipliers, shape [F], such as those of a map with another shape weight.
         iterations: largest number of steps with each weight of area errors.
-        gain: end where the expected gain of a step falls below this share of the cost, and areas are kept to 1e-6.
         cost, domain: as of :func:`omtwarp.optimal_map`.
         device: where the kernels run.
         progress: called after every step as ``progress("omt", step, most, record)``.
@@ -161,30 +157,22 @@ def exact_map(
     soft = softness(quartered.surface.vertex_areas, given, x, cost)
     moved, cells = vectors(x, where), TriangleCells(quartered, where)
     energy = energy_on_sphere(quartered.surface, moved, where, shape_weight, domain=domain, cells=cells, softness=soft)
-    return minimise_cells(energy, given, multipliers=multipliers, gain=gain, iterations=iterations, progress=progress)
+    return minimise_cells(energy, given, iterations, progress)
 
 
-def minimise_cells(
-    energy: TransportEnergy,
-    points: Numbers,
-    *,
-    multipliers: ArrayLike | None = None,
-    gain: float,
-    iterations: int,
-    progress: Progress | None,
-) -> OptimalMap:
+def minimise_cells(energy: TransportEnergy, points: Numbers, iterations: int, progress: Progress | None) -> OptimalMap:
     """Minimise an energy of cells, then correct their areas to 1e-6; arguments and result as of :func:`exact_map`."""
     history: list[Record] = []
+    multipliers: Numbers | None = None
     rms, _ = energy.area_errors(energy.terms(energy.domain.sent(points)))
-    far = multipliers is None and rms > MAX_START_RMS
-    for penalty in GROWING_PENALTIES if far else GROWING_PENALTIES[-1:]:
+    for penalty in GROWING_PENALTIES if rms > MAX_START_RMS else GROWING_PENALTIES[-1:]:
         steps = iterations if penalty == PENALTY else STEPS_OF_ROUND
         found = minimise(
             energy,
             points,
             area_penalty=penalty,
             multipliers=multipliers,
-            gain=gain,
+            gain=CELL_GAIN,
             iterations=min(steps, iterations),
             progress=progress,
         )

@@ -227,17 +227,12 @@ def mesh_factor(
     return MultifrontalCholesky(dissection(), block, workspace=workspace)
 
 
-def surface_factor(
-    surface: Surface,
-    block: int = 1,
-    workspace: Workspace | None = None,
-    edges: NDArray[np.int32] | None = None,
-) -> MeshFactor:
+def surface_factor(surface: Surface, block: int = 1, edges: NDArray[np.int32] | None = None) -> MeshFactor:
     """Factorise a matrix on the edges of a surface, which keeps the order of elimination.
 
     Args:
         surface: closed, V vertices.
-        block, workspace: as of :func:`mesh_factor`.
+        block: as of :func:`mesh_factor`.
         edges: those of its intrinsic Delaunay triangulation, in place of its own.
     """
 
@@ -248,7 +243,7 @@ def surface_factor(
 
     if solves_with_cudss():
         return CudssFactor(order(), block)
-    return mesh_factor(surface.vertex_count, surface.edges if edges is None else edges, order, block, workspace)
+    return mesh_factor(surface.vertex_count, surface.edges if edges is None else edges, order, block)
 
 
 def surface_saddle_factor(surface: Surface, workspace: Workspace | None = None) -> SaddlePointFactor:
