@@ -4,7 +4,7 @@
     python3 run.py demo [options]     map, texture and draw a shape made by the package itself; figures in out/
     python3 run.py test [options]     lint, type check and test; options go to pytest
     python3 run.py gpu [options]      try an NVIDIA card: tests, agreement with the CPU, times; a page in out/gpu
-    python3 run.py COMMAND ...        any other command of omtwarp: map, texture, preview, check, benchmark, ...
+    python3 run.py COMMAND ...        any other command of omtwarp: map, texture, preview, check, report, ...
 
 The first call makes a virtual environment in .venv, installs the package there and sees to the software OpenGL that the
 previews use; later calls only run. On Debian and Ubuntu missing system packages are installed with apt where that is

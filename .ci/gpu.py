@@ -21,8 +21,11 @@ from pathlib import Path
 
 import numpy as np
 
-from omtwarp.benchmark.measure import best_of, copy_bandwidth, kernel_table
-from omtwarp.benchmark.runner import made
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
+
+from benchmark import made
+from benchmark_measure import best_of, copy_bandwidth, kernel_table
+
 from omtwarp.device import core_count
 from omtwarp.device.policy import is_cuda, resolve_device
 from omtwarp.device.prewarm import prewarm

@@ -10,7 +10,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from omtwarp.benchmark import markdown, run
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
+
+from benchmark import markdown, run
 
 PAGE = Path(__file__).with_name("performance.md")
 FIGURES = re.compile(r"(?<=<!-- figures -->\n).*(?=<!-- end of figures -->)", re.S)

@@ -21,7 +21,6 @@ from omtwarp.maps import Displayable as _Displayable
 
 if TYPE_CHECKING:
     __version__: str
-    from omtwarp import benchmark as benchmark
     from omtwarp.alignment import align as align
     from omtwarp.baselines import barycentric_map as barycentric_map
     from omtwarp.conformal import (

@@ -322,6 +322,6 @@ def test_figures_of_the_page_on_performance_are_written_by_its_command():
 
 
 def test_modules_named_with_the_package_need_no_import_of_their_own():
-    code = "import omtwarp; assert callable(omtwarp.benchmark.run) and callable(omtwarp.shapes.blob)"
+    code = "import omtwarp; assert callable(omtwarp.shapes.blob)"
     done = quietly([sys.executable, "-c", code])
     assert done.returncode == 0, done.stderr

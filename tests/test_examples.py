@@ -19,6 +19,7 @@ ROOT = Path(__file__).parent.parent
 SCRIPTS = sorted((ROOT / "examples").glob("*.py"))
 # Those with arguments, so that they take seconds; without any they do the same on more.
 ARGUMENTS = {
+    "benchmark.py": ["--sizes", "400", "--repeats", "1", "--device", "cpu"],
     "compare_disks.py": ["--heights", "3/4"],
     "cut_by_planes.py": ["--heights", "1/2", "--exact"],
     "hard_shapes.py": ["--rounds", "2", "--frequency", "4"],

@@ -42,14 +42,13 @@ SUMMARIES = {
     "distance": "Measure the distance of two shapes from their maps.",
     "group": "Compute mean, components and differences of a group of maps.",
     "demo": "Make a shape, map it, texture it and draw it.",
-    "benchmark": "Time every stage and its memory on meshes of several sizes.",
 }
 """One line about every command, short enough for a terminal of 80 columns; see :func:`function_of`."""
 
 GROUPS = {
     "Input": (
         "finished", "map_of_source", "map_of_target", "surface", "to_surface", "data", "labels", "feature",
-        "to_feature", "landmarks", "sizes", "shapes", "subdivisions", "faces", "smoothing", "covariate",
+        "to_feature", "landmarks", "faces", "smoothing", "covariate",
     ),
     "Output": (
         "output", "report", "json_output", "as_json", "quiet", "verbose", "title", "beside", "radius", "sphere",
@@ -77,7 +76,7 @@ GROUPS = {
     ),
     "Computation": (
         "device", "devices", "solver", "repair", "strict", "executor", "workers", "shard", "time_limit", "memory_limit",
-        "retry", "collect", "repeats", "kernels", "cold",
+        "retry", "collect",
     ),
 }  # fmt: skip
 """Options by the heading that help shows them under; others are shown last."""

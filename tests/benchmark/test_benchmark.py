@@ -2,14 +2,18 @@
 
 import json
 import math
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from omtwarp.benchmark import markdown, run, runner
-from omtwarp.benchmark.measure import (
+sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))
+
+import benchmark
+from benchmark import label, made, main, markdown, parse_sizes, reference_system, run
+from benchmark_measure import (
     LISTED,
     PeakMemory,
     copy_bandwidth,
@@ -19,8 +23,7 @@ from omtwarp.benchmark.measure import (
     splu_reference,
     table,
 )
-from omtwarp.benchmark.runner import label, made, reference_system
-from omtwarp.commands.benchmark import parse_sizes
+
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import cotangent_laplacian
@@ -89,7 +92,7 @@ def test_the_reference_is_a_factorisation_of_the_same_laplacian():
 
 
 def test_a_clock_that_counted_nothing_gives_no_ratio(monkeypatch):
-    monkeypatch.setattr(runner, "splu_reference", lambda *_: (1e-3, 0.0))
+    monkeypatch.setattr(benchmark, "splu_reference", lambda *_: (1e-3, 0.0))
     ball = icosphere(2)
     (mesh,) = run(sizes=(), meshes=[(ball.vertices, ball.faces)], repeats=1)["meshes"]
     assert mesh["runs"][0]["cpu_ratio"] is None and mesh["runs"][0]["ratio"] > 0.0
@@ -155,9 +158,9 @@ def test_peak_memory_sees_what_was_there_for_a_moment():
 @pytest.mark.parametrize(("marks", "peak"), [((100, 150), 150), ((150, 150), None), ((0, 0), None)])
 def test_the_mark_of_a_memory_pool_counts_for_the_map_that_raises_it(monkeypatch, marks, peak):
     found = iter(marks)
-    monkeypatch.setattr(runner, "most_used", lambda device: next(found))
+    monkeypatch.setattr(benchmark, "most_used", lambda device: next(found))
     surface = icosphere(2)
-    assert runner.measure_map(surface, "cpu", None)["device_bytes"] == peak
+    assert benchmark.measure_map(surface, "cpu", None)["device_bytes"] == peak
 
 
 @pytest.mark.parametrize("shape", ["blob", "creature", "sphere"])
@@ -178,7 +181,7 @@ def test_first_use_runs_in_processes_of_its_own(monkeypatch):
         commands.append((tuple(arguments), environment.get("WARP_CACHE_PATH")))
         return float(len(commands)), 0.5
 
-    monkeypatch.setattr("omtwarp.benchmark.measure._run", fake)
+    monkeypatch.setattr("benchmark_measure._run", fake)
     measured = first_use("cpu")
     assert measured["compile_seconds"] == 1.0 and measured["load_seconds"] == 2.0
     assert commands[0][0] == commands[1][0]
@@ -193,13 +196,12 @@ def test_labels_sizes_and_tables():
     assert table(["a", "b"], [["1", "2"]]) == "| a | b |\n|:--|--:|\n| 1 | 2 |"
 
 
-def test_the_command_writes_both_files(tmp_path):
-    from omtwarp.commands._cli import app_of
-
+def test_the_command_writes_both_files(tmp_path, capsys):
     files = tmp_path / "b.json", tmp_path / "b.md"
-    arguments = ["benchmark", "--sizes", "400", "--repeats", "1", "--device", "cpu", "--refine", "none"]
-    done = CliRunner().invoke(app_of(), [*arguments, "--json", str(files[0]), "-o", str(files[1])])
-    assert done.exit_code == 0, done.output
+    main(["--sizes", "400", "--repeats", "1", "--device", "cpu", "--json", str(files[0]), "-o", str(files[1])])
     assert json.loads(files[0].read_text())["meshes"][0]["runs"][0]["flips"] == 0
     assert files[1].read_text().startswith(json.loads(files[0].read_text())["machine"]["processor"])
-    assert CliRunner().invoke(app_of(), ["benchmark", "--sizes", "many"]).exit_code == 2
+    for wrong in (["--sizes", "many"], ["--sizes", "400", "--device", "tpu"]):
+        with pytest.raises(SystemExit, match="2"):
+            main(wrong)
+    assert "not a number of faces" in capsys.readouterr().err

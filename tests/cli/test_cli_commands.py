@@ -183,7 +183,7 @@ def test_one_command_by_itself_has_the_help_and_the_completion_of_all(capsys):
     """Only the command that is asked for is read; what is no command is refused with all of them in mind."""
     shown = {name: run(capsys, *name) for name in (("map", "--help"), ("--help",), ("mapp",))}
     assert shown[("map", "--help")][0] == 0 and "Usage: omtwarp map [OPTIONS]" in shown[("map", "--help")][1]
-    assert all(name in shown[("--help",)][1] for name in ("map", "texture", "report", "benchmark"))
+    assert all(name in shown[("--help",)][1] for name in ("map", "texture", "report", "check"))
     assert shown[("mapp",)][0] == 2 and "Did you mean" in shown[("mapp",)][2]
 
 

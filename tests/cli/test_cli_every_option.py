@@ -33,7 +33,6 @@ LINES = {
     "distance": "distance ball.npz ball.npz --degree 3 --device cpu",
     "group": "group ball.npz other.npz -o group --grid ico1 --degree 3 --permutations 9 --device cpu",
     "demo": "demo -o demo --faces 2000 --device cpu --json --verbose --force",
-    "benchmark": "benchmark ball.ply --sizes none --repeats 1 --device cpu",
 }
 # Another line, for options of which the one above makes no use.
 FROM_A_MESH = {
@@ -138,22 +137,17 @@ VALUES = {
     "cohort --register": ["other.npz"],
     "cohort --executor": ["local"],  # clusters have tests of their own
     "spharm --output": ["o.csv", "o.npz"],
-    "benchmark --json": ["figures.json"],
-    "benchmark --output": ["figures.md"],
-    "benchmark --sizes": ["none"],
-    "benchmark --shape": ["sphere"],
 }  # fmt: skip
 TYPES = ("float", "integer", "text", "path")  # names of kinds of values in a record of help
 # Commands that take seconds: their lines have several options each, but for those that exclude each other.
 PICTURES = ("film", "report")  # from a mesh
-JOINED = (*PICTURES, "register", "distance", "group", "benchmark", "cohort")
+JOINED = (*PICTURES, "register", "distance", "group", "cohort")
 NOT_WITH = {"--pattern": ("--image",), "--image": ("--pattern",), "--front": ("--up",), "--up": ("--front",)}
 NOT_WITH |= {"--quiet": ("--json",), "--json": ("--quiet",)}
 # Values that ask for minutes or for a machine that may not be there, and have tests of their own.
 ELSEWHERE = {
     "preview --backend auto", "preview --backend pyrender", "film --backend auto", "film --backend pyrender",
-    "benchmark --device auto", "benchmark --cold", "cohort --executor dask", "cohort --executor slurm",
-    "cohort --executor submitit-local", "benchmark --kernels", "texture --size auto",
+    "cohort --executor dask", "cohort --executor slurm", "cohort --executor submitit-local", "texture --size auto",
     "demo --json", "demo --verbose", "demo --quiet", "demo --force", "demo --device cpu",
     *(f"{command} --solver cudss" for command in LINES),
 }  # fmt: skip

@@ -221,7 +221,6 @@ TABLE = {
     "distance": (["-", "map.npz"], None, False),
     "group": (["-", "-o", "x"], None, True),
     "demo": (None, None, False),
-    "benchmark": (["-", "--sizes", "none", "--json", "x.json"], "--json", True),
 }
 
 

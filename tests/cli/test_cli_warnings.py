@@ -45,7 +45,7 @@ def test_check_foretells(tmp_path, capsys):
 
 @pytest.mark.parametrize(
     "words",
-    [["benchmark", "--sizes", "none", "--repeats", "1"], ["map", "-o", "a.npz"], ["report", "-o", "a.html"]]
+    [["map", "-o", "a.npz"], ["report", "-o", "a.html"]]
     + [["film", "-o", "a.gif", "--size", "16x16", "--seconds", "0.1"], ["texture", "-o", "a.glb", "--size", "16"]],
 )
 def test_a_warning_is_one_line_in_every_command(tmp_path, capsys, monkeypatch, words):

@@ -10,7 +10,7 @@ from omtwarp.device.arrays import Workspace, give_back
 
 # In a process of its own: what other tests have freed, and what they keep, is no part of a map.
 MEASURE = """
-from omtwarp.benchmark.runner import made, measure_map
+from benchmark import made, measure_map
 from omtwarp.solvers.cholesky.dissection import surface_dissection
 from omtwarp.solvers.cholesky.multifrontal import MultifrontalCholesky
 from omtwarp.solvers.cholesky.saddle import expand

@@ -153,7 +153,6 @@ OPTIONS = {
     "spharm": ("--degree", "--fit", "--reconstruction", "--device"),
     "distance": ("--degree", "--device"),
     "group": ("--grid", "--components", "--degree", "--permutations", "--seed", "--device"),
-    "benchmark": ("--sizes", "--shape", "--subdivide", "--device", "--repeats", "--refine", "--json"),
     "demo": ("--faces", "--device"),
 }  # fmt: skip
 OUTPUTS = {
@@ -165,10 +164,8 @@ OUTPUTS = {
     "resample": ("out.ply", "out.npy", "out.gii", "out.csv"),
     "spharm": ("out.coef", "out.csv", "out.npz"),
     "group": ("study",),
-    "benchmark": ("out.md",),
 }
 SUBJECTS = {
-    "benchmark": ["--sizes", "none"],
     "demo": [],
     "texture": ["--map", "map.npz"],
     "report": ["--map", "map.npz"],

@@ -98,7 +98,6 @@ COMMANDS = (
     "distance {0} {1}/ball.npz --degree 2",
     "group {0} {1}/ball.npz --grid ico1 --degree 2 -o {2}/group",
     "report {0} --until conformal -o {2}/r.html",
-    "benchmark {0} --sizes none --repeats 1 --device cpu",
     # Flat pictures, as the motion that a film needs frames for is looked for on those of its own shape.
     "film {0} --method tutte --size 64x16 --seconds 0.2 --fps 2 --pattern checker --backend warp -o {2}/f.gif",
 )

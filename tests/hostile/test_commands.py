@@ -396,7 +396,6 @@ def test_maps_that_are_mapped_or_checked_are_taken_for_their_meshes_in_a_line(tm
         ("film map.npz -o out.gif --fps 1e6", "240"),
         ("texture --map map.npz -o out.glb --size 40000", "32768"),
         ("demo --faces 100000000", "2000000"),
-        ("benchmark --repeats 100000", "1000"),
     ],
 )
 def test_options_beyond_the_limits_are_refused_before_the_work(tmp_path, monkeypatch, capsys, command, words):

@@ -39,11 +39,10 @@ COMMANDS = {
     "distance": "distance bäll.npz bäll.npz --degree 2",
     "group": "group bäll.npz bäll.npz --grid ico1 --degree 2 -o o",
     "demo": "demo --device cuda:77 -o o",  # which takes a quarter of a minute where it can
-    "benchmark": "benchmark bäll.ply --sizes none --repeats 1 --json o.json",
 }
 FAILS = {"demo": "cuda:77"}
 # They take as long as all others together, and have one stream closed only together with the others.
-DEAR = ("report", "benchmark", "group", "register", "film", "distance")
+DEAR = ("report", "group", "register", "film", "distance")
 ONE_CLOSED = ("input closed", "output closed", "errors closed")
 # What closes streams ("-"), leads them to a file, sets their encoding, or sets variables; "" unsets these.
 STREAMS = {

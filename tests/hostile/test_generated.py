@@ -46,9 +46,7 @@ def limited(seconds: int):
 
 @pytest.fixture
 def quick(monkeypatch):
-    """Replace slow functions that are not tested here: measurement, the demo's map, drawing with OpenGL."""
-    monkeypatch.setattr("omtwarp.benchmark.run", lambda **options: {})
-    monkeypatch.setattr("omtwarp.benchmark.markdown", lambda result: "measured\n")
+    """Replace slow functions that are not tested here: the demo's map, drawing with OpenGL."""
     monkeypatch.setattr("omtwarp.reporting.page._stills", lambda *a: dict.fromkeys(_keys(a[1]), "data:,"))
 
     def drawn(job, *args):

@@ -1,20 +1,33 @@
-"""Measurement of maps of generated shapes and given meshes, stage by stage, and of one sparse factorisation of each."""
+"""Time every stage of a map and its memory on meshes of several sizes, beside a sparse factorisation of each by SciPy.
+
+    python examples/benchmark.py                                 # 5k to 80k faces, every device there is
+    python examples/benchmark.py --sizes 5k,1M --repeats 1       # as large as memory allows
+    python examples/benchmark.py scan.ply --sizes none --subdivide 2
+    python examples/benchmark.py --kernels --cold --json all.json -o all.md
+
+Takes a minute or two with the sizes it has by default, and no network. ``run`` returns plain numbers, and ``markdown``
+makes tables of them.
+"""
 
 from __future__ import annotations
 
+import argparse
+import json
 import math
 import os
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
+from benchmark_measure import Clock, Facts, PeakMemory, first_use, kernel_table, machine, markdown, splu_reference
 from scipy import sparse
 
-from omtwarp.benchmark.measure import Clock, Facts, PeakMemory, first_use, kernel_table, machine, splu_reference
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError, check_word
+from omtwarp.files.limits import MOST_FACES
 from omtwarp.geometry import cotangent_laplacian
 from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mesh import shapes
@@ -246,3 +259,70 @@ def _median(records: Sequence[Mapping[str, object]]) -> dict[str, object]:
         else:
             out[key] = first
     return out
+
+
+def parse_sizes(text: str) -> tuple[int, ...]:
+    """Read numbers of faces from text such as 5000,20k,1M; ``none`` gives an empty list."""
+    if text == "none":
+        return ()
+    sizes = []
+    for word in text.split(","):
+        number, factor = word.strip().lower(), 1.0
+        if number and number[-1] in "km":
+            number, factor = number[:-1], 1e3 if number[-1] == "k" else 1e6
+        try:
+            faces = float(number) * factor
+        except ValueError:
+            faces = math.nan
+        if not 1.0 <= faces <= MOST_FACES:
+            raise argparse.ArgumentTypeError(f"'{word}' is not a number of faces: use 5000, 20k or 1M")
+        sizes.append(round(faces))
+    return tuple(sizes)
+
+
+def words(text: str) -> tuple[str, ...]:
+    """Take a list of words apart at its commas."""
+    return tuple(word.strip() for word in text.split(","))
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure what the arguments say, and write or print the tables."""
+    parser = argparse.ArgumentParser(description="Time every stage of a map and its memory on meshes of several sizes.")
+    parser.add_argument("meshes", nargs="*", metavar="MESH", help="mesh files, besides generated shapes")
+    parser.add_argument("--sizes", type=parse_sizes, default=(5_000, 20_000, 80_000), metavar="N,N,...")
+    parser.add_argument("--shape", type=words, default=("blob",), metavar="NAME,...", help=", ".join(SHAPES))
+    parser.add_argument("--subdivide", type=int, default=0, metavar="TIMES", help="the given meshes, so often")
+    parser.add_argument("--device", type=words, default=("auto",), metavar="cpu,cuda:0")
+    parser.add_argument("--repeats", type=int, default=3, help="maps of which the median is taken")
+    parser.add_argument("--refine", default="none", help="as of omtwarp map")
+    parser.add_argument("--kernels", action="store_true", help="also every kernel, and the memory that it moves")
+    parser.add_argument("--cold", action="store_true", help="also compilation into an empty cache, and starts")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures")
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="write the tables in place of printing them")
+    given = parser.parse_args(arguments)
+    everything = ("cpu", "cuda:0") if wp.is_cuda_available() else ("cpu",)
+    try:
+        result = run(
+            sizes=given.sizes,
+            shapes=given.shape,
+            meshes=given.meshes,
+            subdivisions=given.subdivide,
+            devices=everything if given.device == ("auto",) else given.device,
+            repeats=given.repeats,
+            refine=given.refine,
+            kernels=given.kernels,
+            cold=given.cold,
+            progress=lambda text: print(text, file=sys.stderr),
+        )
+    except OmtwarpError as error:
+        parser.error(str(error))
+    if given.json is not None:
+        given.json.write_text(json.dumps(result, indent=2) + "\n", "utf-8")
+    if given.output is not None:
+        given.output.write_text(markdown(result), "utf-8")
+    else:
+        print(markdown(result), end="")
+
+
+if __name__ == "__main__":
+    main()

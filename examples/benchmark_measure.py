@@ -167,7 +167,7 @@ STAGES = ("conformal", "moser", "omt", "refine", "optimality", "other")
 
 
 def markdown(result: Facts) -> str:
-    """Return the tables of a result of :func:`omtwarp.benchmark.run` as Markdown."""
+    """Return the tables of a result of :func:`benchmark.run` as Markdown."""
     parts = [_machine(result["machine"], result["settings"]), MAPS, maps_table(result)]
     parts += [_kernels(table) for table in result.get("kernels", [])]
     if "first_use" in result:
