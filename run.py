@@ -158,8 +158,10 @@ def install(extras: str) -> None:
     what = ["-e", f".[{extras}]"]
     # uv takes half a minute where pip takes three, but does not read pip's settings, which some networks need.
     uv = [PYTHON, "-m", "uv", "pip", "install", "--python", PYTHON, *what]
-    if extras != "test":
-        uv.append("--compile-bytecode")  # most of what tests need is never imported, the rest compiled when it is
+    if extras == "test":
+        pip.append("--no-compile")  # most of what tests need is never imported, the rest compiled when it is
+    else:
+        uv.append("--compile-bytecode")
     by_uv = quiet([*pip, "uv"]).returncode == 0 and quiet(uv, ROOT).returncode == 0
     if not by_uv and subprocess.call([*pip, *what], cwd=ROOT) != 0:
         raise SetupError("pip could not install the dependencies (its message is above); is there a network?")
