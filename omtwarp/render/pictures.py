@@ -330,15 +330,11 @@ def sheet(
     if len(cameras) > 1:
         raise OmtwarpError(f"a sheet draws each panel from one view, but {len(cameras)} were given")
     target = None if path is None else output.check_target(path, film=False, transparent=chosen["transparent"])
-    images, names = [], []
+    images: list[Image.Image] = []
     for panel in panels:
-        if isinstance(panel, Image.Image):
-            images.append(panel)
-            names.append("")
-            continue
-        images.extend(_draw(panel, chosen, cameras, clear=True))
-        names.append(str(getattr(panel, "caption", "")))
-    background, transparent, words = chosen["background"], chosen["transparent"], list(captions or names)
+        images += [panel] if isinstance(panel, Image.Image) else _draw(panel, chosen, cameras, clear=True)
+    words = list(captions or (str(getattr(panel, "caption", "")) for panel in panels))
+    background, transparent = chosen["background"], chosen["transparent"]
     drawn = annotate.grid(images, words, columns=columns, background=background, transparent=transparent, title=title)
     return _written(drawn, target)
 
@@ -362,15 +358,11 @@ def comparison(
         OmtwarpError: as :func:`sheet`, or the map has no conformal stage.
     """
     image, up = options.pop("image", None), options.pop("up", None)
-    above = [
-        map_view(result, image, which="conformal", caption="conformal"),
-        map_view(result, image, which="optimal", caption="optimal transport"),
-    ]
-    if up is not None:
-        above = [replace(view, up=up) for view in above]
+    stages = {"conformal": "conformal", "optimal": "optimal transport"}
+    above = [replace(map_view(result, image, which=which, caption=name), up=up) for which, name in stages.items()]
     below = [
         replace(map_view(result, image, which=which, on="sphere", caption=f"sphere, {name}"), edges=True)
-        for which, name in (("conformal", "conformal"), ("optimal", "optimal transport"))
+        for which, name in stages.items()
     ]
     return sheet([*above, *below], path, columns=2, **options)
 

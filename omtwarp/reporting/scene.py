@@ -353,13 +353,7 @@ def _stops(colours: str) -> str:
 
 def _segments(legend: str, name: str, options: Sequence[tuple[str, str]], chosen: str) -> Markup:
     labels = join(
-        html(
-            '<label><input type="radio" name="{}" value="{}"{}><span>{}</span></label>',
-            name,
-            key,
-            " checked" if key == chosen else "",
-            label,
-        )
+        fill_page("choice.html", name=name, key=key, checked=" checked" if key == chosen else "", label=label)
         for key, label in options
     )
     return html('<fieldset><legend>{}</legend><div class="segments">{}</div></fieldset>', legend, labels)
