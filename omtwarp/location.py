@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from omtwarp.device.arrays import triangles, vectors
@@ -219,6 +219,18 @@ def find_closest(
     coordinates[i] = best_weights
 
 
+def combined(vertices: NDArray[np.integer], shares: Floats, count: int) -> sparse.csr_matrix:
+    """Return the matrix of points as combinations of vertices, shape [N, count].
+
+    Args:
+        vertices: that each point is a combination of, shape [N, K].
+        shares: of these, shape [N, K].
+        count: of all vertices.
+    """
+    rows = np.arange(0, vertices.size + 1, vertices.shape[1])
+    return sparse.csr_matrix((shares.ravel(), vertices.ravel(), rows), shape=(len(vertices), count))
+
+
 @dataclass(frozen=True)
 class Found:
     """Triangles that hold points, and where in them the points lie.
@@ -238,10 +250,8 @@ class Found:
             faces: the triangulation's, shape [F, 3].
             vertex_count: V.
         """
-        count = len(self.faces)
-        rows = np.repeat(np.arange(count), 3)
-        columns = faces[self.faces].ravel()
-        matrix = sparse.csr_matrix((self.coordinates.ravel(), (rows, columns)), shape=(count, vertex_count))
+        matrix = combined(faces[self.faces], self.coordinates, vertex_count)
+        matrix.sort_indices()
         matrix.eliminate_zeros()
         return matrix
 

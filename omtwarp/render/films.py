@@ -24,6 +24,7 @@ from scipy.spatial.transform import Rotation
 from omtwarp.colors import backdrop
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.limits import MOST_FILM_PIXELS, MOST_FRAMES
+from omtwarp.location import combined
 from omtwarp.mesh.arrays import Bytes, Floats, Ints
 from omtwarp.mesh.surface import SPHERE_AREA, sums_around, triangle_areas
 from omtwarp.options import Backend, BackendLike, PatternLike, Progress, tell
@@ -34,7 +35,7 @@ from omtwarp.render.scene import Appearance, Part, RenderJob, SurfaceView, norma
 from omtwarp.render.subject import FinishedMap, Picture, is_torus_map, map_view, posed, torus_view
 from omtwarp.texturing.adaptive import rasterize
 from omtwarp.texturing.image import PictureLike
-from omtwarp.texturing.smooth import combined, grid_shares, grid_triangles, smooth_map
+from omtwarp.texturing.smooth import grid_shares, grid_triangles, smooth_map
 from omtwarp.texturing.textured import spheres_of, texture_torus
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.inputs import read_bytes
 from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.files.output import as_path, staged
-from omtwarp.location import Locator
+from omtwarp.location import Locator, combined
 from omtwarp.maps.result import MapResult, is_map_file
 from omtwarp.mesh.arrays import Floats, Ints, real_numbers, whole_numbers
 from omtwarp.mesh.data import read_data
@@ -79,8 +79,7 @@ def overlap_areas(target: SphereGrid, source: SphereGrid, *, device: str | None 
 
 def _owners(owners: Ints, count: int) -> sparse.csr_matrix:
     """Return the 0/1 matrix, shape [M, N], that assigns each of M cells to its point."""
-    cells = len(owners)
-    return sparse.csr_matrix((np.ones(cells), owners, np.arange(cells + 1)), shape=(cells, count))
+    return combined(owners[:, None], np.ones((len(owners), 1)), count)
 
 
 def barycentric(source: SphereGrid, target: SphereGrid, device: str | None = "auto") -> sparse.csr_matrix:
@@ -108,8 +107,7 @@ def nearest(source: SphereGrid, target: SphereGrid, device: str | None = "auto")
     Rows of points in what fills holes of the source are empty.
     """
     _, chosen = cKDTree(source.points[: source.own_points]).query(target.points)
-    count = len(target.points)
-    matrix = sparse.csr_matrix((np.ones(count), chosen, np.arange(count + 1)), shape=(count, len(source.points)))
+    matrix = combined(chosen[:, None], np.ones((len(chosen), 1)), len(source.points))
     return matrix if source.own is None else _without_rows(matrix, _empty(barycentric(source, target, device)))
 
 

@@ -19,6 +19,7 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
+from omtwarp.location import combined
 from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints
 from omtwarp.texturing.atlas import ON_CUT, Arc, Atlas, lengths, normalised
 from omtwarp.texturing.export import split_corners
@@ -184,14 +185,12 @@ class CutMesh:
         if len(keys) == 0:
             return np.zeros(len(self.faces), dtype=bool)
         t = np.where(tail[first] == low[first], fraction[first], 1.0 - fraction[first])
-        rows = np.repeat(np.arange(len(keys)), 2)
-        columns = np.stack([low[first], high[first]], axis=1).ravel()
-        values = np.stack([1.0 - t, t], axis=1).ravel()
-        start = self._add_vertices(sparse.csr_matrix((values, (rows, columns)), shape=(len(keys), count)))
+        ends = np.stack([low[first], high[first]], axis=1)
+        start = self._add_vertices(combined(ends, np.stack([1.0 - t, t], axis=1), count))
 
         # A face with such an edge has two of their ends at least: most faces are set aside by that.
         ended = np.zeros(len(self.points), dtype=bool)
-        ended[columns] = True
+        ended[ends] = True
         met = np.flatnonzero(ended[self.faces] @ np.ones(3, dtype=np.int8) >= 2)
         tails = self.faces[met].astype(np.int64)
         heads = np.roll(tails, -1, axis=1)
@@ -272,10 +271,8 @@ class CutMesh:
         edge_faces = self.faces[on_edge]
         interior = np.flatnonzero(inside & ~on_edge)
         if len(interior):
-            count, size = len(interior), len(self.points)
-            rows, columns = np.repeat(np.arange(count), 3), self.faces[interior].ravel()
-            combination = sparse.csr_matrix((bary[interior].ravel(), (rows, columns)), shape=(count, size))
-            new = self._add_vertices(combination) + np.arange(count)
+            combination = combined(self.faces[interior], bary[interior], len(self.points))
+            new = self._add_vertices(combination) + np.arange(len(interior))
             v0, v1, v2 = self.faces[interior].T
             fan = [np.stack(t, axis=1) for t in ((v0, v1, new), (v1, v2, new), (v2, v0, new))]
             keep = np.ones(len(self.faces), dtype=bool)

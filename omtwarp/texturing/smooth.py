@@ -29,6 +29,7 @@ from scipy.sparse.linalg import cg
 
 from omtwarp.flips.exact import flipped_faces
 from omtwarp.geometry.operators import corner_cotangents
+from omtwarp.location import combined
 from omtwarp.mesh.arrays import Floats, Ints, summed
 from omtwarp.mesh.surface import unit_normals, vertex_normals
 
@@ -99,18 +100,6 @@ def grid_triangles(parts: int) -> NDArray[np.int64]:
         (number(i + 1, j), number(i + 1, j + 1), number(i, j + 1)) for i in range(parts) for j in range(parts - i - 1)
     ]
     return np.array(upright + turned, dtype=np.int64)
-
-
-def combined(corners: NDArray[np.integer], shares: Floats, count: int) -> sparse.csr_matrix:
-    """Return the matrix of points in triangles as combinations of vertices, shape [N, count].
-
-    Args:
-        corners: vertices of each point's triangle, shape [N, 3].
-        shares: barycentric coordinates there, shape [N, 3].
-        count: of the vertices.
-    """
-    rows = np.arange(0, corners.size + 1, 3)
-    return sparse.csr_matrix((shares.ravel(), corners.ravel(), rows), shape=(len(corners), count))
 
 
 def smooth_map(vertices: Floats, faces: Ints, sphere: Floats, parts: int, *, filtered: bool = True) -> SmoothMap:
@@ -352,11 +341,8 @@ def _edge_derivatives(places: Floats, faces: Ints, sphere: Floats, ends: NDArray
             size > 1e-9 * length[:, None], flat / np.maximum(size, np.finfo(float).tiny), (1.0, 0.0)
         )
     # What each edge is multiplied by, at either end: its direction there, in the columns of that vertex.
-    columns, rows = 2 * ends[:, :, None] + np.arange(2), np.arange(0, 2 * len(ends) + 1, 2)
-    at_start, at_end = (
-        sparse.csr_matrix((way[:, side].ravel(), columns[:, side].ravel(), rows), shape=(len(ends), 2 * count))
-        for side in range(2)
-    )
+    columns = 2 * ends[:, :, None] + np.arange(2)
+    at_start, at_end = (combined(columns[:, side], way[:, side], 2 * count) for side in range(2))
     over_length = sparse.diags_array(1.0 / length)
     both = at_start + at_end
     matrix = at_start.T @ over_length @ at_start + at_end.T @ over_length @ at_end + both.T @ over_length @ both
