@@ -99,21 +99,17 @@ def _divided_as_shown(curves: SmoothCurves, atlas: Atlas) -> tuple[Ints, Ints, I
     bend = curves.bend / texel
     # Divided into n parts, a curve that leaves a straight one by b texels is followed to b / n² texels.
     wanted = np.ceil(np.sqrt(bend / 0.1)).astype(np.int64)
-    divided = np.zeros(len(curves.faces), dtype=np.int32)
-    divided[(away > least_moved * texel) | (bend > least_moved)] = 1
-    least = 1
     # Edges are divided into as many parts; 8 are 45 points in every triangle, and more would turn by less than 5
     # degrees from one to the next.
-    divisions = (3, 8)
-    for parts in divisions:
-        divided[(divided > 0) & (wanted > least)] = parts
-        least = parts
+    divisions = np.array([1, 3, 8], dtype=np.int32)
+    moved = (away > least_moved * texel) | (bend > least_moved)
+    divided = np.where(moved, divisions[np.searchsorted(divisions[:2], wanted)], np.int32(0))
     first = np.zeros(len(divided), dtype=np.int32)
     grids, points, rows, count = [], [curves.sphere], 0, len(curves.sphere)
     sizes = np.unique(divided[divided > 0]).tolist()
     which_of = {parts: np.flatnonzero(divided == parts) for parts in sizes}
     # NumPy lets go of the interpreter in long operations.
-    with ThreadPoolExecutor(len(divisions)) as pool:
+    with ThreadPoolExecutor(2) as pool:
         finer = pool.map(lambda parts: curves.divided(parts, which_of[parts]), sizes)
     for which, made in zip(which_of.values(), finer, strict=True):
         grid = np.where(made.grid < len(curves.sphere), made.grid, made.grid + count - len(curves.sphere))
