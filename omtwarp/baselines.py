@@ -225,8 +225,7 @@ def _planar_start(surface: Surface, springs: _Springs, weights: str) -> tuple[Fl
     face = surface.faces[most_regular_face(points, surface.faces)]
     equilateral = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.5, np.sqrt(0.75), 0.0]])
     right = dipole(springs.count, face, equilateral if weights == "tutte" else points[face])
-    laplacian = sparse.diags(springs.degree) - springs.matrix
-    plane = LaplacianSolver(laplacian, pinned=int(face[0])).solve(right)
+    plane = LaplacianSolver(sparse.diags(springs.degree) - springs.matrix, pinned=int(face[0])).solve(right)
     masses = surface.vertex_areas if weights == "mean-value" else np.ones(springs.count)
     sphere = centre_points(plane_to_sphere(plane, masses), masses)[0]
     shares = surface.sum_to_vertices(triangle_areas(sphere, surface.faces))

@@ -155,8 +155,7 @@ class DeviceSum:
     def total(self, a: wp.array, out: wp.array) -> None:
         """Write the sum of all elements to the first element of ``out``."""
         _, sums, _ = self._workspace_for(a.size)
-        inputs = [sums(a.reshape((a.size, 1)))]
-        wp.launch(finish_sum, dim=1, inputs=inputs, outputs=[out], device=self.device)
+        wp.launch(finish_sum, dim=1, inputs=[sums(a.reshape((a.size, 1)))], outputs=[out], device=self.device)
 
     def largest(self, a: wp.array, out: wp.array) -> None:
         """Write the largest absolute value to the first element of ``out``; what is no number does not count."""

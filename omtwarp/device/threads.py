@@ -131,8 +131,7 @@ def launch_parts(
 def parts_of(count: int, device: wp.Device, least: int = SMALLEST_SHARED_LAUNCH) -> list[slice]:
     """Return the parts of a launch with so many threads, one for every core of a CPU; see :func:`launch_parts`."""
     parts = launch_parts_of(wp.get_device(device), count, core_count(), least)
-    bounds = [count * k // parts for k in range(parts + 1)]
-    return [slice(a, b) for a, b in pairwise(bounds)]
+    return [slice(a, b) for a, b in pairwise([count * k // parts for k in range(parts + 1)])]
 
 
 @contextlib.contextmanager

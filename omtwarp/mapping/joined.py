@@ -28,8 +28,7 @@ def joined(maps: list[MapResult], vertex_count: int, caps: tuple[Floats, Floats]
     """
     numbers, count = _numbers(maps, vertex_count)
     place = np.concatenate(numbers)
-    face_origin = np.concatenate([_known(part.face_origin) for part in maps])
-    order = np.argsort(face_origin, kind="stable")
+    order = np.argsort(np.concatenate([_known(part.face_origin) for part in maps]), kind="stable")
 
     def at_vertices(values: list[NDArray]) -> NDArray:
         stacked = np.concatenate(values)

@@ -764,8 +764,7 @@ class MapComputation:
         weights: Weights = "tutte" if method is Method.TUTTE else "mean-value"
         solved = barycentric_map(self.surface, weights=weights, device=self.device)
         self.origin = {"route": str(method)}
-        sphere = self.orient(solved.sphere)
-        self.finish(method, sphere, solved.iterations, converged=solved.converged)
+        self.finish(method, self.orient(solved.sphere), solved.iterations, converged=solved.converged)
 
     def give_up(self, what: str) -> None:
         """Note for the report what the current stage could not do, once."""

@@ -194,8 +194,7 @@ def _ray_degree(faces: Ints, sphere: Floats, signs: NDArray[np.int8], device: st
             outputs=[crossings, doubtful],
             device=where,
         )
-        clear = doubtful.numpy() == 0
-        counted.extend(crossings.numpy()[clear].tolist())
+        counted.extend(crossings.numpy()[doubtful.numpy() == 0].tolist())
         wanted = RAYS - len(counted)
         if wanted <= 0:
             break

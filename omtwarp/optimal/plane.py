@@ -507,8 +507,7 @@ class PlaneShape:
 
     def begin(self, points: wp.array, reading: Reading) -> Callable[[Floats], PlaneTerms]:
         """Begin to measure the distortion of a map."""
-        count = self._plane.surface.face_count
-        areas, angle, area = (self._plane.empty(wp.float64, count) for _ in range(3))
+        areas, angle, area = (self._plane.empty(wp.float64, self._plane.surface.face_count) for _ in range(3))
         self._plane.launch(plane_triangles, points, [self._frames], [areas, angle, area])
         mean_angle, mean_area = (reading.dot(self._weights, distortion) for distortion in (angle, area))
         return lambda numbers: PlaneTerms(float(numbers[mean_angle]), float(numbers[mean_area]), areas)

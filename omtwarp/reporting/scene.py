@@ -246,8 +246,7 @@ def cube_faces(texture: Source, size: int = FACE_TEXELS, *, device: str = "auto"
     """
     from PIL import Image as pil
 
-    atlas = Cube(size, gutter=0)
-    baked = bake_bytes(texture, Look(atlas, resolve_device(device)))[..., :3]
+    baked = bake_bytes(texture, Look(Cube(size, gutter=0), resolve_device(device)))[..., :3]
     kind = picture_kind(baked)
     uris = []
     for number, quarters in _GL_FACES:  # both have equiangular faces

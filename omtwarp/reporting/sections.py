@@ -139,8 +139,7 @@ def curve(
         level: a value of y with its name, drawn across.
         mark: index of a point with a few words.
     """
-    pairs = zip(map(float, x), map(float, y), strict=True)
-    points = [(a, b) for a, b in pairs if math.isfinite(b)]
+    points = [(a, b) for a, b in zip(map(float, x), map(float, y), strict=True) if math.isfinite(b)]
     if not points:
         return html("")
     values = [b for _, b in points] + ([level[0]] if level else [])
@@ -243,8 +242,7 @@ def pictures(stages: Sequence[Stage], stills: Mapping[str, str], shown: str) -> 
 
 def _picture_caption(stage: Stage) -> str:
     nine_tenths = (0.05, 0.95)  # quantiles between which nine tenths of a distribution lie, as the words say
-    ratio = log2_area_ratio(stage)
-    low, high = _weighted_quantiles(ratio, stage.weights, nine_tenths)
+    low, high = _weighted_quantiles(log2_area_ratio(stage), stage.weights, nine_tenths)
     spread = 2.0 ** (high - low)
     times = f"{spread:.2f}" if spread < 10 else f"{spread:,.0f}" if spread < 1e6 else _number(spread)
     return html("Scale of area varies by a factor of {} over nine tenths of the surface.", times)
@@ -336,8 +334,7 @@ def _transport_facts(
 
 def stage_table(stages: Sequence[Stage], report: MapReport) -> Markup:
     """Describe every stage: its time, iterations and measures."""
-    records = report.get("stages", ())
-    total = sum(float(record.get("seconds", 0.0)) for record in records) or 1.0
+    total = sum(float(record.get("seconds", 0.0)) for record in report.get("stages", ())) or 1.0
     rows = []
     for stage in stages:
         record, measured = stage.record, stage.distortion

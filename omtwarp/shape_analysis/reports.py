@@ -219,8 +219,7 @@ def film_warp(path: Path, found: Registration, result: MapResult) -> Path:
         found: the registration.
         result: the map that was registered.
     """
-    registered = found.registered(result)
-    return film(replace(registered, conformal=found.start.sphere), path, captions=False)
+    return film(replace(found.registered(result), conformal=found.start.sphere), path, captions=False)
 
 
 def _facts(found: Registration) -> Markup:

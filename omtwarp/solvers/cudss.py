@@ -123,8 +123,7 @@ class CudssFactor:
         Raises:
             NotPositiveDefinite: a pivot has the wrong sign, to round-off.
         """
-        given = entries.to(self.device)
-        inputs = [given, self._source]
+        inputs = [entries.to(self.device), self._source]
         wp.launch(gather_entries, dim=len(self._values), inputs=inputs, outputs=[self._values], device=self.device)
         phase = self._library.Phase
         if not self._analysed:

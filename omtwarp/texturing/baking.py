@@ -303,8 +303,7 @@ class Layout:
         ring_width = 1.5 if padding < 0 else min(1.5, float(padding))
         owner = claimed(self.corners, width, height, GROW, where)
         if padding:
-            ring = claimed(self.corners, width, height, ring_width, where)
-            owner = np.where(owner == NOBODY, ring, owner)
+            owner = np.where(owner == NOBODY, claimed(self.corners, width, height, ring_width, where), owner)
         self.owner = wp.array(owner, dtype=wp.int32, device=where)
         self.known = owner != NOBODY
 

@@ -248,8 +248,7 @@ class _Painting:
         """Paint the mesh's materials in the coordinates that it has."""
         assert self.own is not None  # checked before
         mesh = self.own
-        uv = mesh.require_uv()
-        which, tiled = baking.tiled_copies(uv)
+        which, tiled = baking.tiled_copies(mesh.require_uv())
         if isinstance(self.rotate, str):
             raise OmtwarpError(f"rotate '{self.rotate}': give degrees or a matrix for own texture coordinates")
         tangents = self._tangents(mesh)

@@ -114,8 +114,7 @@ def _cubes(vertices: Floats, faces: Ints, sphere: Floats, parts: NDArray[np.intp
     # From the middle of a chart: what lies 90 degrees away lies on no plane in front of it.
     farthest = np.deg2rad(87.0)
     corners = sphere[faces]
-    middle = corners.sum(axis=1)
-    chart = np.argmax(middle @ CUBE_FRAMES[:, 0].T, axis=1)
+    chart = np.argmax(corners.sum(axis=1) @ CUBE_FRAMES[:, 0].T, axis=1)
     angle = _angles(corners, chart)
     far = np.abs(angle).max(axis=(1, 2)) > farthest
     if far.any():  # a long triangle may fit better on a neighbouring chart

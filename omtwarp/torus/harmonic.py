@@ -145,8 +145,7 @@ def _mesh_edges(surface: Surface, jumps: NDArray[np.int64]) -> WeightedEdges:
 def _harmonic(count: int, points: Floats, edges: WeightedEdges) -> Floats:
     """Return the functions at vertices whose differences and the steps make harmonic forms, shape [V, 2]."""
     apart = edges.ends[:, 0] != edges.ends[:, 1]
-    keys = edge_keys(edges.ends, count)
-    unique, which = np.unique(keys[apart], return_inverse=True)
+    unique, which = np.unique(edge_keys(edges.ends, count)[apart], return_inverse=True)
     # Edges of the same two vertices act as one, whose step is the weighted mean.
     forward = np.where(edges.ends[apart, 0] < edges.ends[apart, 1], 1.0, -1.0)
     weights: Floats = np.bincount(which, edges.weights[apart], len(unique)).astype(np.float64)

@@ -358,8 +358,7 @@ class PaperFlow:
     def _at_dual(self, points: wp.array[wp.vec3d]) -> wp.array[wp.vec3d]:
         """Return the points at the dual vertices: means of the corners' points, weighted by barycentric coordinates."""
         dual = self._empty(len(self._weights), wp.vec3d)
-        inputs = [self.operators.faces, self._weights, points]
-        self._launch(average_to_dual, len(dual), inputs, [dual])
+        self._launch(average_to_dual, len(dual), [self.operators.faces, self._weights, points], [dual])
         return dual
 
     def _launch(self, kernel: wp.Kernel, size: int, inputs: list[object], outputs: list[object]) -> None:

@@ -176,8 +176,7 @@ def _fronts(node: NDArray[np.int64], edges: NDArray[np.int32]) -> Dissection:
     upward = np.full(len(rows), -1, dtype=np.int32)
     above = parent[of_row[~own]]
     upward[~own] = np.searchsorted(keys, above * count + rows[~own]) - starts[above]
-    depth = _depth(nodes)
-    changes = np.flatnonzero(np.r_[True, np.diff(depth) != 0, True])
+    changes = np.flatnonzero(np.r_[True, np.diff(_depth(nodes)) != 0, True])
     low, high = place[ends[:, 0]], place[ends[:, 1]]
     turned = low < high
     low, high = np.minimum(low, high), np.maximum(low, high)

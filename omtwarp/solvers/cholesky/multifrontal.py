@@ -304,8 +304,7 @@ class MultifrontalCholesky:
         load(factorise_fronts, "cpu")
 
         def run(group: int) -> int:
-            failed = self._w_failed[group : group + 1]
-            inputs = [self._groups[group], 1, *data, self._tree, failed]
+            inputs = [self._groups[group], 1, *data, self._tree, self._w_failed[group : group + 1]]
             wp.launch(factorise_fronts, dim=1, inputs=inputs, device="cpu")
             return int(self._failed[group])
 
