@@ -15,13 +15,11 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 
 from omtwarp.errors import INTERRUPTED
 
-# That Python's own handler has to end the process, before a thread does; felt as at once.
 LINE = "omtwarp: interrupted"
 
 Handler = Callable[[int, FrameType | None], object] | int | signal.Handlers | None
@@ -43,8 +41,7 @@ def ending_the_process(*, restore: bool, instead_of: Handler = signal.default_in
         instead_of: the handler that is replaced: Python's own.
     """
     global _writable
-    ours = threading.current_thread() is threading.main_thread()
-    if not ours or signal.getsignal(signal.SIGINT) is not instead_of:
+    if not _answered_by(instead_of):
         yield
         return
     watcher, readable = None, -1
@@ -69,8 +66,7 @@ def ending_the_process(*, restore: bool, instead_of: Handler = signal.default_in
 @contextlib.contextmanager
 def raised() -> Iterator[None]:
     """Let an interruption raise KeyboardInterrupt in a block, where it would end the process."""
-    ours = threading.current_thread() is threading.main_thread()
-    if not ours or signal.getsignal(signal.SIGINT) is not _end:
+    if not _answered_by(_end):
         yield
         return
     _let_go(signal.default_int_handler)
@@ -84,8 +80,7 @@ def raised() -> Iterator[None]:
 def removed_at_the_end(folder: Path) -> Iterator[None]:
     """Let an interruption that ends the process in a block, or a request to terminate, remove a directory before."""
     _staged.add(folder)
-    main = threading.current_thread() is threading.main_thread()
-    ends = main and signal.getsignal(signal.SIGINT) is _end
+    ends = _answered_by(_end)
     previous = signal.signal(signal.SIGTERM, _end) if ends else None
     try:
         yield
@@ -93,6 +88,11 @@ def removed_at_the_end(folder: Path) -> Iterator[None]:
         if ends:
             signal.signal(signal.SIGTERM, previous)
         _staged.discard(folder)
+
+
+def _answered_by(handler: Handler) -> bool:
+    """Return whether this is the main thread, and an interruption of it calls a handler."""
+    return threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) is handler
 
 
 def _handle() -> None:
@@ -160,7 +160,7 @@ def interpreter(code: str, *arguments: str) -> list[str]:
     return [sys.executable, "-P", "-c", _FIND_PACKAGE + code, _ROOT, *arguments]
 
 
-@contextmanager
+@contextlib.contextmanager
 def safe_paths() -> Iterator[None]:
     """Let interpreters that libraries start inside of it import nothing from the working directory either."""
     before = os.environ.get("PYTHONSAFEPATH")
