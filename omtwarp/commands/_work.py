@@ -425,19 +425,18 @@ def map_from(mesh: Path | None, source: Source, mapping: MapOptions, printing: P
         return read_map(finished)
     if mesh is None:
         raise OmtwarpError("nothing to work on: give a mesh, or a finished map with --map")
-    sound = read_sound_mesh(mesh, source.repair)
+    return map_on_the_way(read_sound_mesh(mesh, source.repair).surface, mesh, mapping, printing)
+
+
+def map_on_the_way(surface: omtwarp.Surface, mesh: Path, mapping: MapOptions, printing: Printing) -> AnyMap:
+    """Map the surface of a file for a command that needs its map, and print its quality and what every stage did."""
     start_device(mapping.device)
-    result = make_map(sound.surface, mapping, quiet=printing.quiet)
-    say_made(result, mesh, printing)
-    return result
-
-
-def say_made(result: AnyMap, mesh: Path, printing: Printing) -> None:
-    """Print the quality of a map of a file that a command made on its way, and what every stage did."""
+    result = make_map(surface, mapping, quiet=printing.quiet)
     if printing.verbose:
         say_stages(result)
     if not printing.quiet:
         say(f"{mesh}: {quality(facts_of(result, mesh))}")
+    return result
 
 
 def say_stages(result: AnyMap) -> None:

@@ -84,10 +84,8 @@ def mapped(found: AnyMap | omtwarp.Surface, path: Path, mapping: MapOptions, pri
     """Return the map of a file; that of a surface is made, and it is said how well."""
     if not isinstance(found, omtwarp.Surface):
         return found
-    _work.start_device(mapping.device)
-    made = _work.make_map(found, mapping, quiet=printing.quiet)
+    made = _work.map_on_the_way(found, path, mapping, printing)
     _work.require_bijective(made)
-    _work.say_made(made, path, printing)
     return made
 
 
