@@ -47,39 +47,30 @@ SUMMARIES = {
 
 GROUPS = {
     "Input": (
-        "finished", "map_of_source", "map_of_target", "surface", "to_surface", "data", "labels", "feature",
-        "to_feature", "landmarks", "faces", "smoothing", "covariate",
+        "finished map_of_source map_of_target surface to_surface data labels feature to_feature landmarks faces "
+        "smoothing covariate"
     ),
     "Output": (
-        "output", "report", "json_output", "as_json", "quiet", "verbose", "title", "beside", "radius", "sphere",
-        "matrix", "reconstruction", "strain", "force", "before", "film",
+        "output report json_output as_json quiet verbose title beside radius sphere matrix reconstruction strain "
+        "force before film"
     ),
-    "Map": (
-        "method", "until", "cost", "scheme", "refine", "exact", "weights", "weights_at", "density", "target_floor",
-        "optimality",
-    ),
-    "Holes, handles, parts": (
-        "hemisphere", "disk", "cap", "fill_area", "components", "together", "cut", "cut_along", "torus",
-    ),
+    "Map": "method until cost scheme refine exact weights weights_at density target_floor optimality",
+    "Holes, handles, parts": "hemisphere disk cap fill_area components together cut cut_along torus",
     "Method": (
-        "to", "by", "aligned", "mirror", "grid", "degree", "scale", "fit", "permutations", "seed", "transport",
-        "resample method", "group components", "stiffness", "max_strain", "feature_weight", "keep_areas",
-        "group", "sequence", "rounds", "register",
+        "to by aligned mirror grid degree scale fit permutations seed transport resample.method group.components "
+        "stiffness max_strain feature_weight keep_areas group sequence rounds register"
     ),
     "Texture": (
-        "image", "pattern", "projection", "atlas", "rotate", "seam", "uv", "keep_materials", "opacity", "bake",
-        "detail", "aspect", "margin", "texture_format", "texture size", "transfer size",
+        "image pattern projection atlas rotate seam uv keep_materials opacity bake detail aspect margin "
+        "texture_format texture.size transfer.size"
     ),
     "View": (
-        "size", "view", "zoom", "field_of_view", "up", "front", "light", "background", "transparent", "wireframe",
-        "frames", "fps", "seconds", "captions", "backend", "preview projection",
+        "size view zoom field_of_view up front light background transparent wireframe frames fps seconds captions "
+        "backend preview.projection"
     ),
-    "Computation": (
-        "device", "devices", "solver", "repair", "strict", "executor", "workers", "shard", "time_limit", "memory_limit",
-        "retry", "collect",
-    ),
-}  # fmt: skip
-"""Options by the heading that help shows them under; others are shown last."""
+    "Computation": ("device devices solver repair strict executor workers shard time_limit memory_limit retry collect"),
+}
+"""Options, or those of one command, by the heading that help shows them under; others are shown last."""
 
 
 class Command(typer.core.TyperCommand):
@@ -138,9 +129,9 @@ def _named_files(value: object) -> Iterator[Path]:
 
 def heading_of(command: str, option: str) -> str:
     """Return the heading of an option of a command: the command's own, or the one it has everywhere."""
-    for name in (f"{command} {option}", option):
+    for name in (f"{command}.{option}", option):
         for heading, members in GROUPS.items():
-            if name in members:
+            if name in members.split():
                 return heading
     return "Other"
 
