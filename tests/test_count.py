@@ -75,3 +75,15 @@ def test_large_functions_are_counted(body, large):
 def test_packages_that_import_each_other_have_no_floors():
     with pytest.raises(ValueError, match="a, b"):
         COUNT.floors({"a": {"b"}, "b": {"a"}, "c": set()})
+
+
+LIMITS = {
+    "lines of code": 32_000, "files": 230, "numeric constants": 300, "functions over 80 lines or 20 branches": 0,
+    "floors": 12, "loose modules": 10,
+}  # fmt: skip
+
+
+def test_the_package_is_no_larger_than_a_reader_can_hold():
+    figures = COUNT.count()
+    assert figures.keys() == LIMITS.keys()
+    assert [f"{name}: {figures[name]:,}" for name, most in LIMITS.items() if figures[name] > most] == []

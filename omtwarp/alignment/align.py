@@ -319,11 +319,12 @@ def align(
         if any((features, to_features, mirror)):
             raise OmtwarpError("aligning by the shape's own axes takes neither features nor mirror images")
         return align_to_axes(given)
-    _check_options(by, degree, features or {}, to_features or {})
+    own = dict(features or {})
+    _check_options(by, degree, own, to_features or {})
     moving, fixed = as_points(given, "the map"), as_points(to, "the template")
     if by == "vertices" and not _same_faces(moving, fixed):
         raise OmtwarpError("the two meshes have different faces: align them by features")
-    one_surface = _why_one_surface(moving, fixed) if by == "auto" and not features else ""
+    one_surface = _why_one_surface(moving, fixed) if by == "auto" and not own else ""
     by_vertices = bool(one_surface) | (by == "vertices")
 
     def aligned(points: SpherePoints, ours: Mapping[str, ArrayLike] | None = features) -> Alignment:
@@ -343,15 +344,20 @@ def align(
         alignment = replace(image, rotation=image.rotation @ MIRROR, mirrored=True)
         moving = mirror_image(moving)
     if check:
-        scores = {"the mirror image fits better": image.score}
-        for name, values in (features or {}).items():
-            turned = {**(features or {}), name: -np.asarray(values, dtype=np.float64)}
-            scores[f"feature '{name}' fits better with the other sign"] = aligned(moving, turned).score
-        for words, score in scores.items():
-            # Difference of correlations: those of nearly symmetric shapes and their mirror images differ by less
-            if score > alignment.score + 0.05:
-                warnings.warn(f"{words}: score {score:.3f}, not {alignment.score:.3f}", OmtwarpWarning, stacklevel=2)
+        others = {"the mirror image fits better": image.score}
+        for name, values in own.items():
+            turned = own | {name: -np.asarray(values, dtype=np.float64)}
+            others[f"feature '{name}' fits better with the other sign"] = aligned(moving, turned).score
+        _warn_of_better(others, alignment.score)
     return replace(alignment, basis=one_surface) if one_surface else alignment
+
+
+def _warn_of_better(others: dict[str, float], score: float) -> None:
+    """Warn of everything that fits clearly better than what was taken, by what it is."""
+    for words, other in others.items():
+        # Difference of correlations: those of nearly symmetric shapes and their mirror images differ by less
+        if other > score + 0.05:
+            warnings.warn(f"{words}: score {other:.3f}, not {score:.3f}", OmtwarpWarning, stacklevel=3)
 
 
 def _check_options(by: str, degree: int, features: Mapping[str, object], to_features: Mapping[str, object]) -> None:

@@ -225,9 +225,9 @@ class PaintedMesh:
         tree = cKDTree(marks(self.vertices[self.faces]))
         apart, origin = tree.query(marks(points[triangles]), p=np.inf)
         lost = apart > SAME_PLACE * self._extent
-        if lost.all():
-            raise OmtwarpError(ELSEWHERE)
         if lost.any():
+            if (cKDTree(points).query(self.vertices)[0] > SAME_PLACE * self._extent).all():
+                raise OmtwarpError(ELSEWHERE)
             raise OmtwarpError(
                 f"{lost.sum()} of the map's {len(triangles)} faces are not in the mesh, first face {np.argmax(lost)}: "
                 "give the mesh that was mapped, or, for one that a texture's seams cut, leave out the map"

@@ -205,33 +205,13 @@ def _from_obj(data: bytes, file: Path) -> PaintedMesh:
     which = np.array([int(parts[1]) if len(parts) > 1 and parts[1] else 0 for parts in split], dtype=np.int64)
     given = which != 0
     which = np.where(which < 0, which + ahead[1], which - 1)
-    uv = None
-    if given.any() and words[b"vt"]:
-        table = np.array([[*row, b"0"][:2] for row in words[b"vt"]], dtype=np.float64)
-        if which[given].max() >= len(table) or which[given].min() < 0:
-            raise OmtwarpError(f"a face refers to texture coordinates {which[given].max() + 1} of {len(table)}")
-        at_corner = np.full((len(vertex), 2), np.nan)
-        at_corner[given] = table[which[given]]
-        uv = at_corner[rows]
+    uv = _coordinates_at(which, given, words[b"vt"])[rows] if given.any() and words[b"vt"] else None
     named: list[Path] = []
-    picture = _pictures_beside(file, named, notes)
-    known: dict[str, Material] = {}
-    for row in np.flatnonzero(kinds == b"mtllib"):
-        library = rests[row].decode("utf-8", "replace").strip()
-        there = file_beside(file, library)
-        if there is None:
-            notes.append(f"the material library '{library}' is not there")
-        else:
-            named.append(there)
-            known |= read_mtl(read_bytes(there, LARGEST_MESH_FILE).decode("utf-8", "replace"), picture)
+    libraries = [rests[row].decode("utf-8", "replace").strip() for row in np.flatnonzero(kinds == b"mtllib")]
+    known = _materials_beside(file, libraries, named, notes)
     names, used = _named(kinds, rests, b"usemtl")
     materials = tuple(known.get(name, Material(name or "material")) for (name,) in names)
     points = np.array([row[:3] for row in words[b"v"]], dtype=np.float64)
-    colors = None
-    if words[b"v"] and all(len(row) >= 6 for row in words[b"v"]):
-        given_colors = np.array([row[3:6] for row in words[b"v"]], dtype=np.float64)
-        scaled = given_colors * (255.0 if given_colors.max() <= 1.0 else 1.0)
-        colors = with_opacity(np.rint(np.clip(scaled, 0, 255)).astype(np.uint8))
     objects, number = _named(kinds, rests, b"o", b"g")
     return PaintedMesh(
         points,
@@ -239,12 +219,49 @@ def _from_obj(data: bytes, file: Path) -> PaintedMesh:
         uv,
         materials,
         used[face],
-        colors,
+        _colors_behind(words[b"v"]),
         tuple(notes),
         source_files=tuple(named),
         objects=tuple((name, group) for name, group in objects),
         face_object=number[face],
     )
+
+
+def _materials_beside(file: Path, libraries: list[str], named: list[Path], notes: list[str]) -> dict[str, Material]:
+    """Return the materials of libraries that a file names; both lists are added to."""
+    picture = _pictures_beside(file, named, notes)
+    known: dict[str, Material] = {}
+    for library in libraries:
+        there = file_beside(file, library)
+        if there is None:
+            notes.append(f"the material library '{library}' is not there")
+        else:
+            named.append(there)
+            known |= read_mtl(read_bytes(there, LARGEST_MESH_FILE).decode("utf-8", "replace"), picture)
+    return known
+
+
+def _coordinates_at(which: NDArray[np.int64], given: NDArray[np.bool_], rows: list[list[bytes]]) -> Floats:
+    """Return the texture coordinates of all corners, NaN where none are given, shape [C, 2].
+
+    Raises:
+        OmtwarpError: a corner names coordinates that are not there.
+    """
+    table = np.array([[*row, b"0"][:2] for row in rows], dtype=np.float64)
+    if which[given].max() >= len(table) or which[given].min() < 0:
+        raise OmtwarpError(f"a face refers to texture coordinates {which[given].max() + 1} of {len(table)}")
+    at_corner = np.full((len(which), 2), np.nan)
+    at_corner[given] = table[which[given]]
+    return at_corner
+
+
+def _colors_behind(points: list[list[bytes]]) -> Bytes | None:
+    """Return the colours that stand behind the coordinates of all vertices; None where some have none."""
+    if not points or any(len(row) < 6 for row in points):
+        return None
+    given = np.array([row[3:6] for row in points], dtype=np.float64)
+    scaled = given * (255.0 if given.max() <= 1.0 else 1.0)
+    return with_opacity(np.rint(np.clip(scaled, 0, 255)).astype(np.uint8))
 
 
 def _pictures_beside(file: Path, named: list[Path], notes: list[str]) -> Callable[[str], Bytes | None]:

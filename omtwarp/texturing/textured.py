@@ -256,14 +256,8 @@ def texture(
     rotation = _rotation(rotate, vertices, faces, sphere)
     seam = _seam(seam_longitude, vertices, faces, sphere, rotation) if str(atlas) == "equirectangular" else np.pi
     picture = None if image is None else pictures.read_image(image)
-    if isinstance(size, str) or (size is None and picture is None):
-        if size not in (None, "auto"):
-            raise OmtwarpError(f"texture size '{size}': give texels, or auto")
-        # Larger where that is asked for than where nothing was said
-        limit = layouts.LARGEST_UNASKED if size is None else layouts.LARGEST_SIZE
-        size = layouts.sharp_size(vertices, faces, sphere, layouts.make_atlas(atlas).name, limit)[0]
-    elif size is None and picture is not None:
-        size = _natural_size(picture, atlas)
+    if isinstance(size, str) or size is None:
+        size = _chosen_size(size, picture, atlas, vertices, faces, sphere)
     source = by_name(pattern or "circles") if picture is None else picture
     layout, texels = layouts.make_atlas(atlas, size, seam=seam), None
     if isinstance(layout, Equirectangular) and projection == "equirectangular" and picture is not None:
@@ -296,6 +290,28 @@ def texture(
         original_sphere=sphere,
         source_image=Path(image) if isinstance(image, (str, os.PathLike)) else None,
     )
+
+
+def _chosen_size(
+    asked: str | None,
+    picture: NDArray[np.generic] | None,
+    atlas: AtlasLike,
+    vertices: Floats,
+    faces: Ints,
+    sphere: Floats,
+) -> int | tuple[int, int] | None:
+    """Return the size of a texture where none is given in texels: that of the picture, or one that looks sharp.
+
+    Raises:
+        OmtwarpError: neither a number nor ``auto`` was given.
+    """
+    if asked is None and picture is not None:
+        return _natural_size(picture, atlas)
+    if asked not in (None, "auto"):
+        raise OmtwarpError(f"texture size '{asked}': give texels, or auto")
+    # Larger where that is asked for than where nothing was said
+    limit = layouts.LARGEST_UNASKED if asked is None else layouts.LARGEST_SIZE
+    return layouts.sharp_size(vertices, faces, sphere, layouts.make_atlas(atlas).name, limit)[0]
 
 
 def texture_torus(
