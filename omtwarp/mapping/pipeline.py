@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from omtwarp.conformal import density
 from omtwarp.device.arrays import give_back, vectors
-from omtwarp.device.policy import resolve_device, solving_with, wanted_solver
+from omtwarp.device.policy import resolve_device, solves_with_scipy, solving_with, wanted_solver
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
@@ -59,6 +59,7 @@ from omtwarp.options import (
     continued,
     tell,
 )
+from omtwarp.solvers.mesh_factor import saddle_order
 from omtwarp.start.choice import bijective_start
 from omtwarp.texturing.density import TargetLike, as_target
 from omtwarp.topology.closing import Double, quartered_double
@@ -463,6 +464,8 @@ class MapComputation:
             return
         initial = self.sphere
         if self.uses_newton:
+            if self.mirror is None and not solves_with_scipy():
+                saddle_order(self.surface)  # takes room of its own, before the largest matrices do
             if self.target is None:
                 self.transport_by_newton()
             else:

@@ -250,8 +250,12 @@ def surface_saddle_factor(surface: Surface, workspace: Workspace | None = None) 
     """Create the chosen factorisation with a multiplier for every vertex; ``workspace`` as of :func:`mesh_factor`."""
     if solves_with_scipy():
         return vertex_saddle_factor(surface.vertex_count, surface.edges, lambda: surface_dissection(surface))
-    order = surface.cached("saddle-point order", lambda: expand(surface_dissection(surface)))
-    return OrderedSaddleFactor(order, workspace)
+    return OrderedSaddleFactor(saddle_order(surface), workspace)
+
+
+def saddle_order(surface: Surface) -> SaddleOrder:
+    """Return the order of elimination with a multiplier for every vertex, which the surface keeps."""
+    return surface.cached("saddle-point order", lambda: expand(surface_dissection(surface)))
 
 
 def coordinate_factor(surface: Surface, workspace: Workspace | None = None) -> SaddlePointFactor:
