@@ -97,8 +97,8 @@ def lowest_on_triangle(nodal: wp.vec3d, edge: wp.vec3d) -> wp.vec3d:
 def order_by_halves(points: Floats) -> Ints:
     """Order points so that those below each node of a complete binary tree in heap order lie close together.
 
-    Each node's points, down to eight, are halved along the longest side of their bounding box, by SciPy's k-d tree;
-    points beside them fill the last leaves, so that its medians are those of the complete tree.
+    Each node's points are halved along the longest side of their bounding box, by SciPy's k-d tree; points beside them
+    fill the last leaves, so that its medians are those of the complete tree.
 
     Args:
         points: shape [N, 3].
@@ -110,7 +110,7 @@ def order_by_halves(points: Floats) -> Ints:
 
     beside = np.zeros((leaf_count(len(points)) - len(points), 3))
     beside[:, 0] = points[:, 0].max() + np.ptp(points[:, 0]) * np.linspace(1.0, 2.0, len(beside)) + 1.0
-    order = cKDTree(np.concatenate([points, beside]), leafsize=8).indices
+    order = cKDTree(np.concatenate([points, beside]), leafsize=1).indices
     return order[order < len(points)].astype(np.int32)
 
 
