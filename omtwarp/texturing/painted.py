@@ -216,23 +216,28 @@ class PaintedMesh:
             apart = np.abs(points[triangles] - self.vertices[self.faces]).max(initial=0.0)
             if apart <= SAME_PLACE * self._extent:
                 return np.arange(len(triangles), dtype=np.int32)
+        places, number = np.unique(points + 0.0, axis=0, return_inverse=True)
         from scipy.spatial import cKDTree
 
-        def marks(corners: Floats) -> Floats:
-            """Return numbers by which triangles are told apart, whatever the order of their corners, shape [F, 9]."""
-            return np.concatenate([corners.min(axis=1), corners.mean(axis=1), corners.max(axis=1)], axis=1)
-
-        tree = cKDTree(marks(self.vertices[self.faces]))
-        apart, origin = tree.query(marks(points[triangles]), p=np.inf)
-        lost = apart > SAME_PLACE * self._extent
-        if lost.any():
-            if (cKDTree(points).query(self.vertices)[0] > SAME_PLACE * self._extent).all():
-                raise OmtwarpError(ELSEWHERE)
+        distance, nearest = cKDTree(places).query(self.vertices)
+        unused = len(places)  # index of vertices that are not in the copy
+        here = np.where(distance <= SAME_PLACE * self._extent, nearest, unused)[self.faces]
+        if (here == unused).all():
+            raise OmtwarpError(ELSEWHERE)
+        keys, wanted = np.sort(here, axis=1), np.sort(number.reshape(-1)[triangles], axis=1)
+        _, key = np.unique(np.concatenate([keys, wanted]), axis=0, return_inverse=True)
+        key = key.reshape(-1)
+        place = np.full(int(key.max(initial=-1)) + 1, -1, dtype=np.int32)
+        place[key[: len(keys)][::-1]] = np.arange(len(keys), dtype=np.int32)[::-1]  # the first of several wins
+        origin = place[key[len(keys) :]]
+        lost = int((origin < 0).sum())
+        if lost:
             raise OmtwarpError(
-                f"{lost.sum()} of the map's {len(triangles)} faces are not in the mesh, first face {np.argmax(lost)}: "
-                "give the mesh that was mapped, or, for one that a texture's seams cut, leave out the map"
+                f"{lost} of the map's {len(triangles)} faces are not in the mesh, first face "
+                f"{int(np.argmax(origin < 0))}: give the mesh that was mapped, or, for one that a "
+                "texture's seams cut, leave out the map"
             )
-        return origin.astype(np.int32)
+        return origin
 
 
 def joined_seams(mesh: PaintedMesh) -> PaintedMesh:

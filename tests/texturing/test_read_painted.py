@@ -150,6 +150,14 @@ def test_coordinates_follow_another_order_of_the_same_triangles(tmp_path):
         mesh.on(points + 1.0, faces)
 
 
+def test_triangles_with_the_same_coordinates_along_every_axis_are_told_apart():
+    """Three triangles across a cube, whose corners have the same x, the same y and the same z, in other pairs."""
+    cube = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
+    faces = np.array([[4, 2, 1], [6, 1, 0], [5, 2, 0]])
+    mesh = PaintedMesh(cube, faces, face_material=[0, 1, 2], materials=tuple(Material(name) for name in "abc"))
+    np.testing.assert_array_equal(mesh.on(cube, faces[::-1]).face_material, [2, 1, 0])
+
+
 @pytest.mark.parametrize("level", [0, 5, 60, 188, 255])
 def test_colours_of_glb_are_linear(tmp_path, level):
     """A material's factor and colours at vertices are light in the file, and the colour itself when read and drawn."""
