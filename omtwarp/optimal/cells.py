@@ -14,12 +14,12 @@ from abc import abstractmethod
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from omtwarp.device.arrays import Workspace
 from omtwarp.device.start import KERNEL_OPTIONS, wp
 from omtwarp.device.sums import SparseProduct, scaled
 from omtwarp.device.threads import FIRST_THREAD, launch_parts
+from omtwarp.location import combined
 from omtwarp.mesh.quarter import PARTS, QuarteredSurface
 from omtwarp.mesh.surface import Surface
 from omtwarp.optimal.kernels import edge_slopes
@@ -80,7 +80,7 @@ class Cells:
     ):
         self._surface, self._device, self._mesh = surface, device, surface.on(device)
         self.wanted, self.multipliers, self.slope_count = wanted, len(wanted), slope_count
-        belongs = rows_of(of_triangles, np.ones(of_triangles.shape[1]), len(wanted))
+        belongs = combined(of_triangles, np.ones(of_triangles.shape), len(wanted))
         self._around, self._on_triangles = SparseProduct(belongs.T, device), SparseProduct(belongs, device)
 
     def areas(self, triangles: wp.array) -> wp.array:
@@ -111,17 +111,6 @@ class Cells:
     @abstractmethod
     def factor(self, workspace: Workspace | None = None) -> SaddlePointFactor:
         """Return what factorises matrices with a multiplier for every cell."""
-
-
-def rows_of(columns: NDArray[np.int32], row: Numbers, count: int) -> sparse.csr_matrix:
-    """Return the matrix of ``count`` columns that has the same numbers in every row, shape [N, count].
-
-    Args:
-        columns: where the numbers of every row are, shape [N, K].
-        row: the numbers, shape [K].
-    """
-    offsets = np.arange(len(columns) + 1) * len(row)
-    return sparse.csr_matrix((np.tile(row, len(columns)), columns.ravel(), offsets), shape=(len(columns), count))
 
 
 class RingCells(Cells):
@@ -190,7 +179,8 @@ class TriangleCells(Cells):
         self.vertices: NDArray[np.int32] = np.concatenate([corners, quartered.middles], axis=1)
         wanted = quartered.sum_of_parts(surface.face_areas)
         super().__init__(surface, quartered.parents[:, None], wanted, 2 * self.vertices.size, device)
-        shares = rows_of(self.vertices, np.repeat([CORNER_SHARE, MIDDLE_SHARE], 3), surface.vertex_count)
+        share = np.tile(np.repeat([CORNER_SHARE, MIDDLE_SHARE], 3), (len(self.vertices), 1))
+        shares = combined(self.vertices, share, surface.vertex_count)
         self._means, self._masses = SparseProduct(shares, device), SparseProduct(shares.T, device)
         self._factor: SaddlePointFactor | None = None
 

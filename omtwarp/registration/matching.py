@@ -12,10 +12,10 @@ descent ends at the folds that lie next to where it begins; here all places are 
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-from omtwarp.location import Locator
+from omtwarp.location import Locator, combined
 from omtwarp.mesh.arrays import ROUND_OFF, Floats, normalised
 from omtwarp.mesh.surface import Surface
 from omtwarp.registration.landmarks import Pairs
@@ -230,13 +230,11 @@ def _shares() -> Floats:
     return np.asarray(areas / (TURNS * areas.sum()))
 
 
-def _samples(grid: Surface, frames: Floats) -> csr_array:
+def _samples(grid: Surface, frames: Floats) -> csr_matrix:
     """Return the matrix that reads values at a grid's vertices on the rings around points, [P RINGS TURNS, M]."""
     rings, angles = np.radians(RINGS)[:, None], 2.0 * np.pi * np.arange(TURNS) / TURNS
     across, up = np.sin(rings), np.broadcast_to(np.cos(rings), (len(rings), TURNS))
     around = np.stack([across * np.cos(angles), across * np.sin(angles), up], axis=2)
     places = np.einsum("pij,raj->prai", frames, around).reshape(-1, 3)
     found = Locator(grid.vertices, grid.faces, device="cpu").find(places)
-    rows = np.arange(0, 3 * len(places) + 1, 3)
-    columns, shape = grid.faces[found.faces].ravel(), (len(places), grid.vertex_count)
-    return csr_array((found.coordinates.ravel(), columns, rows), shape=shape)
+    return combined(grid.faces[found.faces], found.coordinates, grid.vertex_count)
