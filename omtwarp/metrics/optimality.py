@@ -241,7 +241,7 @@ def _measure(
     worth_raising = 0.05
     ascent_steps = whole_number(ascent_steps, "ascent_steps")
 
-    total = STEPS_BEFORE + ascent_steps + 1  # the bounds of the whole sphere at the end are a step too
+    total = STEPS_BEFORE + ascent_steps + 1  # the report itself is the last step
 
     def notify(step: int, details: Record) -> None:
         tell(progress, "optimality", step, total, details)

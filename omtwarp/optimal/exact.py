@@ -96,7 +96,10 @@ def _step(
     direction = energy.direction(points, solution)
     before, length = np.sqrt(terms.squares), 1.0
     for _ in range(MAX_HALVINGS):
-        held = steps.held_back(points, direction, terms.shape.d_volume, length)
+        moved, marks, troubled = steps.tried(points, direction, terms.shape.d_volume, length, energy.reading)
+        held: tuple[wp.array, int] | None = (moved, 0)
+        if energy.reading.read()[troubled] > 0.0:
+            held = steps.held_back(points, direction, terms.shape.d_volume, length, marks)
         if held is not None:
             after = energy.terms(held[0])
             if np.sqrt(after.squares) <= (1.0 - SUFFICIENT * length) * before:

@@ -403,7 +403,7 @@ class _Newton:
         slope, pressed = reading.dot(right, solution), reading.dot(self.multipliers, terms.missing)
         volume, length, decrement, merit = terms.shape.d_volume, 1.0, 0.0, 0.0
         for halvings in range(MAX_HALVINGS + 1):
-            moved, troubled = self.steps.tried(points, direction, volume, length, reading)
+            moved, marks, troubled = self.steps.tried(points, direction, volume, length, reading)
             finish = energy.begin(moved, self.multipliers)
             numbers = reading.read()
             if halvings == 0:
@@ -412,7 +412,9 @@ class _Newton:
                 if not decrement > 0.0:
                     break
             enough = merit - SUFFICIENT_DECREASE * length * decrement
-            held = (moved, 0) if numbers[troubled] == 0.0 else self.steps.held_back(points, direction, volume, length)
+            held: tuple[wp.array, int] | None = (moved, 0)
+            if numbers[troubled] > 0.0:
+                held = self.steps.held_back(points, direction, volume, length, marks)
             if held is not None:
                 after = energy.terms(held[0], self.multipliers) if held[1] else finish(numbers)
                 if self._merit(after) <= enough:

@@ -29,7 +29,7 @@ class FlipFreeSteps:
 
     def tried(
         self, points: wp.array, direction: wp.array, volume: wp.array, length: float, reading: Reading
-    ) -> tuple[wp.array, int]:
+    ) -> tuple[wp.array, wp.array, int]:
         """Move points by a step, and begin to look for triangles that it turns over or nearly flattens.
 
         Args:
@@ -40,31 +40,34 @@ class FlipFreeSteps:
             reading: of numbers from the device.
 
         Returns:
-            The map, and the place of a number among those read that is positive where there are such triangles.
+            The map; marks of such triangles, float64, shape [F]; and the place of a number among those read that is
+            positive where there are some.
         """
         moved = self._domain.moved(points, direction, self._whole, length)
-        return moved, reading.largest(self._domain.spoilt(moved, volume))
+        marks = self._domain.spoilt(moved, volume)
+        return moved, marks, reading.largest(marks)
 
     def held_back(
-        self, points: wp.array, direction: wp.array, volume: wp.array, length: float
+        self, points: wp.array, direction: wp.array, volume: wp.array, length: float, marks: wp.array
     ) -> tuple[wp.array, int] | None:
         """Move points by the largest shares of the step, halved corner by corner, that keep every triangle.
 
         Args:
             points, direction, volume, length: as of :meth:`tried`.
+            marks: of triangles that the whole step spoils, of which there are some.
 
         Returns:
             The map and the number of vertices held back; None where no shares were found.
         """
-        holds = 30  # halvings of the shares of corners of triangles in trouble
+        holds = 29  # halvings of the shares of corners of triangles in trouble
         share, other = self._whole, wp.empty_like(self._whole)
         for _ in range(holds):
-            moved = self._domain.moved(points, direction, share, length)
-            trouble = self._domain.spoilt(moved, volume)
-            place = self._reading.largest(trouble)
-            if not self._reading.read()[place] > 0.0:
-                return moved, int(np.count_nonzero(share.numpy() < 1.0))
-            inputs = [*self._corners, trouble, share]
+            inputs = [*self._corners, marks, share]
             wp.launch(hold_back, dim=self._count, inputs=inputs, outputs=[other], device=self._device)
             share, other = other, wp.empty_like(share) if share is self._whole else share
+            moved = self._domain.moved(points, direction, share, length)
+            marks = self._domain.spoilt(moved, volume)
+            place = self._reading.largest(marks)
+            if not self._reading.read()[place] > 0.0:
+                return moved, int(np.count_nonzero(share.numpy() < 1.0))
         return None

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp.device.arrays import empty, triangles, vectors
+from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
@@ -222,6 +222,9 @@ class _Untangling:
         if held is not None:
             freed &= ~held
         self.patches = patches = Patches.of_vertices(surface.faces, freed)
+        count = len(patches.faces)
+        self.d_faces = wp.array(patches.faces, dtype=wp.vec3i, device=device)
+        self.d_value, self.d_solid = (wp.empty(count, dtype=wp.float64, device=device) for _ in range(2))
         frames = triangle_frames(surface, FATTENED, patches.triangles)
         covered = self._covered(vectors(sphere[patches.vertices], device))
         # The surroundings of a patch determine the area that it has to cover, up to whole spheres; the whole map covers
@@ -235,11 +238,8 @@ class _Untangling:
         index = np.where(corner < patches.free, 2 * corner + np.array([0, 1] * 3), -1).ravel()
         self.gradient_kept = np.flatnonzero(index >= 0)
         self.gradient_slot = index[self.gradient_kept]
-        count = len(patches.faces)
-        self.d_faces = wp.array(patches.faces, dtype=wp.vec3i, device=device)
         self.d_frames = wp.array(frames, dtype=wp.vec3d, device=device)
         self.d_areas = wp.array(surface.face_areas[patches.triangles], dtype=wp.float64, device=device)
-        self.d_value, self.d_solid = (wp.empty(count, dtype=wp.float64, device=device) for _ in range(2))
         self.d_gradient = wp.empty((count, 6), dtype=wp.float64, device=device)
         self.d_hessian = wp.empty((count, 21), dtype=wp.float64, device=device)
 
@@ -258,16 +258,15 @@ class _Untangling:
                 moving &= ~settled
                 if not moving.any() or budget.exhausted:
                     break
-            flipped = flipped_faces(points.numpy(), self.patches.faces)
-            tangled = np.bincount(self.patches.face_patch[flipped], minlength=self.patches.count) > 0
+            flips = self._flips(points.numpy())
             self.surplus = np.rint(self._covered(points) - self.share)
-            active &= (tangled | (self.surplus != 0)) & (epsilon > SMALLEST_EPSILON)
+            active &= ((flips > 0) | (self.surplus != 0)) & (epsilon > SMALLEST_EPSILON)
             if not active.any() or budget.exhausted:
                 break
             epsilon[active] = np.maximum(epsilon[active] * LOWERED, SMALLEST_EPSILON)
-        return self._taken(points.numpy()), rounds
+        return self._taken(points.numpy(), flips), rounds
 
-    def _taken(self, points: Floats) -> Floats:
+    def _taken(self, points: Floats, flips: NDArray[np.intp]) -> Floats:
         """Return the map with the points of those patches that are solved, or have fewer flips than they had.
 
         A patch too small for its triangles can end with more flips than it began with. Patches that cover their part of
@@ -275,11 +274,8 @@ class _Untangling:
         patches by their flipped triangles, not by vertices whose rings turn twice.
         """
         patches, result = self.patches, self.sphere.copy()
-        before, after = (
-            np.bincount(patches.face_patch[flipped_faces(places, patches.faces)], minlength=patches.count)
-            for places in (self.sphere[patches.vertices], points)
-        )
-        taken = ((after == 0) | (after < before)) & (self.surplus == 0)
+        fewer = flips < self._flips(self.sphere[patches.vertices])
+        taken = ((flips == 0) | fewer) & (self.surplus == 0)
         moved = np.flatnonzero(taken[patches.vertex_patch])
         result[patches.vertices[moved]] = points[moved]
         return result
@@ -342,8 +338,11 @@ class _Untangling:
 
     def _covered(self, points: wp.array) -> Floats:
         """Return the signed area that every patch covers, with multiplicity, over that of the sphere, shape [count]."""
+        inputs, outputs = [points, self.d_faces], [self.d_solid]
+        wp.launch(solid_angles, dim=len(self.d_faces), inputs=inputs, outputs=outputs, device=self.device)
+        return self.patches.sum_of_faces(self.d_solid.numpy()) / SPHERE_AREA
+
+    def _flips(self, points: Floats) -> NDArray[np.intp]:
+        """Return the number of flipped triangles of every patch, decided exactly, shape [count]."""
         patches = self.patches
-        faces = triangles(patches.faces, self.device)
-        solid = empty(len(faces), wp.float64, self.device)
-        wp.launch(solid_angles, dim=len(faces), inputs=[points, faces], outputs=[solid], device=self.device)
-        return patches.sum_of_faces(solid.numpy()) / SPHERE_AREA
+        return np.bincount(patches.face_patch[flipped_faces(points, patches.faces)], minlength=patches.count)
