@@ -166,7 +166,7 @@ def runtime_imports(module: str) -> list[str]:
 
 
 def is_slow_to_load(module: str) -> bool:
-    """Whether a module loads more than the standard library and typer, itself or by others, or loads on demand."""
+    """Whether a module loads more than the standard library and click, itself or by others, or loads on demand."""
     left, seen = [module], set()
     while left:
         name = left.pop()
@@ -177,7 +177,7 @@ def is_slow_to_load(module: str) -> bool:
                 if re.search(r"^(def __getattr__|__all__, __getattr__ =)", FILES[one].read_text("utf-8"), re.MULTILINE):
                     return True
                 left += runtime_imports(one)
-            elif one.split(".")[0] not in sys.stdlib_module_names | {"omtwarp", "typer"}:
+            elif one.split(".")[0] not in sys.stdlib_module_names | {"omtwarp", "click"}:
                 return True
     return False
 

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 from typing import Annotated, get_args
 
 import pytest
-import typer
-from typer.testing import CliRunner
+from click.testing import CliRunner
 
 import omtwarp
 from omtwarp import options
 from omtwarp.commands._cli import main
-from omtwarp.commands._options import Only, as_command
+from omtwarp.commands._command import as_command
+from omtwarp.commands._options import Only, Typed
 from omtwarp.errors import OmtwarpError
 from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mesh.write import write_mesh
@@ -43,16 +43,15 @@ def test_the_options_of_a_group_are_options_of_the_command():
 
     @dataclass(frozen=True)
     class Size:
-        width: Annotated[int, typer.Option(min=1)] = 3
-        height: Annotated[int, typer.Option(min=1)] = 2
+        width: Annotated[int, Typed(bounds=(1, None))] = 3
+        height: Annotated[int, Typed(bounds=(1, None))] = 2
 
     seen = []
 
     def draw(*, size: Size, mapping: Annotated[MapOptions, Only(("refine", "exact"))], title: str = "none"):
         seen.append((size, mapping, title))
 
-    app = typer.Typer()
-    app.command()(as_command(draw))
+    app = as_command(draw)
     assert CliRunner().invoke(app, ["--width", "4", "--refine", "match:2.5", "--title", "a"]).exit_code == 0
     assert CliRunner().invoke(app, ["--exact"]).exit_code == 0
     assert seen == [(Size(4), MapOptions(refine=AreaMatch(2.5)), "a"), (Size(), MapOptions(exact=True), "none")]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from click import Command, Context
 from docutils import nodes
 from docutils.parsers.rst import Directive
 from sphinx.application import Sphinx
@@ -13,15 +14,14 @@ class CommandLine(Directive):
     """A section for every command: what it does, how it is called, its arguments and options."""
 
     def run(self) -> list[nodes.Node]:
-        import typer
+        from omtwarp.commands import function_of
+        from omtwarp.commands._cli import SUMMARIES, program
+        from omtwarp.commands._command import as_command
 
-        from omtwarp.commands._cli import app_of
+        context = program.make_context("omtwarp", [], resilient_parsing=True)
+        return [self.section(name, as_command(function_of(name)), context) for name in SUMMARIES]
 
-        group: Any = typer.main.get_command(app_of())
-        context = group.make_context("omtwarp", [], resilient_parsing=True)
-        return [self.section(name, group.get_command(context, name), context) for name in group.list_commands(context)]
-
-    def section(self, name: str, command: Any, parent: Any) -> nodes.section:
+    def section(self, name: str, command: Command, parent: Context) -> nodes.section:
         context = command.make_context(name, [], parent=parent, resilient_parsing=True)
         title = f"omtwarp {name}"
         section = nodes.section(ids=[nodes.make_id(title)], names=[nodes.fully_normalize_name(title)])
@@ -34,15 +34,8 @@ class CommandLine(Directive):
         section += [nodes.paragraph(text, text) for text in more]
         if command.epilog:
             section += nodes.literal_block(command.epilog, command.epilog, language="console")
-        rows = []
-        for parameter in command.get_params(context):
-            if getattr(parameter, "hidden", False):
-                continue
-            record = parameter.get_help_record(context)
-            if record is None:  # an argument without help
-                record = (parameter.make_metavar(context), "")
-            rows.append(record)
-        section += self.table(rows)
+        records = [parameter.get_help_record(context) for parameter in command.get_params(context)]
+        section += self.table([record for record in records if record is not None])
         return section
 
     @staticmethod

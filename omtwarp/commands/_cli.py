@@ -1,29 +1,20 @@
 """The command line: ``omtwarp COMMAND ...``, the commands of :mod:`omtwarp.commands`."""
 
-from __future__ import annotations
-
 import atexit
-import contextlib
 import gc
 import os
-import re
 import sys
-from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
 
-import typer
+import click
+from click.shell_completion import get_completion_class
 
 import omtwarp
 from omtwarp.commands import function_of
-from omtwarp.commands._options import OUTPUTS, as_command, sections
+from omtwarp.commands._command import as_command
 from omtwarp.commands._streams import say, standard_streams, warnings_as_lines
 from omtwarp.errors import INTERRUPTED, OmtwarpError, unexpected
 from omtwarp.files.interruptions import LINE, ending_the_process
-from omtwarp.files.output import keeping
-
-if TYPE_CHECKING:
-    from typer._click.formatting import HelpFormatter  # click's own in versions without a copy of it
 
 SUMMARIES = {
     "map": "Map surfaces to the sphere, with their areas preserved.",
@@ -45,132 +36,73 @@ SUMMARIES = {
 }
 """One line about every command, short enough for a terminal of 80 columns; see :func:`function_of`."""
 
-GROUPS = {
-    "Input": (
-        "finished map_of_source map_of_target surface to_surface data labels feature to_feature landmarks faces "
-        "smoothing covariate"
-    ),
-    "Output": (
-        "output report json_output as_json quiet verbose title beside radius sphere matrix reconstruction strain "
-        "force before film"
-    ),
-    "Map": "method until cost scheme refine exact weights weights_at density target_floor optimality",
-    "Holes, handles, parts": "hemisphere disk cap fill_area components together cut cut_along torus",
-    "Method": (
-        "to by aligned mirror grid degree scale fit permutations seed transport resample.method group.components "
-        "stiffness max_strain feature_weight keep_areas group sequence rounds register"
-    ),
-    "Texture": (
-        "image pattern projection atlas rotate seam uv keep_materials opacity bake detail aspect margin "
-        "texture_format texture.size transfer.size"
-    ),
-    "View": (
-        "size view zoom field_of_view up front light background transparent wireframe frames fps seconds captions "
-        "backend preview.projection"
-    ),
-    "Computation": ("device devices solver repair strict executor workers shard time_limit memory_limit retry collect"),
+STARTS = {
+    "bash": (".bashrc", 'eval "$({})"'),
+    "zsh": (".zshrc", 'autoload -Uz compinit && compinit && eval "$({})"'),
+    "fish": (".config/fish/config.fish", "{} | source"),
 }
-"""Options, or those of one command, by the heading that help shows them under; others are shown last."""
+"""What shells read when they start, in the user's folder, and how they read there what a program prints."""
 
 
-class Command(typer.core.TyperCommand):
-    """A command whose help has groups of options, and whose epilog is examples, one a line."""
+class _Program(click.Group):
+    """All commands by their summaries; one is read where it is asked for."""
 
-    def format_options(self, ctx: object, formatter: HelpFormatter) -> None:
-        """Write arguments, then the groups of options."""
-        context = cast(typer.Context, ctx)
-        rows: dict[str, list[tuple[str, str]]] = {}
-        for parameter in self.get_params(context):
-            record = parameter.get_help_record(context)
-            if record is not None:
-                record = _plain(record[0]), record[1]
-                heading = heading_of(str(self.name), str(parameter.name))
-                rows.setdefault("Arguments" if parameter.param_type_name == "argument" else heading, []).append(record)
-        for heading in ("Arguments", *GROUPS, "Other"):
-            if heading in rows:
-                with formatter.section(heading):
-                    formatter.write_dl(rows[heading])
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(self.commands)
 
-    def parse_args(self, ctx: object, args: list[str]) -> list[str]:
-        """Read the arguments; an error says what is wrong, without the name of a Python exception."""
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        name, _, rest = super().resolve_command(ctx, args)
+        return name, None if name is None else as_command(function_of(name)), rest
+
+    def invoke(self, ctx: click.Context) -> object:
+        """Run a command; an interruption does not get to click, which has other words and another status for it."""
         try:
-            return super().parse_args(cast(typer.Context, ctx), args)
-        except typer.BadParameter as error:
-            error.message = error.message.removeprefix("Value error, ")
-            raise
-
-    def invoke(self, ctx: object) -> object:
-        """Run the command, which replaces nothing that it reads."""
-        given = cast(typer.Context, ctx).params
-        inputs = (path for name, value in given.items() if name not in OUTPUTS for path in _named_files(value))
-        with keeping(inputs, force=bool(given.get("force"))):
-            return super().invoke(cast(typer.Context, ctx))
-
-    def collect_usage_pieces(self, ctx: object) -> list[str]:
-        """Return the words of the usage line; names of arguments that are needed stand without braces."""
-        pieces = super().collect_usage_pieces(cast(typer.Context, ctx))
-        return [re.sub(r"^\{(.*)\}(\.*)$", r"\1\2", piece) for piece in pieces]
-
-    def format_epilog(self, ctx: object, formatter: HelpFormatter) -> None:
-        """Write the examples."""
-        if self.epilog:
-            with formatter.section("Examples"):
-                for line in self.epilog.splitlines():
-                    formatter.write(f"{'':{formatter.current_indent}}{line}\n")
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            print(LINE, file=sys.stderr)
+            sys.exit(INTERRUPTED)
 
 
-def _named_files(value: object) -> Iterator[Path]:
-    """Yield the files that an option or argument names."""
-    for one in value if isinstance(value, list | tuple) else [value]:
-        with contextlib.suppress(OSError, ValueError):  # a text that is too long for a name, or with a null character
-            if isinstance(one, str | Path) and Path(one).is_file():
-                yield Path(one)
-
-
-def heading_of(command: str, option: str) -> str:
-    """Return the heading of an option of a command: the command's own, or the one it has everywhere."""
-    for name in (f"{command}.{option}", option):
-        for heading, members in GROUPS.items():
-            if name in members.split():
-                return heading
-    return "Other"
-
-
-def _plain(usage: str) -> str:
-    """Replace Python's names of types in an option's help: choices by their values, others by NUMBER and TEXT."""
-    usage = re.sub(r"(?<=[A-Z.\]]) <[^<>]*>$", "", usage)  # of an argument, which has its name
-    usage = re.sub(r"<(?:float|int)(?: range)?>$", "NUMBER", usage)
-    usage = re.sub(r"<(?:str|text)>$", "TEXT", usage)
-    return re.sub(r"<([^<>]*\|[^<>]*)>$", r"\1", usage)
-
-
-def _show_version(wanted: bool) -> None:
-    if wanted:
+def _answer(ctx: click.Context, option: click.Parameter, wanted: bool) -> None:
+    """Print the version, or what has the shell complete commands; or have it do so from now on."""
+    if not wanted or ctx.resilient_parsing:
+        return
+    shell = Path(os.environ.get("SHELL", "powershell")).stem
+    known = get_completion_class(shell)
+    if option.name == "version":
         print(f"omtwarp {omtwarp.__version__}")
-        raise typer.Exit
+    elif known is None or (option.name == "install_completion" and shell not in STARTS):
+        raise OmtwarpError(f"no completion for the shell '{shell}', which SHELL names: use {', '.join(STARTS)}")
+    elif option.name == "show_completion":
+        print(known(ctx.command, {}, "omtwarp", "_OMTWARP_COMPLETE").source())
+    else:
+        file, reading = Path.home() / STARTS[shell][0], STARTS[shell][1]
+        line = f"\n{reading.format(f'_OMTWARP_COMPLETE={shell}_source omtwarp')}\n"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with open(file, "a+", encoding="utf-8", errors="replace") as start:
+            start.seek(0)
+            start.write("" if line in start.read() else line)
+        print(f"{file}: completes commands of omtwarp in shells that start from now on")
+    ctx.exit()
 
 
-def _common(
-    version: bool = typer.Option(False, "--version", callback=_show_version, is_eager=True, help="Print the version."),
-) -> None:
-    pass
-
-
-def app_of(names: Iterable[str] = SUMMARIES) -> typer.Typer:
-    """Return the command line with the commands of these names; to read the options of all takes a while."""
-    app = typer.Typer(
-        help="Area-preserving maps of surfaces to the sphere, and textures through them.",
-        epilog="Begin with: omtwarp demo -o out. Options and examples of a command: omtwarp COMMAND --help.",
-        no_args_is_help=True,
-        rich_markup_mode=None,
-        pretty_exceptions_enable=False,
-        context_settings={"help_option_names": ["--help", "-h"]},
-    )
-    app.callback()(_common)
-    for name in names:
-        run = function_of(name)
-        app.command(name, cls=Command, short_help=SUMMARIES[name], epilog=sections(run)[1])(as_command(run))
-    return app
+program = _Program(
+    "omtwarp",
+    commands={name: click.Command(name, short_help=summary) for name, summary in SUMMARIES.items()},
+    params=[
+        click.Option([name], is_flag=True, is_eager=True, expose_value=False, callback=_answer, help=said)
+        for name, said in {
+            "--version": "Print the version.",
+            "--install-completion": "Install completion for the current shell.",
+            "--show-completion": "Show completion for the current shell, to copy it or customize the installation.",
+        }.items()
+    ],
+    help="Area-preserving maps of surfaces to the sphere, and textures through them.",
+    epilog="Begin with: omtwarp demo -o out. Options and examples of a command: omtwarp COMMAND --help.",
+    context_settings={"help_option_names": ["--help", "-h"]},
+)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -192,9 +124,8 @@ def main(arguments: list[str] | None = None) -> None:
         try:
             with standard_streams():
                 try:
-                    words = sys.argv[1:] if arguments is None else arguments
                     with warnings_as_lines():
-                        app_of(SUMMARIES.keys() & words[:1] or SUMMARIES)(args=arguments, prog_name="omtwarp")
+                        program(args=arguments, prog_name="omtwarp")
                 except OmtwarpError as error:
                     _fail(str(error))
         except BrokenPipeError:  # the reader of the output has ended

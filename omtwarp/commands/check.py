@@ -6,10 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 import omtwarp
-from omtwarp.commands._options import Printing, output_option
+from omtwarp.commands._options import Argument, Printing, output_option
 from omtwarp.commands._streams import input_file, say, step_times
 from omtwarp.commands._work import of_a_map, outputs_of, show_each
 from omtwarp.errors import OmtwarpError
@@ -21,7 +19,7 @@ if TYPE_CHECKING:
 
 def run_check(
     *,
-    meshes: Annotated[list[Path], typer.Argument(metavar="MESH", callback=input_file)],
+    meshes: Annotated[list[Path], Argument(file=input_file)],
     repair: bool = False,
     output: Annotated[Path | None, output_option(".ply")] = None,
     printing: Printing,
@@ -38,7 +36,7 @@ def run_check(
     Options:
         repair: Repair the mesh, and list what was done.
         output: Write the repaired mesh.
-        meshes: Closed triangle meshes of any format; - is standard input.
+        meshes (MESH): Closed triangle meshes of any format; - is standard input.
     """
     from omtwarp.mesh.write import SUFFIXES
 

@@ -11,9 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from omtwarp.commands._options import ROUTE, Only, Printing, named, output_option
+from omtwarp.commands._options import ROUTE, Argument, Only, Printing, Typed, output_option
 from omtwarp.commands._streams import input_table, say, warnings_as_lines
 from omtwarp.commands._work import show_facts
 from omtwarp.errors import INTERRUPTED, OmtwarpError
@@ -44,7 +42,7 @@ class Running:
     Options:
         executor (local|dask|dask:ADDRESS|slurm|submitit-local): Engine that runs the work: processes of this machine,
             or a cluster.
-        workers: Number of items at the same time; one for each core by default.
+        workers (N): Number of items at the same time; one for each core by default.
         time_limit (SECONDS): Seconds after which an item counts as failed.
         memory_limit (GIB): GiB of memory that an item may allocate, on Linux; 0 for no limit.
         retry: Compute failed items again.
@@ -56,20 +54,20 @@ class Running:
     """
 
     executor: str = "local"
-    workers: Annotated[int | None, typer.Option(metavar="N", min=1)] = None
+    workers: Annotated[int | None, Typed(bounds=(1, None))] = None
     time_limit: float = 3600.0
     memory_limit: float = 0.0
     retry: bool = False
     collect: bool = False
-    fill_area: Annotated[FillArea | None, named(FillArea)] = None
+    fill_area: FillArea | None = None
     register: str | None = None
     repair: bool = False
 
 
 def run_cohort(
     *,
-    manifest: Annotated[str, typer.Argument(metavar="MANIFEST")],
-    output: Annotated[Path, output_option(metavar="DIR")],
+    manifest: Annotated[str, Argument()],
+    output: Annotated[Path, output_option()],
     shard: str = "1/1",
     running: Running,
     mapping: Annotated[MapOptions, Only((*ROUTE, "optimality"))],
@@ -85,8 +83,8 @@ def run_cohort(
         omtwarp cohort meshes.csv -o out --shard 2/8
 
     Options:
-        manifest: A table with a column 'path' (- is standard input), a folder, or a pattern in quotes.
-        output: Folder of the results.
+        manifest (MANIFEST): A table with a column 'path' (- is standard input), a folder, or a pattern in quotes.
+        output (DIR): Folder of the results.
         shard (I/N): Compute every N-th item only, beginning with the I-th.
     """
     from omtwarp.cohort import read_manifest, run_cohort
@@ -113,7 +111,7 @@ def _ended_when_interrupted() -> Iterator[None]:
             yield
     except KeyboardInterrupt as stopped:
         print(f"{LINE}: {stopped or 'run again to continue'}", file=sys.stderr)
-        raise typer.Exit(INTERRUPTED) from None
+        sys.exit(INTERRUPTED)
 
 
 @contextmanager

@@ -7,11 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
-import typer
-
 import omtwarp
 from omtwarp.commands import _work
-from omtwarp.commands._options import ROUTE, Only, Printing, named, output_option
+from omtwarp.commands._options import ROUTE, Argument, Only, Printing, Typed, output_option
 from omtwarp.commands._streams import input_file
 from omtwarp.commands._work import AnyMap, make_map, require_bijective
 from omtwarp.commands.texture import standing
@@ -46,11 +44,11 @@ class Topology:
     hemisphere: bool = False
     disk: bool = False
     cap: bool = False
-    fill_area: Annotated[FillArea | None, named(FillArea)] = None
+    fill_area: FillArea | None = None
     components: bool = False
     together: bool = False
     cut: bool = False
-    cut_along: Annotated[CutAlong | None, named(CutAlong)] = None
+    cut_along: CutAlong | None = None
     torus: bool = False
 
     def keywords(self) -> SurfaceKeywords | None:
@@ -83,13 +81,13 @@ class Mass:
     Options:
         weights (FILE): Numbers per vertex or triangle (.npy, .csv, .gii, ...): twice the weight, twice the area.
         weights_at: What the weights belong to; auto goes by their number.
-        density: An equirectangular picture as the density to reach: bright regions get more mass.
+        density (IMAGE): An equirectangular picture as the density to reach: bright regions get more mass.
         target_floor (SHARE): Raise the target's dark parts to this share of its mean.
     """
 
     weights: Path | None = None
-    weights_at: Annotated[WeightsAt, named(WeightsAt)] = WeightsAt.AUTO
-    density: Annotated[Path | None, typer.Option("--target", metavar="IMAGE")] = None
+    weights_at: WeightsAt = WeightsAt.AUTO
+    density: Annotated[Path | None, Typed("--target")] = None
     target_floor: float = 0.0
 
     def target(self) -> omtwarp.TargetDensity | None:
@@ -107,16 +105,16 @@ class Mass:
 
 def run_map(
     *,
-    meshes: Annotated[list[Path], typer.Argument(metavar="MESH", callback=input_file)],
+    meshes: Annotated[list[Path], Argument(file=input_file)],
     output: Annotated[Path, output_option(".npz")],
     mapping: Annotated[MapOptions, Only((*ROUTE, "exact", "strict"))],
     topology: Topology,
     mass: Mass,
     report: Path | None = None,
     repair: bool = False,
-    smoothing: Annotated[int | None, typer.Option(min=0, max=1000)] = None,
+    smoothing: Annotated[int | None, Typed(bounds=(0, 1000))] = None,
     beside: bool = False,
-    radius: Annotated[float, typer.Option(min=1e-06, max=1000000000.0)] = 1.0,
+    radius: Annotated[float, Typed(bounds=(1e-06, 1000000000.0))] = 1.0,
     up: str | None = None,
     front: str | None = None,
     printing: Printing,
@@ -149,7 +147,7 @@ def run_map(
         report (JSON): Write the report: what was done, and the map's quality; a directory for several.
         smoothing: Rounds of smoothing of the surfaces of a volume's labels; 20 by default.
         beside: For .ply: the surface, with its sphere as px, py, pz at the vertices.
-        meshes: Closed triangle meshes of any format; - is standard input.
+        meshes (MESH): Closed triangle meshes of any format; - is standard input.
         repair: Repair the mesh first: equal vertices, orientation, small holes, largest component; prints what it did.
         radius: Radius of a sphere that is written as a mesh; FreeSurfer's is 100.
         up (AXIS): The axis of the mesh towards the north pole; its shortest by default.
@@ -285,8 +283,8 @@ NAMES = ("creature.ply", "map.npz", "report.json", "globe.glb", "globe.png", "ci
 
 def run_demo(
     *,
-    output: Annotated[Path, output_option(metavar="DIRECTORY")] = Path("out"),
-    faces: Annotated[int, typer.Option(min=2000, max=2000000)] = 20000,
+    output: Annotated[Path, output_option()] = Path("out"),
+    faces: Annotated[int, Typed(bounds=(2000, 2000000))] = 20000,
     device: Device = MapOptions.device,
     printing: Printing,
 ) -> None:
@@ -296,7 +294,7 @@ def run_demo(
         omtwarp demo -o out
 
     Options:
-        output: Folder of the results.
+        output (DIRECTORY): Folder of the results.
         faces: Roughly how many faces the shape has.
     """
     _work.start_device(device)

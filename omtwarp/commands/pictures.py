@@ -6,11 +6,9 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 import omtwarp
 from omtwarp.commands import _options
-from omtwarp.commands._options import ROUTE, Only, Printing, RouteOptions, Shown, Source
+from omtwarp.commands._options import ROUTE, Argument, Only, Printing, RouteOptions, Shown, Source, Typed
 from omtwarp.commands._streams import input_file, progress_bar, step_times
 from omtwarp.commands._work import map_from, show_each, start_device, targets_of
 from omtwarp.errors import OmtwarpError
@@ -67,14 +65,14 @@ class PictureLook:
 def run_preview(
     *,
     output: Annotated[Path, _options.output_option(".png")],
-    subjects: Annotated[list[Path] | None, typer.Argument(metavar="MESH", callback=input_file)] = None,
-    finished: Annotated[Path | None, typer.Option("--map", metavar="NPZ", callback=input_file)] = None,
-    size: Annotated[str, typer.Option(metavar="WIDTHxHEIGHT", callback=_options.picture_size)] = DEFAULT_SIZE,
+    subjects: Annotated[list[Path] | None, Argument(file=input_file)] = None,
+    finished: Annotated[Path | None, Typed("--map", file=input_file)] = None,
+    size: Annotated[str, Typed(read=_options.picture_size)] = DEFAULT_SIZE,
     view: list[str] | None = None,
     lens: Lens,
     look: PictureLook,
     image: Path | None = None,
-    frames: Annotated[int | None, typer.Option(min=1)] = None,
+    frames: Annotated[int | None, Typed(bounds=(1, None))] = None,
     fps: float = FILM_RATE,
     backend: Backend = Backend.AUTO,
     device: Device = MapOptions.device,
@@ -88,14 +86,14 @@ def run_preview(
 
     Options:
         output: .png, .jpg, .webp, .tif; .gif or .mp4 for films; a directory for several.
-        subjects: Meshes (textures and colours are shown) or maps (.npz), or -.
-        finished: A finished map (from 'omtwarp map') to be shown.
+        subjects (MESH): Meshes (textures and colours are shown) or maps (.npz), or -.
+        finished (NPZ): A finished map (from 'omtwarp map') to be shown.
         view (NAME|AZIMUTH,ELEVATION): front, back, left, right, top, bottom, three-quarter, six, or degrees; repeat
             for more views.
         image (PICTURE): An equirectangular picture, shown through a map.
         frames: Number of frames of a turntable to draw.
         fps: Frames per second of the turntable.
-        size: Size of the picture in pixels.
+        size (WIDTHxHEIGHT): Size of the picture in pixels.
         backend: What draws: OpenGL or the ray caster.
     """
     from omtwarp.render import Camera
@@ -146,7 +144,7 @@ class FilmLook:
     background: str = "white"
     seconds: float | None = None
     fps: float | None = None
-    captions: Annotated[bool, typer.Option()] = True
+    captions: bool = True
     backend: Backend = Backend.AUTO
 
 
@@ -155,7 +153,7 @@ def run_film(
     output: Annotated[Path, _options.output_option(".gif")],
     source: Source,
     shown: Shown,
-    size: Annotated[str | None, typer.Option(metavar="WIDTHxHEIGHT", callback=_options.picture_size)] = None,
+    size: Annotated[str | None, Typed(read=_options.picture_size)] = None,
     look: FilmLook,
     mapping: Annotated[MapOptions, Only(name for name in ROUTE if name != "until")],
     printing: Printing,
@@ -170,7 +168,7 @@ def run_film(
 
     Options:
         output: .mp4 (needs ffmpeg), .gif or .webp; a directory of .gif for several meshes.
-        size: Size in pixels; 1920x1080 by default, 640x360 for .gif and .webp.
+        size (WIDTHxHEIGHT): Size in pixels; 1920x1080 by default, 640x360 for .gif and .webp.
     """
     from omtwarp.render.output import check_target
 

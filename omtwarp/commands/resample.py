@@ -6,10 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
-import typer
-
 import omtwarp
-from omtwarp.commands._options import Printing, named, output_option
+from omtwarp.commands._options import Argument, Printing, Typed, output_option
 from omtwarp.commands._streams import STREAM, input_file, output_file, step_times
 from omtwarp.commands._work import show_facts, start_device
 from omtwarp.errors import OmtwarpError
@@ -67,7 +65,7 @@ class Given:
         labels: Treat the data as labels; GIFTI and .annot files are recognised.
     """
 
-    data: Annotated[Path | None, typer.Option(metavar="FILE", callback=input_file)] = None
+    data: Annotated[Path | None, Typed(file=input_file)] = None
     labels: bool = False
 
     def read(self, source: Path | None, target: Path | None) -> VertexData | None:
@@ -89,14 +87,14 @@ class Given:
 
 def run_resample(
     *,
-    source: Annotated[str, typer.Argument(metavar="SOURCE", callback=input_file)],
-    to: Annotated[str, typer.Option(metavar="TARGET", callback=input_file)],
+    source: Annotated[str, Argument(file=input_file)],
+    to: Annotated[str, Typed(file=input_file)],
     output: Annotated[Path, output_option()],
     given: Given,
-    method: Annotated[Interpolation | None, named(Interpolation)] = None,
+    method: Interpolation | None = None,
     surface: Path | None = None,
     extras: Extras,
-    hemisphere: Annotated[Side | None, named(Side)] = None,
+    hemisphere: Side | None = None,
     device: Device = MapOptions.device,
     printing: Printing,
 ) -> None:
@@ -111,8 +109,8 @@ def run_resample(
         omtwarp align lh.npz -o - | omtwarp resample - --to ico5 -o lh_ico5.ply
 
     Options:
-        source: A map (.npz), a sphere as a mesh, or a grid such as fsaverage5; - is standard input.
-        to: A map, a sphere, ico0..ico8, fsaverage3..7, fsLR32k, healpix:NSIDE, equiangular:HxW, octahedral:N.
+        source (SOURCE): A map (.npz), a sphere as a mesh, or a grid such as fsaverage5; - is standard input.
+        to (TARGET): A map, a sphere, ico0..ico8, fsaverage3..7, fsLR32k, healpix:NSIDE, equiangular:HxW, octahedral:N.
         output: The data at the target; without --data the surface; - is standard output, .npy or .ply.
         method: How; barycentric by default, and conservative (largest overlap) for labels.
         surface (MESH): The surface of SOURCE, where SOURCE is a sphere without one.

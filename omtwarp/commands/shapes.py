@@ -9,10 +9,8 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 import omtwarp
-from omtwarp.commands._options import Printing, Source, output_option
+from omtwarp.commands._options import Argument, Printing, Source, Typed, output_option
 from omtwarp.commands._streams import STREAM, input_file, input_table, progress_bar, say, step_times
 from omtwarp.commands._work import load_whole_map, map_from, require_whole, show_facts, start_device
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
@@ -36,9 +34,9 @@ class Fit(StrEnum):
 def run_spharm(
     *,
     output: Annotated[Path, output_option(".csv")],
-    mesh: Annotated[Path | None, typer.Argument(metavar="MESH", callback=input_file)] = None,
-    finished: Annotated[Path | None, typer.Option("--map", metavar="NPZ", callback=input_file)] = None,
-    degree: Annotated[int, typer.Option(metavar="L", min=0, max=500)] = 15,
+    mesh: Annotated[Path | None, Argument(file=input_file)] = None,
+    finished: Annotated[Path | None, Typed("--map", file=input_file)] = None,
+    degree: Annotated[int, Typed(bounds=(0, 500))] = 15,
     fit: Fit = Fit.LEAST_SQUARES,
     reconstruction: Path | None = None,
     repair: bool = False,
@@ -58,11 +56,11 @@ def run_spharm(
 
     Options:
         output: .coef as SPHARM-PDM has it, .csv, or .npz with everything; - is standard output, as .csv.
-        degree: Highest degree of the harmonics.
+        degree (L): Highest degree of the harmonics.
         fit: How to fit: least squares at the vertices, or integrals over the triangles.
         reconstruction (MESH): Also write the surface that the coefficients describe.
-        mesh: A closed triangle mesh, or -; not needed with --map.
-        finished: A finished map (from 'omtwarp map') instead of a new one; - is standard input.
+        mesh (MESH): A closed triangle mesh, or -; not needed with --map.
+        finished (NPZ): A finished map (from 'omtwarp map') instead of a new one; - is standard input.
         repair: Repair the mesh first: equal vertices, orientation, small holes, largest component; prints what it did.
     """
     import numpy as np
@@ -119,9 +117,9 @@ def _save_expansion(path: Path, expansion: Expansion) -> None:
 
 def run_distance(
     *,
-    first: Annotated[Path, typer.Argument(metavar="A", callback=input_file)],
-    second: Annotated[Path, typer.Argument(metavar="B", callback=input_file)],
-    degree: Annotated[int, typer.Option(metavar="L", min=1, max=64)] = 12,
+    first: Annotated[Path, Argument(file=input_file)],
+    second: Annotated[Path, Argument(file=input_file)],
+    degree: Annotated[int, Typed(bounds=(1, 64))] = 12,
     scale: bool = False,
     device: Device = MapOptions.device,
     printing: Printing,
@@ -135,9 +133,9 @@ def run_distance(
         omtwarp distance left.npz right.npz --json
 
     Options:
-        first: A map (.npz); - is standard input.
-        second: Another map (.npz).
-        degree: Highest degree of the harmonics.
+        first (A): A map (.npz); - is standard input.
+        second (B): Another map (.npz).
+        degree (L): Highest degree of the harmonics.
         scale: Scale both shapes to the same size before coefficients are compared.
     """
     from omtwarp.shape_analysis.distance import shape_distance
@@ -159,27 +157,27 @@ class Study:
 
     Options:
         grid (GRID): Sphere whose points are compared.
-        components: Largest number of principal components.
-        degree: Highest degree of the harmonics in distances.
+        components (N): Largest number of principal components.
+        degree (L): Highest degree of the harmonics in distances.
         scale: Scale all shapes to the same size.
-        permutations: Number of permutations that test differences.
-        seed: Seed of the random permutations.
+        permutations (N): Number of permutations that test differences.
+        seed (N): Seed of the random permutations.
         transport: Also compute transport distances of all pairs.
     """
 
     grid: str = "ico4"
-    components: Annotated[int, typer.Option(metavar="N", min=1)] = 5
-    degree: Annotated[int, typer.Option(metavar="L", min=1, max=64)] = 12
+    components: Annotated[int, Typed(bounds=(1, None))] = 5
+    degree: Annotated[int, Typed(bounds=(1, 64))] = 12
     scale: bool = False
-    permutations: Annotated[int, typer.Option(metavar="N", min=1)] = 999
-    seed: Annotated[int, typer.Option(metavar="N", min=0)] = 0
+    permutations: Annotated[int, Typed(bounds=(1, None))] = 999
+    seed: Annotated[int, Typed(bounds=(0, None))] = 0
     transport: bool = False
 
 
 def run_group(
     *,
-    sources: Annotated[list[str], typer.Argument(metavar="MANIFEST|MAPS")],
-    output: Annotated[Path, output_option(metavar="DIR")],
+    sources: Annotated[list[str], Argument()],
+    output: Annotated[Path, output_option()],
     covariate: list[str] | None = None,
     study: Study,
     device: Device = MapOptions.device,
@@ -196,8 +194,9 @@ def run_group(
         omtwarp group left.npz right.npz -o study --grid ico3
 
     Options:
-        sources: A table with the columns 'path' and 'group' (- is standard input), a cohort's folder, or maps.
-        output: Folder of the results.
+        sources (MANIFEST|MAPS): A table with the columns 'path' and 'group' (- is standard input), a cohort's folder,
+            or maps.
+        output (DIR): Folder of the results.
         covariate (COLUMN): A column of the table that may explain differences, such as age or site: repeat.
     """
     from omtwarp.mesh.neuro import structure_of

@@ -9,10 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 import omtwarp
-from omtwarp.commands._options import Printing, named, output_option
+from omtwarp.commands._options import Argument, Printing, Typed, output_option
 from omtwarp.commands._streams import input_file, is_standard_output, progress_bar, step_times, warnings_as_lines
 from omtwarp.commands._work import show_facts
 from omtwarp.commands.pictures import FILMS
@@ -32,7 +30,7 @@ class Pair:
     """A sphere that is moved, another one, their surfaces, data at their vertices, and where the moved one goes.
 
     Options:
-        source: A map (.npz), or a sphere as a mesh; - is standard input.
+        source (MOVING): A map (.npz), or a sphere as a mesh; - is standard input.
         output: .npz for the whole map, or a mesh suffix for the sphere; - is standard output.
         surface (MESH): The surface of MOVING, where MOVING is a sphere without one.
         to_surface (MESH): The surface of the other sphere, where that is no .npz.
@@ -41,13 +39,13 @@ class Pair:
         radius: Radius of a sphere that is written as a mesh; FreeSurfer's is 100.
     """
 
-    source: Annotated[Path, typer.Argument(metavar="MOVING", callback=input_file)]
+    source: Annotated[Path, Argument(file=input_file)]
     output: Annotated[Path, output_option(".npz")]
     surface: Path | None = None
     to_surface: Path | None = None
     feature: list[Path] | None = None
     to_feature: list[Path] | None = None
-    radius: Annotated[float, typer.Option(min=1e-06, max=1000000000.0)] = 1.0
+    radius: Annotated[float, Typed(bounds=(1e-06, 1000000000.0))] = 1.0
 
     @property
     def as_map(self) -> bool:
@@ -121,10 +119,10 @@ class Pair:
 def run_align(
     *,
     pair: Pair,
-    to: Annotated[str, typer.Option(metavar="axes|FILE|GRID", callback=input_file)] = "axes",
+    to: Annotated[str, Typed(file=input_file)] = "axes",
     by: AlignBy = AlignBy.AUTO,
     mirror: bool = False,
-    degree: Annotated[int, typer.Option(min=1, max=64)] = 16,
+    degree: Annotated[int, Typed(bounds=(1, 64))] = 16,
     printing: Printing,
 ) -> None:
     """Rotate a map's sphere by its shape's own axes, or to another map.
@@ -138,7 +136,8 @@ def run_align(
         omtwarp align lh.npz --to axes -o lh.sphere.surf.gii --radius 100
 
     Options:
-        to: The shape's own axes, another map or sphere (- is standard input), or a grid such as fsaverage5.
+        to (axes|FILE|GRID): The shape's own axes, another map or sphere (- is standard input), or a grid such as
+            fsaverage5.
         by: What to compare; vertices needs equal faces; auto takes it for two maps of one surface.
         mirror: Also try the mirror image, and take it if it fits better.
         degree: Highest degree of the spherical harmonics.
@@ -177,16 +176,16 @@ class Several:
     """What is done with more maps than one.
 
     Options:
-        more: Further maps, for --group and --sequence.
+        more (MORE): Further maps, for --group and --sequence.
         group: Make a template from all maps and register them to it; -o is a folder. --feature: once for each map.
         sequence: Register one subject's maps in the order of time to the first; -o is a folder.
-        rounds: How many times the template of --group is made anew.
+        rounds (N): How many times the template of --group is made anew.
     """
 
-    more: Annotated[list[Path] | None, typer.Argument(metavar="MORE", callback=input_file)] = None
+    more: Annotated[list[Path] | None, Argument(file=input_file)] = None
     group: bool = False
     sequence: bool = False
-    rounds: Annotated[int, typer.Option(metavar="N", min=1)] = 3
+    rounds: Annotated[int, Typed(bounds=(1, None))] = 3
 
     @property
     def mode(self) -> str:
@@ -276,8 +275,8 @@ def run_register(
     *,
     pair: Pair,
     several: Several,
-    to: Annotated[str | None, typer.Option(metavar="TARGET", callback=input_file)] = None,
-    hemisphere: Annotated[Side | None, named(Side)] = None,
+    to: Annotated[str | None, Typed(file=input_file)] = None,
+    hemisphere: Side | None = None,
     feature_weight: list[float] | None = None,
     landmarks: Path | None = None,
     extras: Extras,
@@ -296,7 +295,7 @@ def run_register(
         omtwarp register lh.npz --to mean.npz -o lh.reg.surf.gii --max-strain 1
 
     Options:
-        to: A map, a template, fsaverage5, fsaverage, fsLR32k, or a sphere with its surface or features; -.
+        to (TARGET): A map, a template, fsaverage5, fsaverage, fsLR32k, or a sphere with its surface or features; -.
         hemisphere: Of fsaverage5, fsaverage or fsLR32k; by default the one that MOVING says.
         feature_weight (NUMBER): What a feature counts, in their order (sulcal depth, curvature if none are given):
             repeat for all.

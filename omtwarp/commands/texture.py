@@ -6,12 +6,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
-import typer
-
 import omtwarp
 from omtwarp import options
 from omtwarp.commands import _work
-from omtwarp.commands._options import Only, Printing, RouteOptions, Source, output_option
+from omtwarp.commands._options import Argument, Only, Printing, RouteOptions, Source, Typed, output_option
 from omtwarp.commands._streams import input_file, step_times, warnings_as_lines
 from omtwarp.commands._work import AnyMap
 from omtwarp.errors import OmtwarpError
@@ -125,11 +123,16 @@ def standing(result: AnyMap, source: Path | None, up: str | None, front: str | N
     return result.turned(turn.T) if certain else result
 
 
-def texture_width(text: str | None) -> str | None:
-    """Check what --size is given: one or two whole numbers, or auto."""
-    sides = [] if text is None or text == "auto" else text.split("x")
+def texture_width(given: object) -> str:
+    """Check what --size is given: one or two whole numbers, or auto; return it unchanged.
+
+    Raises:
+        OmtwarpError: it is none of these.
+    """
+    text = str(given)
+    sides = [] if text == "auto" else text.split("x")
     if not all(side.isascii() and side.isdigit() and 0 < int(side[:9]) for side in sides) or len(sides) > 2:
-        raise typer.BadParameter(f"'{text}' is not a size: use a width in texels, 4096x2048 for both sides, or auto")
+        raise OmtwarpError(f"'{text}' is not a size: use a width in texels, 4096x2048 for both sides, or auto")
     return text
 
 
@@ -171,9 +174,9 @@ class Painting:
         detail (MESH): A finer mesh of the surface, for --bake normal.
     """
 
-    uv: Annotated[Coordinates, typer.Option("--uv")] = Coordinates.ATLAS
+    uv: Coordinates = Coordinates.ATLAS
     keep_materials: options.Keep | None = None
-    opacity: Annotated[float, typer.Option(min=0.0, max=1.0)] = 0.5
+    opacity: Annotated[float, Typed(bounds=(0.0, 1.0))] = 0.5
     bake: list[str] | None = None
     detail: Path | None = None
 
@@ -189,7 +192,8 @@ class Picture:
 
     Options:
         seam (LONGITUDE|auto): Where an equirectangular texture is cut, in degrees.
-        size: Width; auto: no texel shows at 1024 pixels, up to 8192; the default for patterns, up to 4096.
+        size (TEXELS|WxH|auto): Width; auto: no texel shows at 1024 pixels, up to 8192; the default for patterns, up to
+            4096.
         texture_format: Encoding of the pictures of a .glb; webp is smaller, and fewer viewers read it.
         image (PICTURE): An equirectangular picture to put on the surface.
         up (AXIS): The axis that points upwards: y, z, -x, ...; guessed by default.
@@ -198,7 +202,7 @@ class Picture:
 
     image: Path | None = None
     seam: str = "180"
-    size: Annotated[str | None, typer.Option(metavar="TEXELS|WxH|auto", callback=texture_width)] = None
+    size: Annotated[str | None, Typed(read=texture_width)] = None
     texture_format: options.TextureFormat = options.TextureFormat.PNG
     up: str | None = None
     front: str | None = None
@@ -396,8 +400,8 @@ def run_unwrap(
     *,
     output: Annotated[Path, output_option(".glb")],
     source: Source,
-    aspect: Annotated[float, typer.Option(min=0.1, max=10.0)] = 1.0,
-    margin: Annotated[float, typer.Option(min=0.0, max=0.1)] = 1.0 / 128.0,
+    aspect: Annotated[float, Typed(bounds=(0.1, 10.0))] = 1.0,
+    margin: Annotated[float, Typed(bounds=(0.0, 0.1))] = 1.0 / 128.0,
     up: str | None = None,
     front: str | None = None,
     mapping: Annotated[MapOptions, Only(("refine", "device"))],
@@ -450,19 +454,19 @@ class How:
 
     aligned: bool = False
     mirror: bool = False
-    uv: Annotated[Coordinates, typer.Option("--uv")] = Coordinates.ATLAS
+    uv: Coordinates = Coordinates.ATLAS
     atlas: options.AtlasName = options.AtlasName.CUBE
-    size: Annotated[int | None, typer.Option(min=16)] = None
+    size: Annotated[int | None, Typed(bounds=(16, None))] = None
 
 
 def run_transfer(
     *,
-    source: Annotated[Path, typer.Argument(metavar="FROM", callback=input_file)],
-    target: Annotated[Path, typer.Argument(metavar="TO", callback=input_file)],
+    source: Annotated[Path, Argument(file=input_file)],
+    target: Annotated[Path, Argument(file=input_file)],
     output: Annotated[Path, output_option(".glb")],
     printing: Printing,
-    map_of_source: Annotated[Path | None, typer.Option("--map-from", metavar="NPZ", callback=input_file)] = None,
-    map_of_target: Annotated[Path | None, typer.Option("--map-to", metavar="NPZ", callback=input_file)] = None,
+    map_of_source: Annotated[Path | None, Typed("--map-from", file=input_file)] = None,
+    map_of_target: Annotated[Path | None, Typed("--map-to", file=input_file)] = None,
     how: How,
     repair: bool = False,
     device: Device = MapOptions.device,
@@ -473,11 +477,11 @@ def run_transfer(
         omtwarp transfer scan.glb template.ply -o painted.glb
 
     Options:
-        source: A mesh with a texture or colours, or -.
-        target: The mesh that gets the texture, or -.
+        source (FROM): A mesh with a texture or colours, or -.
+        target (TO): The mesh that gets the texture, or -.
         output: .glb or .obj.
-        map_of_source: A finished map of FROM.
-        map_of_target: A finished map of TO.
+        map_of_source (NPZ): A finished map of FROM.
+        map_of_target (NPZ): A finished map of TO.
         repair: Repair the mesh first: equal vertices, orientation, small holes, largest component; prints what it did.
     """
 

@@ -246,6 +246,7 @@ def test_maps_that_are_none(tmp_path, capsys):
         ["map", "it.ply", "-o", "out.npz", "--until", "soon"],
         ["map", "it.ply", "-o", "out.npz", "--refine", "0"],
         ["map", "it.ply", "-o", "out.npz", "--refine", "nan"],
+        ["map", "it.ply", "-o", "out.npz", "--radius", "nan"],
         ["map", "it.ply", "-o", "out.npz", "--cost"],
         ["preview", "it.ply", "-o", "out.png", "--size", "0x10"],
         ["preview", "it.ply", "-o", "out.png", "--size", "large"],

@@ -6,12 +6,14 @@ import json
 import re
 import shutil
 
+import click
 import numpy as np
 import pytest
-import typer
 from PIL import Image
 
-from omtwarp.commands._cli import SUMMARIES, app_of, main
+from omtwarp.commands import function_of
+from omtwarp.commands._cli import SUMMARIES, main
+from omtwarp.commands._command import as_command
 from omtwarp.mesh import shapes
 from omtwarp.mesh.write import write_mesh
 
@@ -168,8 +170,8 @@ def values_of(command: str, option: str, shown: str) -> list[str | None]:
 
 def options_of(command: str) -> list[tuple[str, str]]:
     """Return the names of a command's options, and what its help shows for their values."""
-    described = typer.main.get_command(app_of()).commands[command]
-    context = typer.Context(described)
+    described = as_command(function_of(command))
+    context = click.Context(described)
     options = []
     for parameter in described.get_params(context):
         if parameter.param_type_name == "argument" or parameter.name == "help":

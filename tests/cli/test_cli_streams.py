@@ -10,14 +10,14 @@ import shlex
 import subprocess
 import sys
 
+import click
 import numpy as np
 import pytest
 import trimesh
-import typer
 
 from omtwarp.commands import function_of
-from omtwarp.commands._cli import SUMMARIES, app_of, heading_of, main
-from omtwarp.commands._options import sections
+from omtwarp.commands._cli import SUMMARIES, main, program
+from omtwarp.commands._command import as_command, heading_of, sections
 from omtwarp.files.output import PREFIX
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
@@ -162,9 +162,8 @@ def test_several_meshes_go_to_a_directory(folder, monkeypatch, capfdbinary, smal
 
 
 def commands():
-    group = typer.main.get_command(app_of())
-    context = group.make_context("omtwarp", [], resilient_parsing=True)
-    return {name: group.get_command(context, name) for name in group.list_commands(context)}, context
+    context = program.make_context("omtwarp", [], resilient_parsing=True)
+    return {name: as_command(function_of(name)) for name in program.list_commands(context)}, context
 
 
 EXAMPLES = {name: sections(function_of(name))[1] for name in SUMMARIES}
@@ -174,7 +173,7 @@ EXAMPLES = {name: sections(function_of(name))[1] for name in SUMMARIES}
 def test_help_has_examples_groups_and_a_whole_summary(name):
     found, parent = commands()
     command = found[name]
-    text = command.get_help(typer.Context(command, info_name=name, parent=parent))
+    text = command.get_help(click.Context(command, info_name=name, parent=parent))
     assert "Examples:\n" in text and all(line in text for line in EXAMPLES[name].splitlines())
     assert "Output:\n" in text and "Options:\n" not in text
     assert not re.search(r"<(?!=)", text.partition("Examples:")[0])  # no names of Python's types
@@ -193,13 +192,45 @@ def test_every_command_is_summed_up():
     assert all(EXAMPLES.values()) and set(SUMMARIES) == set(commands()[0])
 
 
-def test_completion_knows_the_commands():
-    code = "from omtwarp.commands._cli import main; main()"
-    environment = {"_OMTWARP_COMPLETE": "complete_bash", "COMP_WORDS": "omtwarp te", "COMP_CWORD": "1"}
+def completing(*arguments: str, **environment: str) -> str:
+    """Return what the program prints with arguments and variables of a shell."""
+    command = [sys.executable, "-m", "omtwarp", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=True, env={**os.environ, **environment}).stdout
 
-    command = [sys.executable, "-c", code]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env={**os.environ, **environment})
-    assert done.stdout.split() == ["texture"]
+
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [
+        ("omtwarp te", ["plain,texture"]),
+        ("omtwarp map --ref", ["plain,--refine"]),
+        ("omtwarp map --refine a", ["plain,area", "plain,angle"]),
+        ("omtwarp texture --atlas cu", ["plain,cube"]),
+        ("omtwarp map ball", ["file,ball"]),
+        ("omtwarp resample - --to map", ["file,map"]),
+    ],
+)
+def test_completion_knows_commands_options_their_words_and_files(words, offered):
+    count = str(len(words.split()) - 1)
+    assert completing(_OMTWARP_COMPLETE="bash_complete", COMP_WORDS=words, COMP_CWORD=count).split() == offered
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_is_shown_and_added_to_what_the_shell_reads(tmp_path, shell):
+    shown = completing("--show-completion", SHELL=f"/usr/bin/{shell}")
+    assert shown.strip() == completing(_OMTWARP_COMPLETE=f"{shell}_source").strip()
+    assert f"_OMTWARP_COMPLETE={shell}_complete" in shown
+    user = {"SHELL": f"/usr/bin/{shell}", "HOME": str(tmp_path), "USERPROFILE": str(tmp_path)}
+    for _ in range(2):
+        said = completing("--install-completion", **user)
+    (start,) = (path for path in tmp_path.rglob("*") if path.is_file())
+    assert said.startswith(f"{start}: ") and start.read_text().count(f"_OMTWARP_COMPLETE={shell}_source omtwarp") == 1
+
+
+def test_completion_of_an_unknown_shell_is_refused(folder, monkeypatch, capfdbinary):
+    monkeypatch.setenv("SHELL", "/bin/csh")
+    for option in ("--show-completion", "--install-completion"):
+        status, out, err = run(monkeypatch, capfdbinary, [option])
+        assert (status, out) == (1, b"") and err.startswith("omtwarp: error: no completion for the shell 'csh'")
 
 
 # What every command takes: the words that it needs with - as its input, the output that may be -, and whether it takes

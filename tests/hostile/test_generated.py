@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import typer.main
 from generator import CASES, Case, cases
 
 import omtwarp.commands._cli
@@ -55,8 +54,8 @@ def quick(monkeypatch):
     monkeypatch.setattr("omtwarp.render.pictures.render", drawn)
     monkeypatch.setattr("omtwarp.render.gl_client.prepare", lambda: None)
     monkeypatch.setattr("omtwarp.render.films.PROBE_WIDTH", 16)  # of pictures on which motion is measured
-    # Typer puts the commands together anew for every command line, which takes longer than most cases.
-    monkeypatch.setattr("typer.main.get_command", functools.cache(typer.main.get_command))
+    # A command is put together anew for every command line, which takes longer than most cases.
+    monkeypatch.setattr("omtwarp.commands._cli.as_command", functools.cache(omtwarp.commands._cli.as_command))
     monkeypatch.setattr("omtwarp.reporting.scene.cube_faces", lambda *a, **k: [])
 
 
