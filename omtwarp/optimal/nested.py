@@ -47,9 +47,9 @@ STEPS = 40  # most of a minimisation
 # Of Moser's flow from an embedding: a second halves the area error that the first leaves, and takes as long. With one
 # 120 made surfaces end with the same areas and angles, and four more with a warning.
 MOSER_PASSES = 2
-# Weight of area against angle, and tolerance and most steps, of smoothing a map with repaired triangles: slivers that
-# repair leaves stop the minimisation; more smoothing costs time and gains nothing. With a weight of 10 four more of 120
-# made surfaces end with a warning.
+# Weight of area against angle, and tolerance and most steps, of smoothing an embedding: its slivers stop the
+# minimisation; more smoothing costs time and gains nothing. With a weight of 10 four more of 120 made surfaces end with
+# a warning.
 SMOOTHING_WEIGHT, SMOOTHING_TOLERANCE, SMOOTHING_STEPS = 30.0, 0.02, 6
 
 
@@ -152,12 +152,12 @@ def nested_start(surface: Surface, start: Numbers, *, device: str | None = "auto
     """
     coarse, carried = coarse_surface(surface, start)
     points = coarse.vertices
-    first = repaired(coarse, moser_map(coarse, points, device=device).sphere, device=device)
+    first = untangled(coarse, moser_map(coarse, points, device=device).sphere, device=device)
     term = shape_term(coarse, first, points, device)
     found = optimal_map(
         coarse, first, start=points, shape_weight=term.weight, area_weight=term.area, iterations=STEPS, device=device
     )
-    return repaired(surface, carried(found.sphere), device=device)
+    return untangled(surface, carried(found.sphere), device=device)
 
 
 def embedded_start(
@@ -187,16 +187,6 @@ def embedded_start(
     return smoothed(surface, sphere, device=device)
 
 
-def repaired(surface: Surface, sphere: Numbers, *, device: str | None = "auto") -> Numbers:
-    """Return a map without flipped triangles and without the slivers of repair: the array given where it has none.
-
-    Raises:
-        OmtwarpError: repair failed.
-    """
-    whole = untangled(surface, sphere, device=device)
-    return sphere if whole is sphere else smoothed(surface, whole, device=device)
-
-
 def untangled(surface: Surface, sphere: Numbers, *, device: str | None = "auto") -> Numbers:
     """Return a map without flipped triangles: the very array given where it has none.
 
@@ -212,7 +202,7 @@ def untangled(surface: Surface, sphere: Numbers, *, device: str | None = "auto")
 
 
 def smoothed(surface: Surface, sphere: Numbers, *, device: str | None = "auto") -> Numbers:
-    """Return a map without the slivers that repair leaves, turned onto the one given; that one where it would flip."""
+    """Return a map without the slivers of an embedding, turned onto the one given; as found where turning flips."""
     found = least_distortion(
         surface, sphere, SMOOTHING_WEIGHT, iterations=SMOOTHING_STEPS, tolerance=SMOOTHING_TOLERANCE, device=device
     ).sphere

@@ -3,7 +3,8 @@
 Around every flipped triangle a patch of a few rings is freed and its distortion minimised with an energy that is finite
 on flipped triangles and tends to a barrier as ε falls (Garanzha et al., "Foldover-free maps in 50 lines of code",
 2021). Patches that do not touch are independent problems: they share one sparse matrix but each has its own step
-length. Patches that stay tangled grow, up to the whole sphere.
+length. Patches that stay tangled grow, up to the whole sphere. Those that are solved are smoothed by a round with the
+barrier.
 
 A triangle can become positive in two ways: by shrinking through zero, or by growing over half the sphere to the other
 side. The second changes how often the sphere is covered, and ends in vertices whose ring goes around them twice with no
@@ -244,27 +245,38 @@ class _Untangling:
         self.d_hessian = wp.empty((count, 21), dtype=wp.float64, device=device)
 
     def solve(self, budget: RepairBudget) -> tuple[Floats, int]:
-        """Lower ε to its smallest, or until no patch has a flip; return the map and the number of rounds."""
-        points = wp.array(self.sphere[self.patches.vertices], dtype=wp.vec3d, device=self.device)
-        epsilon = np.full(self.patches.count, LARGEST_EPSILON)
-        active = np.ones(self.patches.count, dtype=bool)
+        """Lower ε until no patch has a flip, then smooth patches; return the map and the number of rounds."""
+        patches = self.patches
+        points = wp.array(self.sphere[patches.vertices], dtype=wp.vec3d, device=self.device)
+        epsilon = np.full(patches.count, LARGEST_EPSILON)
+        active = np.ones(patches.count, dtype=bool)
         rounds = 0
         while True:
             rounds += 1
-            moving = active.copy()
-            for _ in range(ROUND_STEPS):
-                points, settled = self._newton_step(points, epsilon, moving)
-                budget.spend(self.patches.free)
-                moving &= ~settled
-                if not moving.any() or budget.exhausted:
-                    break
+            points = self._round(points, epsilon, active, budget)
             flips = self._flips(points.numpy())
             self.surplus = np.rint(self._covered(points) - self.share)
             active &= ((flips > 0) | (self.surplus != 0)) & (epsilon > SMALLEST_EPSILON)
             if not active.any() or budget.exhausted:
                 break
             epsilon[active] = np.maximum(epsilon[active] * LOWERED, SMALLEST_EPSILON)
-        return self._taken(points.numpy(), flips), rounds
+        # Triangles that are only just positive are slivers, which stop later minimisations: a barrier takes them away.
+        solved = (flips == 0) & (self.surplus == 0)
+        smooth = self._round(points, np.full(patches.count, SMALLEST_EPSILON), solved, budget).numpy().copy()
+        spoilt = np.flatnonzero(((self._flips(smooth) > 0) & solved)[patches.vertex_patch])
+        smooth[spoilt] = points.numpy()[spoilt]
+        return self._taken(smooth, flips), rounds
+
+    def _round(self, points: wp.array, epsilon: Floats, active: NDArray[np.bool_], budget: RepairBudget) -> wp.array:
+        """Take the Newton steps of a round in the active patches, until a step is expected to gain little in each."""
+        moving = active.copy()
+        for _ in range(ROUND_STEPS):
+            if not moving.any() or budget.exhausted:
+                break
+            points, settled = self._newton_step(points, epsilon, moving)
+            budget.spend(self.patches.free)
+            moving &= ~settled
+        return points
 
     def _taken(self, points: Floats, flips: NDArray[np.intp]) -> Floats:
         """Return the map with the points of those patches that are solved, or have fewer flips than they had.
