@@ -122,19 +122,25 @@ class Atlas(ABC):
         return bool((self.row_lengths == self.width).all())
 
     @property
+    def covered(self) -> NDArray[np.bool_]:
+        """Which texels charts and gutters cover, shape [H, W]."""
+        return np.arange(self.width) < self.row_lengths[:, None]
+
+    @property
     def texels(self) -> Ints:
         """Numbers of the texels that charts and gutters cover, row by row."""
-        return np.flatnonzero(np.arange(self.width) < self.row_lengths[:, None]).astype(np.int32)
+        return np.flatnonzero(self.covered).astype(np.int32)
 
     def fill_empty(self, picture: NDArray[np.generic]) -> None:
         """Fill the texels of a picture [H, W, C] that no chart covers with the mean colour of the others."""
         if self.filled:
             return
-        empty = np.arange(self.width) >= self.row_lengths[:, None]
         # Mean samples: texels along a side that the mean colour of a picture is taken from
         step = max(self.width // 256, 1)
-        mean = picture[::step, ::step][~empty[::step, ::step]].mean(axis=0, dtype=np.float64)
-        picture[empty] = np.rint(mean) if picture.dtype == np.uint8 else mean
+        mean = picture[::step, ::step][self.covered[::step, ::step]].mean(axis=0, dtype=np.float64)
+        colour = np.rint(mean) if picture.dtype == np.uint8 else mean
+        for row, length in zip(picture, self.row_lengths.tolist(), strict=True):
+            row[length:] = colour
 
     @abstractmethod
     def charts(self, directions: Floats) -> Ints:
