@@ -45,7 +45,7 @@ def limited(seconds: int):
 
 @pytest.fixture
 def quick(monkeypatch):
-    """Replace slow functions that are not tested here: the demo's map, drawing with OpenGL."""
+    """Replace slow functions that are not tested here: the demo's map, drawing with OpenGL, large textures unasked."""
     monkeypatch.setattr("omtwarp.reporting.page._stills", lambda *a: dict.fromkeys(_keys(a[1]), "data:,"))
 
     def drawn(job, *args):
@@ -57,6 +57,7 @@ def quick(monkeypatch):
     # A command is put together anew for every command line, which takes longer than most cases.
     monkeypatch.setattr("omtwarp.commands._cli.as_command", functools.cache(omtwarp.commands._cli.as_command))
     monkeypatch.setattr("omtwarp.reporting.scene.cube_faces", lambda *a, **k: [])
+    monkeypatch.setattr("omtwarp.texturing.atlas.picture_size", lambda *a: (256, 256.0))
 
 
 def _keys(stages):
