@@ -44,6 +44,8 @@ FAILS = {"demo": "cuda:77"}
 # They take as long as all others together, and have one stream closed only together with the others.
 DEAR = ("report", "group", "register", "film", "distance")
 ONE_CLOSED = ("input closed", "output closed", "errors closed")
+# OpenGL starts in a process of its own, which takes seconds: where it could meet what is missing.
+WITH_OPENGL = ("all closed", "no temporary folder")
 # What closes streams ("-"), leads them to a file, sets their encoding, or sets variables; "" unsets these.
 STREAMS = {
     "input closed": {"stdin": "-"},
@@ -63,7 +65,7 @@ TEMPORARY = {"no temporary folder": {"TMPDIR": "/proc/nothing"}}
 
 # Runs every command of a table in a fork with what an interpreter that starts in that environment has.
 TABLE = """
-import gc, importlib, io, json, os, sys, tempfile
+import functools, gc, importlib, io, json, os, sys, tempfile
 import numpy, scipy.optimize, scipy.sparse.linalg, scipy.spatial, PIL.Image, rich.progress, trimesh, warp
 import omtwarp.commands._cli
 from omtwarp.__main__ import main
@@ -79,7 +81,7 @@ def stream(name, number, given, encoding, errors):
     mode = "r" if number == 0 else "w"
     setattr(sys, name, open(number, mode, encoding=encoding, errors=errors, closefd=False))
 
-def run(words, setting, said):
+def run(words, setting, said, opengl):
     child = os.fork()
     if child:
         return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
@@ -93,6 +95,8 @@ def run(words, setting, said):
                 os.environ.pop(name, None)
                 os.environ.update({name: value} if value else {})
         tempfile.tempdir = None
+        if loaded and not opengl:
+            page.preview, client.prepare = functools.partial(page.preview, backend="warp"), lambda: None
         encoding = setting.get("encoding", "utf-8")
         stream("stdin", 0, setting.get("stdin"), encoding, "strict")
         stream("stdout", 1, setting.get("stdout"), encoding, "strict")
@@ -113,11 +117,12 @@ def run(words, setting, said):
     finally:
         os._exit(status)
 
-commands, settings, loaded, tests, left_out = json.loads(sys.argv[1])
+commands, settings, loaded, tests, left_out, with_opengl = json.loads(sys.argv[1])
 if loaded:
     # Small pictures and few steps, which otherwise take most of the time.
     sys.path.append(tests)
-    small = importlib.import_module("small_pictures")
+    modules = "small_pictures", "omtwarp.reporting.page", "omtwarp.render.gl_client"
+    small, page, client = map(importlib.import_module, modules)
     small.shrink()
     small.shorten()
     for words in commands:  # loads the modules and kernels of each
@@ -134,7 +139,8 @@ for words in commands:
         own = f"{words[0]} {name}"
         os.mkdir(own)
         end = words[-1].removeprefix("o")
-        status = run([*words[:-1], f"{own}/o{end}"] if words[-1][0] == "o" else words, setting, f"{own}.txt")
+        to = [f"{own}/o{end}"] if words[-1][0] == "o" else words[-1:]
+        status = run([*words[:-1], *to], setting, f"{own}.txt", name in with_opengl)
         written = sorted(os.listdir(own))
         with open(f"{own}.txt", encoding="utf-8", errors="replace") as file:
             said = file.read()
@@ -164,7 +170,7 @@ def table(place, settings: dict[str, dict[str, str]], *, loaded: bool) -> dict[t
     filled = {name: {key: value.format(place) for key, value in setting.items()} for name, setting in settings.items()}
     lines = [line.split() for line in COMMANDS.values()]
     left_out = [(command, name) for command in DEAR for name in ONE_CLOSED if name in settings]
-    words = json.dumps([lines, filled, loaded, str(Path(__file__).parents[1]), left_out])
+    words = json.dumps([lines, filled, loaded, str(Path(__file__).parents[1]), left_out, WITH_OPENGL])
     environment = os.environ | {"PYTHONUTF8": "1"}
     done = subprocess.run(
         [sys.executable, "-c", TABLE, words], cwd=place, env=environment, capture_output=True, text=True, check=False
