@@ -18,9 +18,13 @@ ROOT = Path(__file__).parent.parent
 VERSIONS = ("3.11", "3.12", "3.13", "3.14")
 # The others need a few hundred MB and some seconds each: OMTWARP_TEST_PYTHONS=all, or a list like "3.12,3.13".
 ASKED = os.environ.get("OMTWARP_TEST_PYTHONS", f"{sys.version_info.major}.{sys.version_info.minor}")
+# With small pictures on the page, as large ones take most of the time.
 ONE_AFTER_THE_OTHER = """
 import sys
 from omtwarp.commands._cli import main
+from omtwarp.reporting import page
+draw = page.preview
+page.preview = lambda *given, **options: draw(*given, **options | {"size": (48, 36)})
 for line in sys.argv[1:]:
     try:
         main(line.split())
