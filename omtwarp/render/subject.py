@@ -339,7 +339,9 @@ def _asymmetry(corner: Floats, area: Floats, centre: Floats) -> Floats:
         return np.einsum("nk,nkj->nj", share, corner[np.minimum(at, len(corner) - 1)])
 
     count = 3000  # points by which symmetry is measured; 13 times as many stand for the surface
-    tree, points = cKDTree(sampled(13 * count)), sampled(count)
+    # Twice as fast as the default for points far from the surface, as most mirrored ones are
+    tree = cKDTree(sampled(13 * count), leafsize=48, compact_nodes=False, balanced_tree=False)
+    points = sampled(count)
     mirrored = np.where(np.eye(3, dtype=bool)[:, None], 2.0 * centre - points, points)
     return np.maximum(tree.query(mirrored)[0].mean(axis=1) - tree.query(points)[0].mean(), 0.0)
 
