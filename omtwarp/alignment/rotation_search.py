@@ -67,19 +67,20 @@ def momentum(degree: int) -> tuple[Complex, Complex, Complex]:
 
 
 @lru_cache(maxsize=64)
-def _eigenvectors(degree: int) -> Complex:
-    """Return the eigenvectors of J_y as columns, for eigenvalues from -l to l."""
-    return np.asarray(np.linalg.eigh(momentum(degree)[1])[1])
+def _eigenvectors(degree: int) -> tuple[Complex, Complex]:
+    """Return the eigenvectors of J_y as columns, for eigenvalues from -l to l, and their conjugates as rows."""
+    vectors = np.asarray(np.linalg.eigh(momentum(degree)[1])[1])
+    return vectors, vectors.conj().T
 
 
 def rotation_blocks(rotation: Floats, degree: int) -> list[Complex]:
     """Return the rotation matrix D^l of every degree l up to the highest."""
-    alpha, beta, gamma = _zyz_angles(rotation)
+    waves = [np.exp(-1j * angle * np.arange(-degree, degree + 1)) for angle in _zyz_angles(rotation)]
     blocks = []
     for n in range(degree + 1):
-        orders, vectors = np.arange(-n, n + 1), _eigenvectors(n)
-        middle = (vectors * np.exp(-1j * beta * orders)) @ vectors.conj().T
-        blocks.append(np.exp(-1j * alpha * orders)[:, None] * middle * np.exp(-1j * gamma * orders))
+        vectors, conjugates = _eigenvectors(n)
+        alpha, beta, gamma = (wave[degree - n : degree + n + 1] for wave in waves)
+        blocks.append(alpha[:, None] * ((vectors * beta) @ conjugates) * gamma)
     return blocks
 
 
@@ -104,10 +105,10 @@ def correlation_grid(a: Complex, b: Complex, size: int) -> Floats:
     degree = degree_of(len(a))
     waves = np.zeros((size, size, size), dtype=np.complex128)
     for n in range(degree + 1):
-        part, vectors = slice(n * n, (n + 1) ** 2), _eigenvectors(n)
+        part, (vectors, conjugates) = slice(n * n, (n + 1) ** 2), _eigenvectors(n)
         products = b[part].conj() @ a[part].T  # summed over features, [m, m']
         places = np.arange(-n, n + 1) % size
-        waves[np.ix_(places, places, places)] += np.einsum("mp,mk,pk->mkp", products, vectors, vectors.conj())
+        waves[np.ix_(places, places, places)] += np.einsum("mp,mk,kp->mkp", products, vectors, conjugates)
     return np.asarray(np.fft.fftn(waves).real[:, : size // 2 + 1])
 
 
