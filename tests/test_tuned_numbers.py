@@ -25,6 +25,7 @@ TUNED = {
     "optimal/nested.py": "SHAPE_SHARE AREA_FACTOR VERTICES_PER_COARSE MOSER_PASSES SMOOTHING_WEIGHT",
     "optimal/solver.py": "PENALTY",
     "optimal/local.py": "GAIN_SHARE MAX_GAIN_SHARE MAX_CHOSEN_SHARE FREED_RINGS",
+    "solvers/motion_kernels.py": "NEXT_SHARE",
     "solvers/triangle.py": "AREA_WEIGHT",
     "untangling/untangle.py": "RINGS LOWERED",
     "start/hierarchical.py": "SWEEPS COARSE_WEIGHT",

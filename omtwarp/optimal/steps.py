@@ -23,7 +23,8 @@ class FlipFreeSteps:
 
     def __init__(self, domain: Domain):
         self._domain, self._device = domain, domain.device
-        self._count, self._corners = domain.surface.vertex_count, domain.surface.on(domain.device).vertex_corners
+        mesh = domain.surface.on(domain.device)
+        self._count, self._triangles = domain.surface.vertex_count, [*mesh.vertex_corners, mesh.faces]
         self._whole = wp.full(self._count, 1.0, dtype=wp.float64, device=self._device)
         self._reading = Reading(self._device)
 
@@ -50,7 +51,7 @@ class FlipFreeSteps:
     def held_back(
         self, points: wp.array, direction: wp.array, volume: wp.array, length: float, marks: wp.array
     ) -> tuple[wp.array, int] | None:
-        """Move points by the largest shares of the step, halved corner by corner, that keep every triangle.
+        """Move points by shares of the step, halved at corners and falling towards them, that keep every triangle.
 
         Args:
             points, direction, volume, length: as of :meth:`tried`.
@@ -62,7 +63,7 @@ class FlipFreeSteps:
         holds = 29  # halvings of the shares of corners of triangles in trouble
         share, other = self._whole, wp.empty_like(self._whole)
         for _ in range(holds):
-            inputs = [*self._corners, marks, share]
+            inputs = [*self._triangles, marks, share]
             wp.launch(hold_back, dim=self._count, inputs=inputs, outputs=[other], device=self._device)
             share, other = other, wp.empty_like(share) if share is self._whole else share
             moved = self._domain.moved(points, direction, share, length)

@@ -13,6 +13,10 @@ ROUND_OFF = wp.constant(wp.float64(1e-14))
 # Vertices whose share of a step would be smaller stay where they are: the volumes of needles change by rounding with
 # the smallest of moves. A box with such needles is at an area distortion of 2.0169 with this, 2.0185 with a tenth.
 LEAST_SHARE = wp.constant(wp.float64(0.01))
+# Most that a vertex may take of a step, relative to each neighbour: where shares jump, triangles are torn. 120 made
+# surfaces end with the same areas and angles without this limit and with 2, 1.75, 1.5 and 1.25; drawn parts, whose
+# steps are held back in many places, end in rags without it; less makes steps shorter.
+NEXT_SHARE = wp.constant(wp.float64(1.75))
 
 
 @wp.func
@@ -60,22 +64,28 @@ def triangle_trouble(
 def hold_back(
     offsets: wp.array[wp.int32],
     corners: wp.array[wp.int32],
+    faces: wp.array[wp.vec3i],
     trouble: wp.array[wp.float64],
     share: wp.array[wp.float64],
     # Data out:
     held: wp.array[wp.float64],
 ):
-    """Halve the share of every vertex of a triangle in trouble; small shares become zero."""
+    """Halve the share of every vertex of a triangle in trouble, and let neighbours follow; small shares become zero."""
     i = wp.tid()
-    any_trouble = wp.float64(0.0)
+    any_trouble = ZERO
+    least = ONE
     for k in range(offsets[i], offsets[i + 1]):
-        any_trouble = wp.max(any_trouble, trouble[corners[k] // 3])
+        t = corners[k] // 3
+        any_trouble = wp.max(any_trouble, trouble[t])
+        for j in range(3):
+            least = wp.min(least, share[faces[t][j]])
+    own = share[i]
     if any_trouble > ZERO:
-        held[i] = HALF * share[i]
-        if held[i] < LEAST_SHARE:
-            held[i] = wp.float64(0.0)
-    else:
-        held[i] = share[i]
+        own = HALF * own
+    own = wp.min(own, NEXT_SHARE * least)
+    if own < LEAST_SHARE:
+        own = ZERO
+    held[i] = own
 
 
 @wp.kernel
