@@ -15,7 +15,8 @@ ROUND_OFF = wp.constant(wp.float64(1e-14))
 LEAST_SHARE = wp.constant(wp.float64(0.01))
 # Most that a vertex may take of a step, relative to each neighbour: where shares jump, triangles are torn. 120 made
 # surfaces end with the same areas and angles without this limit and with 2, 1.75, 1.5 and 1.25; drawn parts, whose
-# steps are held back in many places, end in rags without it; less makes steps shorter.
+# steps are held back in many places, end in rags without it; less makes steps shorter. Around a vertex that stays its
+# neighbours stay too, a ring further with every halving.
 NEXT_SHARE = wp.constant(wp.float64(1.75))
 
 

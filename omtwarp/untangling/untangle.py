@@ -245,7 +245,7 @@ class _Untangling:
         self.d_hessian = wp.empty((count, 21), dtype=wp.float64, device=device)
 
     def solve(self, budget: RepairBudget) -> tuple[Floats, int]:
-        """Lower ε until no patch has a flip, then smooth patches; return the map and the number of rounds."""
+        """Lower ε until no patch has a flip, or to its smallest; smooth solved patches; return the map and rounds."""
         patches = self.patches
         points = wp.array(self.sphere[patches.vertices], dtype=wp.vec3d, device=self.device)
         epsilon = np.full(patches.count, LARGEST_EPSILON)
