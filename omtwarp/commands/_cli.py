@@ -5,6 +5,7 @@ import gc
 import os
 import sys
 from pathlib import Path
+from typing import NoReturn
 
 import click
 from click.shell_completion import get_completion_class
@@ -61,8 +62,13 @@ class _Program(click.Group):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
-            print(LINE, file=sys.stderr)
-            sys.exit(INTERRUPTED)
+            _interrupted()
+
+
+def _interrupted() -> NoReturn:
+    """Say that the command was interrupted, and exit."""
+    print(LINE, file=sys.stderr)
+    sys.exit(INTERRUPTED)
 
 
 def _answer(ctx: click.Context, option: click.Parameter, wanted: bool) -> None:
@@ -133,8 +139,7 @@ def main(arguments: list[str] | None = None) -> None:
         except MemoryError:
             _fail("out of memory: use a coarser mesh, or a machine with more")
         except KeyboardInterrupt:
-            print(LINE, file=sys.stderr)
-            sys.exit(INTERRUPTED)
+            _interrupted()
         except Exception as error:
             if os.environ.get("OMTWARP_TRACEBACK"):
                 raise
