@@ -1,17 +1,22 @@
 #!/usr/bin/env python3
-"""Count the package: lines of code, files, numeric constants, large functions, floors and loose modules.
+"""Count the package: lines of code, files, numeric constants, large functions, repeats, floors and loose modules.
 
 A line of code holds a token that is neither a comment nor part of a docstring. A numeric constant is an assignment of
-numbers alone at the level of a module. Floors are how many packages and loose modules at the top import one another
-in a row at the most, imports inside of functions and for type checkers included.
+numbers alone at the level of a module. A repeat is a pair of runs of statements inside of functions, each of six lines
+or more, that are the same but for names, numbers and texts: a name in one stands where one other name stands in the
+other. What a function declares, its parameters and docstring, is no statement. Floors are how many packages and loose
+modules at the top import one another in a row at the most, imports inside of functions and for type checkers included.
 """
 
 from __future__ import annotations
 
 import ast
 import io
+import itertools
+import keyword
 import sys
 import tokenize
+from collections import defaultdict
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parents[1] / "omtwarp"
@@ -26,6 +31,7 @@ NO_CODE = {
 }
 BRANCHES = (ast.If, ast.IfExp, ast.For, ast.While, ast.ExceptHandler, ast.Assert, ast.match_case)
 MOST_LINES, MOST_BRANCHES = 80, 20
+REPEATED_LINES = 6
 ENTRIES = {"__init__", "__main__"}  # the package itself and its command, which import from everywhere
 
 
@@ -82,6 +88,60 @@ def too_large(tree: ast.Module) -> int:
     return count
 
 
+Statement = tuple[int, tuple[tuple[bool, str], ...]]  # lines of code, and tokens: whether it is a name, and its text
+
+
+def statements(text: str, tree: ast.Module) -> list[Statement | None]:
+    """Return the statements inside of functions, each header of a block as one; None stands between functions."""
+    inside: set[int] = set()
+    outside: set[int] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            inside |= set(range(node.body[0].lineno, (node.end_lineno or 0) + 1))
+            outside |= set(range(min([node.lineno, *(d.lineno for d in node.decorator_list)]), node.body[0].lineno))
+        elif isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            outside |= set(range(node.lineno, (node.end_lineno or 0) + 1))
+    listed: list[Statement | None] = []
+    tokens: list[tuple[bool, str]] = []
+    lines: set[int] = set()
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type == tokenize.NEWLINE:
+            listed.append((len(lines), tuple(tokens)) if tokens else None)
+            tokens, lines = [], set()
+        elif token.type not in NO_CODE and token.start[0] in inside - outside:
+            named = token.type == tokenize.NAME and not keyword.iskeyword(token.string)
+            kept = {tokenize.NUMBER: "0", tokenize.STRING: "''"}.get(token.type, token.string)
+            tokens.append((named, kept))
+            lines |= set(range(token.start[0], token.end[0] + 1))
+    return listed
+
+
+def repeats(texts: list[str]) -> int:
+    """Return how many pairs of runs of statements repeat each other."""
+    places: dict[tuple[tuple[int | str, ...], ...], list[tuple[int, int, int]]] = defaultdict(list)
+    for file, text in enumerate(texts):
+        listed = statements(text, ast.parse(text))
+        for first in range(len(listed)):
+            numbers: dict[str, int] = {}
+            run: list[tuple[int | str, ...]] = []
+            lines = 0
+            for statement in listed[first : first + REPEATED_LINES]:
+                if statement is None:
+                    break
+                lines += statement[0]
+                run.append(tuple(numbers.setdefault(t, len(numbers)) if name else t for name, t in statement[1]))
+                if lines >= REPEATED_LINES:
+                    places[tuple(run)].append((file, first, len(run)))
+                    break
+    pairs = {
+        (f, i, g, j)
+        for same in places.values()
+        for (f, i, length), (g, j, _) in itertools.combinations(same, 2)
+        if f != g or j - i >= length
+    }
+    return sum((f, i - 1, g, j - 1) not in pairs for f, i, g, j in pairs)
+
+
 def imported(tree: ast.Module) -> set[str]:
     """Return the packages and loose modules at the top that a module imports from."""
     names: set[str] = set()
@@ -115,9 +175,11 @@ def count(package: Path = PACKAGE) -> dict[str, int]:
     """Return the figures of a package, by name."""
     found = dict.fromkeys(("lines of code", "files", "numeric constants", "functions over 80 lines or 20 branches"), 0)
     needs: dict[str, set[str]] = {}
+    texts = []
     for file in sorted(package.rglob("*.py")):
         text = file.read_text("utf-8")
         tree = ast.parse(text)
+        texts.append(text)
         found["lines of code"] += code_lines(text, tree)
         found["files"] += 1
         found["numeric constants"] += constants(tree)
@@ -126,6 +188,7 @@ def count(package: Path = PACKAGE) -> dict[str, int]:
         if own not in ENTRIES:
             needs.setdefault(own, set()).update(imported(tree))
     loose = {file.stem for file in package.glob("*.py")} - ENTRIES
+    found[f"repeats of {REPEATED_LINES} lines"] = repeats(texts)
     return found | {"floors": floors(needs), "loose modules": len(loose)}
 
 

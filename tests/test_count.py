@@ -51,6 +51,7 @@ def test_a_package_is_counted(tmp_path):
         "files": 5,
         "numeric constants": 4,
         "functions over 80 lines or 20 branches": 0,
+        "repeats of 6 lines": 0,
         "floors": 3,
         "loose modules": 2,
     }
@@ -72,6 +73,26 @@ def test_large_functions_are_counted(body, large):
     assert COUNT.too_large(ast.parse("@wp.kernel\n" + source)) == 0
 
 
+@pytest.mark.parametrize(
+    ("other", "repeated"),
+    [
+        ("def g(a):\n    b = a + 1\n" + "    b = a * b\n" * 5, 1),  # other names
+        ("def g(a):\n    y = 'text'\n    b = a + 2\n" + "    b = a * b\n" * 5, 1),  # another number, one line more
+        ("def g(a):\n    b = a + 1\n" + "    b = b * a\n" * 5, 0),  # names in other places
+        ("def g(a):\n    b = a + 1\n" + "    b = a * b\n" * 4, 0),  # five lines
+        ("def g(a):\n    b = a + 1\n" + "    b = a * b\n" * 2 + "def h():\n" + "    b = a * b\n" * 3, 0),
+    ],
+)
+def test_repeats_are_counted(other, repeated):
+    one = "def f(x):\n    y = x + 1\n" + "    y = x * y\n" * 5
+    assert COUNT.repeats([one, other]) == COUNT.repeats([one + other]) == repeated
+
+
+def test_parameters_are_no_repeat():
+    declared = "def f(\n" + "    x: int,\n" * 7 + "):\n    return x\n"
+    assert COUNT.repeats([declared, declared]) == 0
+
+
 def test_packages_that_import_each_other_have_no_floors():
     with pytest.raises(ValueError, match="a, b"):
         COUNT.floors({"a": {"b"}, "b": {"a"}, "c": set()})
@@ -79,7 +100,7 @@ def test_packages_that_import_each_other_have_no_floors():
 
 LIMITS = {
     "lines of code": 32_000, "files": 230, "numeric constants": 300, "functions over 80 lines or 20 branches": 0,
-    "floors": 12, "loose modules": 10,
+    "repeats of 6 lines": 20, "floors": 12, "loose modules": 10,
 }  # fmt: skip
 
 
