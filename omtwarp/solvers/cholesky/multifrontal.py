@@ -228,7 +228,8 @@ class MultifrontalCholesky:
 
         A job does branch after branch in postorder, so that few fronts exist at a time, mostly in cache. They lie on
         two stacks, one for even depths and one for odd: a front is assembled on one from its children on top of the
-        other. The few fronts of the trunk have memory of their own.
+        other. The trunk is done by depth, behind the jobs' stacks and, where those are read no more, in their place by
+        turns.
         """
         d = self.dissection
         squares = self._sizes**2
@@ -246,11 +247,11 @@ class MultifrontalCholesky:
                 tops = np.cumsum(put - taken)
                 offsets[job[here]] = (length + tops - put)[here]
                 length += int(tops[here].max(initial=0))
-        for fronts in self._trunk:
-            ends = np.cumsum(squares[fronts])
-            offsets[fronts] = length + ends - squares[fronts]
-            length += int(ends[-1])
-        return offsets, length
+        ends = [np.cumsum(squares[fronts]) for fronts in self._trunk]
+        behind = max([length, *(int(end[-1]) for end in ends[1::2])])
+        for k, fronts in enumerate(self._trunk):
+            offsets[fronts] = (behind if k % 2 == 0 else 0) + ends[k] - squares[fronts]
+        return offsets, behind + max((int(end[-1]) for end in ends[::2]), default=0)
 
     def _find_negative(self) -> NDArray[np.intp]:
         """Return the places of the unknowns with negative pivots in the order of elimination."""
