@@ -80,7 +80,7 @@ def bijective_start(
         examined = examine(points, surface.on(device).faces, device=device)
         if examined.bijective:
             return Start(points, name, "", points, 0)
-        repaired = untangle(surface, points, budget=budget, device=device)
+        repaired = untangle(surface, points, keep_scale=True, budget=budget, device=device)
         if repaired.bijective:
             return Start(repaired.sphere, f"{name}, repaired", "", points, examined.flips)
         reason = (

@@ -116,6 +116,7 @@ def untangle(
     sphere: ArrayLike,
     *,
     rings: Sequence[int] = RINGS,
+    keep_scale: bool = False,
     budget: RepairBudget | None = None,
     device: str | None = "auto",
     progress: Progress | None = None,
@@ -127,6 +128,8 @@ def untangle(
         sphere: images of its vertices, unit vectors, shape [V, 3]; triangles may be flipped or of area zero.
         rings: of vertices that are freed around flipped triangles, a number for each attempt, which begins with the
             result of the one before, until one gives a bijection.
+        keep_scale: take triangles of the surface at the scale at which the map shows their surroundings, which suits
+            conformal maps, where limbs shrink a thousand times and more; by default images tend to their own areas.
         budget: the work that it may take; by default that of the surface.
         device: where the kernels run; the sparse systems are solved on the host.
         progress: called as ``progress("untangle", attempt, attempts, details)`` before every attempt; ``tangled`` of
@@ -161,7 +164,7 @@ def untangle(
         if not tangled.any() or budget.exhausted:
             break
         tell(progress, "untangle", number, len(rings), {"tangled": int(tangled.sum())})
-        untangling = _Untangling(surface, points, tangled, freed, where)
+        untangling = _Untangling(surface, points, tangled, freed, where, keep_scale)
         points, done = untangling.solve(budget)
         examined = examine(points, faces)
         tangled = examined.tangled
@@ -200,7 +203,7 @@ def untangle_patches(
     Returns:
         The map, shape [V, 3].
     """
-    return _Untangling(surface, sphere, seeds, rings, resolve_device("cpu"), held).solve(budget)[0]
+    return _Untangling(surface, sphere, seeds, rings, resolve_device("cpu"), held=held).solve(budget)[0]
 
 
 class _Untangling:
@@ -213,6 +216,7 @@ class _Untangling:
         flipped: NDArray[np.bool_],
         rings: int,
         device: wp.Device,
+        keep_scale: bool = False,
         held: NDArray[np.bool_] | None = None,
     ):
         self.device = device
@@ -234,6 +238,10 @@ class _Untangling:
         # Of the sphere: a patch whose triangles cover nothing in sum is not mistaken for one that covers everything.
         self.share = np.ones(1) if alone else covered - np.floor(covered + 1e-9)
         self.surplus = np.rint(covered - self.share)
+        if keep_scale:
+            wanted = patches.sum_of_faces(surface.face_areas[patches.triangles]) / SPHERE_AREA
+            shown = np.where(self.share > 0.0, self.share, wanted)
+            frames *= np.sqrt(wanted / shown)[patches.face_patch, None]
         self.matrix = PatchMatrix(patches, surface, DAMPING)
         corner = np.repeat(patches.faces, 2, axis=1)
         index = np.where(corner < patches.free, 2 * corner + np.array([0, 1] * 3), -1).ravel()

@@ -41,6 +41,26 @@ def test_untangled_map_is_left_alone(device):
     assert np.allclose(result.sphere, sphere, atol=1e-15)
 
 
+def test_repair_can_be_the_same_at_every_scale(device):
+    """Of conformal maps that show a scrambled cap at a hundredth and at a thousandth of its size."""
+    surface = icosphere(12)
+    x, y, z = unit(surface.vertices).T
+    inside = np.flatnonzero(z > np.cos(0.3))
+    scrambled_cap = np.random.default_rng(1).permutation(inside)
+
+    def repaired(scale, keep):
+        # Stereographic projection, scaled, and back: a Möbius map.
+        turn, angle = np.arctan2(y, x), 2.0 * np.arctan(scale * np.tan(0.5 * np.arccos(np.clip(z, -1.0, 1.0))))
+        sphere = np.stack([np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), np.cos(angle)], axis=1)
+        sphere[inside] = sphere[scrambled_cap]
+        result = untangle(surface, sphere, keep_scale=keep, device=device)
+        assert result.flips_before > 20 and result.bijective
+        return result.sphere[inside, :2] / scale
+
+    np.testing.assert_allclose(repaired(1e-2, True), repaired(1e-3, True), atol=1e-4)
+    assert np.abs(repaired(1e-2, False) - repaired(1e-3, False)).max() > 1e-3
+
+
 def test_two_scrambled_patches_leave_the_rest(device):
     """Far patches are solved together, and vertices away from both do not move."""
     surface = icosphere(12)
