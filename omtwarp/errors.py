@@ -7,7 +7,18 @@ from typing import TypeVar
 
 Kind = TypeVar("Kind", bound=StrEnum)
 
-ARGUMENT = re.compile(r"\b([a-z_]+)=(?:True|\[?'([^']+)'\]?)(?! in Python)")
+# What messages say in Python, and what the command line says for it; other arguments become the option of their name.
+OPTIONS = {
+    "omtwarp.repair": "--repair",
+    "map_surface with ": "'omtwarp map' with ",
+    "domain='sphere', fill_area='natural' or 'small'": "--fill-area natural or small",
+    "domain='sphere'": "--fill-area natural",
+    "map_to_sphere and save": "'omtwarp map MESH -o MAP.npz'",
+    "by align with mirror=True": "with 'omtwarp align MAP --to FIRST --mirror'",
+    "or choose another directory": "choose another directory, or use --force",
+    "shard=(i, n)": "--shard i/n",
+} | {f"domain='{name}'": f"--{name}" for name in ("hemisphere", "disk", "cap", "torus")}
+ARGUMENT = re.compile(r"\b([a-z_]+)=(?:True|\[?'([^']+)'\]?)")
 INTERRUPTED = 130  # exit status of a command that is interrupted: 128 and the number of the signal, as shells report it
 
 
@@ -49,9 +60,11 @@ def with_options(text: str) -> str:
 
     >>> with_options("remesh it, or use refine='area', bake=['normal'] or cut_along='holes' with cut=True")
     'remesh it, or use --refine area, --bake normal or --cut-along holes with --cut'
-    >>> with_options("--components (components=True in Python) maps each")
-    '--components (components=True in Python) maps each'
+    >>> with_options("keep the largest with omtwarp.repair, or use map_surface with domain='disk'")
+    "keep the largest with --repair, or use 'omtwarp map' with --disk"
     """
+    for words, option in OPTIONS.items():
+        text = text.replace(words, option)
     return ARGUMENT.sub(lambda match: f"--{match[1].replace('_', '-')}{' ' if match[2] else ''}{match[2] or ''}", text)
 
 

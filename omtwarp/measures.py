@@ -184,6 +184,6 @@ def weights_belong_to(shape: tuple[int, ...], vertices: int, faces: int, at: str
     if len(fitting) > 1:
         raise OmtwarpError(
             f"{shape[0]} weights are given for a surface of as many vertices as triangles: say which they belong to, "
-            "by --weights-at (weights_at in Python) vertices or triangles"
+            "by weights_at='vertices' or weights_at='triangles'"
         )
     return fitting[0]

@@ -38,7 +38,7 @@ def test_a_face_with_forty_percent_of_the_area_is_named_with_its_place():
     json.dumps(result.report["warnings"])
     areas = triangle_areas(vertices, faces)
     assert result.report["warnings"][0]["where"] == np.argmax(areas) == 0
-    with pytest.raises(OmtwarpError, match=r"--strict: area distortion"):
+    with pytest.raises(OmtwarpError, match=r"strict=True: area distortion"):
         map_to_sphere((vertices, faces), device="cpu", strict=True)
 
 
@@ -61,7 +61,9 @@ def test_the_areas_around_vertices_come_first_with_how_far_they_are_off():
     )
     off, count = re.match(words, str(around)).groups()
     assert error.max() == pytest.approx(int(off) / 100, abs=0.006) and int(count) == (error > 0.1).sum()
-    assert str(refusal([around, triangles])).startswith("not accepted with --strict: areas around vertices are off by")
+    assert str(refusal([around, triangles])).startswith(
+        "not accepted with strict=True: areas around vertices are off by"
+    )
 
 
 def test_a_minimum_far_above_the_bound_is_not_called_optimal(monkeypatch):
@@ -161,7 +163,7 @@ def test_an_area_distortion_that_no_map_has_is_said(area):
     found, remedy = re.match(words, said["text"]).groups()
     assert said["kind"] == "not-matched" and float(found) == pytest.approx(reached, abs=1e-7)
     assert (reached > area) == (remedy == "remesh")
-    with pytest.raises(OmtwarpError, match="--strict: no map with the area distortion"):
+    with pytest.raises(OmtwarpError, match="strict=True: no map with the area distortion"):
         map_to_sphere(surface, refine=f"match:{area}", optimality=False, device="cpu", strict=True)
 
 

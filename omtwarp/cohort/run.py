@@ -115,7 +115,7 @@ def run_cohort(
     for job in todo:
         require_own(job.map_file, may_write_map(job))
     if todo:
-        words = f"another process is working on '{target}': wait for it, or use --shard i/n"
+        words = f"another process is working on '{target}': wait for it, or use shard=(i, n)"
         with locked(target / "locks" / f".driver-{part}-{parts}", words):
             for job in todo if retry else ():
                 forget_failure(job)

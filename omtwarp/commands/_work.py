@@ -325,7 +325,7 @@ def require_whole(result: AnyMap, name: object) -> omtwarp.MapResult:
     """
 
     if not isinstance(result, omtwarp.MapResult):
-        raise OmtwarpError(f"'{name}' is a map to a torus, where one to the sphere is needed, as --cut makes")
+        raise OmtwarpError(f"'{name}' is a map to a torus, where one to the sphere is needed, as cut=True makes")
     try:
         result.closed()
     except OmtwarpError as error:

@@ -10,7 +10,7 @@ import omtwarp
 from omtwarp.commands._options import Argument, Printing, output_option
 from omtwarp.commands._streams import input_file, say, step_times
 from omtwarp.commands._work import of_a_map, outputs_of, show_each
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, with_options
 from omtwarp.files.output import check_output
 
 if TYPE_CHECKING:
@@ -100,13 +100,13 @@ def facts_of(mesh: Path, repair: bool, target: Path | None, *, verbose: bool) ->
                 say(f"{mesh}: {repaired.actions[-1]}")
             vertices, faces = repaired.vertices, repaired.faces
             defects = omtwarp.check(vertices, faces)
-            facts["defects_before"] = [{"kind": defect.kind, "text": str(defect)} for defect in before]
+            facts["defects_before"] = [{"kind": defect.kind, "text": with_options(str(defect))} for defect in before]
             done("repair")
-        facts["defects"] = [{"kind": defect.kind, "text": str(defect)} for defect in defects]
+        facts["defects"] = [{"kind": defect.kind, "text": with_options(str(defect))} for defect in defects]
         facts["options"] = options_text(vertices, faces, defects)
         facts["mappable"] = not defects
         findings = [] if defects else foretell(omtwarp.Surface(vertices, faces))
-        facts["warnings"] = [finding.to_dict() for finding in findings]
+        facts["warnings"] = [finding.to_dict() | {"text": with_options(str(finding))} for finding in findings]
         done("foretell")
     if target is not None:
         write_mesh(target, vertices, faces)
@@ -145,6 +145,6 @@ def options_text(vertices: NDArray, faces: NDArray, defects: list[omtwarp.Defect
     if not defects or any(defect.kind not in MAPPABLE for defect in defects):
         return []
     try:
-        return options_for(parts_of(vertices, faces))
+        return [with_options(text) for text in options_for(parts_of(vertices, faces))]
     except OmtwarpError:  # a boundary that touches itself, which no option takes
         return []

@@ -67,7 +67,7 @@ def solving_with(solver: Solver, device: str | None = None) -> Iterator[None]:
     place = _device.set(device if asks_for_cuda(device) and device is not None else _device.get())
     try:
         if solves_with_cudss() and device is not None and not asks_for_cuda(device):
-            raise OmtwarpError("the solver cudss runs on a GPU: use --device cuda, or another solver")
+            raise OmtwarpError("the solver cudss runs on a GPU: use device='cuda', or another solver")
         yield
     finally:
         _device.reset(place)

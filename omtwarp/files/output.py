@@ -207,8 +207,8 @@ def require_own(given: Path, own: bool) -> None:
     """
     if not own and not (_forced and given.is_file() and not given.is_symlink()):
         raise OmtwarpError(
-            f"cannot write '{given}': omtwarp did not write what is there, or it was changed; move it away, choose "
-            "another directory, or use --force"
+            f"cannot write '{given}': omtwarp did not write what is there, or it was changed; move it away, or "
+            "choose another directory"
         )
 
 

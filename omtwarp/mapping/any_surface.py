@@ -189,19 +189,17 @@ def _check_domain(domain: Domain, parts: list[Part], components: bool, together:
         others = _or(options[:2] if len(parts) > 1 else options) if options else "map it to the sphere"
         raise OmtwarpError(f"the surface has {kind}, and only one of genus 1, closed, maps to a torus: {others}")
     if len(parts) > 1 and not components:
-        raise OmtwarpError(
-            f"the surface has {len(parts)} parts: --components (components=True in Python) maps each by itself"
-        )
+        raise OmtwarpError(f"the surface has {len(parts)} parts: components=True maps each by itself")
     for number, part in enumerate(parts):
         several = len(parts) > 1
         which = f"part {number + 1} of {len(parts)}, at face {part.face_origin[0]}," if several else "the surface"
         if part.genus and along is None:
-            torus = "--torus or " if part.is_torus and not several else ""
-            raise OmtwarpError(f"{which} has {described(part)}: {torus}--cut would map it (cut=True in Python)")
+            torus = "domain='torus' or " if part.is_torus and not several else ""
+            raise OmtwarpError(f"{which} has {described(part)}: {torus}cut=True would map it")
         if domain not in (Domain.AUTO, Domain.SPHERE) and not part.loops:
             raise OmtwarpError(
                 f"{which} is closed, without a boundary to put on the rim of a {domain}: "
-                + ("--fill-area maps all parts to spheres" if several else "map it to the sphere")
+                + ("domain='sphere' maps all parts to spheres" if several else "map it to the sphere")
             )
 
 

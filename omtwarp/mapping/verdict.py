@@ -214,7 +214,7 @@ def _remedy(goal: Surface, refinable: bool) -> str:
 def refusal(findings: Sequence[Finding]) -> OmtwarpError:
     """Make the error for warnings that are not accepted: the first in full, the kinds of the others."""
     others = ", ".join(finding.kind for finding in findings[1:])
-    return OmtwarpError(f"not accepted with --strict: {findings[0]}" + (f" (also: {others})" if others else ""))
+    return OmtwarpError(f"not accepted with strict=True: {findings[0]}" + (f" (also: {others})" if others else ""))
 
 
 def _area_findings(goal: Surface, sphere: Floats, uniform: bool, parts: int = 1) -> list[Finding]:

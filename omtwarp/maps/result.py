@@ -272,7 +272,7 @@ def read_map_arrays(path: str | os.PathLike[str], *kinds: type[StoredMap]) -> di
         try:
             return read_arrays(stream, names)
         except OmtwarpError as error:
-            words = f"'{path}' is not a map: {error}; make one with 'omtwarp map MESH -o MAP.npz'"
+            words = f"'{path}' is not a map: {error}; make one with map_to_sphere and save"
             raise OmtwarpError(words) from None
 
 
@@ -441,10 +441,8 @@ class MapResult(StoredMap):
         if self.part is not None:
             raise OmtwarpError("several parts do not cover one sphere: map each part by itself")
         if self.domain != Domain.SPHERE:
-            raise OmtwarpError(
-                f"a map to a {self.domain} does not cover the sphere: map the mesh with --fill-area natural "
-                "(domain='sphere' in Python)"
-            )
+            words = f"a map to a {self.domain} does not cover the sphere: map the mesh with domain='sphere'"
+            raise OmtwarpError(words)
         if self.filled_faces is None or self.filled_vertices is None or self.filled_sphere is None:
             return self
         if self.filled_conformal is None:
@@ -503,7 +501,7 @@ class MapResult(StoredMap):
             OmtwarpError: the arrays are not those of a map to the sphere or to a part of it.
         """
         if any(name in arrays for name in OF_TORUS_MAPS):
-            raise OmtwarpError(f"'{path}' is a map to a torus, where one to the sphere is needed, as --cut makes")
+            raise OmtwarpError(f"'{path}' is a map to a torus, where one to the sphere is needed, as cut=True makes")
         result = super().from_arrays(arrays, path)
         result.report["certificate"] = result.certificate.to_dict()  # anew: a file's statements are not trusted
         return result

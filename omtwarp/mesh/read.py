@@ -326,7 +326,7 @@ def _single_geometry(scene: trimesh.Scene, together: bool) -> tuple[NDArray[np.f
         names = ", ".join(name for name, *_ in meshes[:4]) + (", ..." if len(meshes) > 4 else "")
         raise OmtwarpError(
             f"{len(meshes)} geometries in one scene ({names}), first '{meshes[0][0]}'; save the one to be mapped by "
-            "itself, take the largest with --repair, or map all with --components or --together"
+            "itself, take the largest with omtwarp.repair, or map all with components=True or together=True"
         )
     notes = [f"took {len(meshes)} geometries together"] if len(meshes) > 1 else []
     return *taken_together([one[2:] for one in meshes]), notes

@@ -18,7 +18,7 @@ from scipy.sparse import csgraph
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import ROUND_OFF, Floats, HasTriangles, Ints, real_numbers, whole_numbers
 
-REPAIR = "--repair (omtwarp.mesh.repair in Python)"
+REPAIR = "omtwarp.repair"
 """How the remedies name the package's own repair."""
 
 
@@ -256,7 +256,7 @@ def _topological_defects(points: Floats, faces: NDArray[np.int64], sound: bool) 
         first = int(np.argmax(labels != np.argmax(sizes)))
         largest = f"the largest with {sizes.max()} of {len(labels)} faces"
         text = f"{pieces} components, {largest}, first face of another is {first}"
-        remedy = f"use 'omtwarp map' with --components (map_surface in Python), or keep the largest with {REPAIR}"
+        remedy = f"use map_surface with components=True, or keep the largest with {REPAIR}"
         defects.append(Defect("several-components", pieces, first, text, remedy))
     if sound and orientable and not crowded.any() and not pinched.any() and topology.genus > 0:
         defects.append(_handles(topology))
@@ -286,8 +286,7 @@ def _open_boundary(points: Floats, topology: Topology, two_sided: bool) -> Defec
     elif not two_sided:
         remedy = "the surface has one side, which no repair and no option changes"
     else:
-        remedy = f"fill small holes with {REPAIR}, or use 'omtwarp map' with --hemisphere or --fill-area "
-        remedy += "(map_surface in Python)"
+        remedy = f"fill small holes with {REPAIR}, or use map_surface with domain='hemisphere' or domain='sphere'"
     return Defect("open-boundary", int(lone.sum()), vertex, text, remedy)
 
 
@@ -297,8 +296,8 @@ def _handles(topology: Topology) -> Defect:
     handles = number(genus, "handle")
     text = f"genus {genus}, not 0: {handles}, a loop around the first runs through vertices {a} and {b}"
     closed = topology.components[0] == 1 and not (topology.edge_face_count == 1).any()
-    torus = ", or map to a torus with --torus" if genus == 1 and closed else ""
-    remedy = f"only genus 0 maps to the sphere: cut the handles, by 'omtwarp map' with --cut{torus}"
+    torus = ", or map to a torus with domain='torus'" if genus == 1 and closed else ""
+    remedy = f"only genus 0 maps to the sphere: cut the handles, by map_surface with cut=True{torus}"
     return Defect("genus", genus, a, text, remedy)
 
 

@@ -188,7 +188,7 @@ def _warn_of_drift(name: str, facts: Mapping[str, float]) -> None:
     """Warn of a map whose registrations to the one before and to the first are further apart than its triangles."""
     if facts["drift"] > facts["edge"]:
         words = f"'{name}' drifted by {facts['drift']:.1f} degrees, and its edges are {facts['edge']:.1f}"
-        warnings.warn(f"{words}: give surfaces in between, or less --stiffness", OmtwarpWarning, stacklevel=3)
+        warnings.warn(f"{words}: give surfaces in between, or less stiffness", OmtwarpWarning, stacklevel=3)
 
 
 def _write(found: SequenceRegistration, folder: Path, first: MapResult) -> None:

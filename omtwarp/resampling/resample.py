@@ -250,7 +250,7 @@ def as_points(given: PointsLike, name: str = "the sphere") -> SpherePoints:
             return SpherePoints(mesh_grid(beside, mesh.faces, str(path)), mesh.vertices)
         return SpherePoints(mesh_grid(mesh.vertices, mesh.faces, str(path)))
     if getattr(given, "domain", None) == Domain.TORUS:
-        raise OmtwarpError(f"{name}: a map to a torus, where one to the sphere is needed, as domain='sphere' makes")
+        raise OmtwarpError(f"{name}: a map to a torus, where one to the sphere is needed, as cut=True makes")
     if isinstance(given, tuple | list) and len(given) == 2:
         return SpherePoints(mesh_grid(given[0], given[1], name))
     if hasattr(given, "vertices") and hasattr(given, "faces"):

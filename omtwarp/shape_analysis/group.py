@@ -405,7 +405,7 @@ def mirrored_words(alignment: GroupAlignment, names: Sequence[str]) -> str:
     fits, images = ("fits", "mirror image") if len(named) == 1 else ("fit", "mirror images")
     return (
         f"{which} {fits} {names[0]} better as {images}, and the difference counts as one of shape: mirror "
-        "one side before, with 'omtwarp align MAP --to FIRST --mirror', to compare left and right"
+        "one side before, by align with mirror=True, to compare left and right"
     )
 
 

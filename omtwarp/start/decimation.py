@@ -355,7 +355,7 @@ def _require_sphere_topology(faces: Ints, count: int) -> None:
     """Require each edge once in each direction, no unused vertex and Euler's number 2."""
     tails, heads = faces.ravel().astype(np.int64), np.roll(faces, -1, axis=1).ravel().astype(np.int64)
     if len(faces) == 0 or not (np.bincount(tails, minlength=count) > 0).all():
-        raise OmtwarpError("the mesh has vertices that no face uses: remove them with --repair")
+        raise OmtwarpError("the mesh has vertices that no face uses: remove them with omtwarp.repair")
     forward = np.sort(tails * count + heads)
     backward = np.sort(heads * count + tails)
     if (forward[1:] == forward[:-1]).any() or not np.array_equal(forward, backward):

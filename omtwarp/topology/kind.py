@@ -147,35 +147,36 @@ def _options_with_rim(several: bool, filled: bool, more: str) -> list[str]:
     """Describe the options of surfaces with a boundary: of several parts, with other holes, and what they need more."""
     of_each, others = " of each part" if several else "", ", other holes filled" if filled else ""
     return [
-        f"--hemisphere: the longest boundary loop{of_each} on the equator{others}{more}",
-        f"--disk, --cap: the same in the unit disk, or on a cap as large as the hole leaves{more}",
+        f"domain='hemisphere': the longest boundary loop{of_each} on the equator{others}{more}",
+        f"domain='disk', domain='cap': the same in the unit disk, or on a cap as large as the hole leaves{more}",
     ]
 
 
 def options_for(parts: list[Part]) -> list[str]:
-    """List the options of ``omtwarp map`` that a mesh needs, with one line on what each does."""
+    """List the arguments of ``map_surface`` that a mesh needs, with one line on what each does."""
     if len(parts) == 1 and parts[0].is_sphere:
         return []
     lines = []
     loops, genus = sum(len(part.loops) for part in parts), sum(part.genus for part in parts)
     several = len(parts) > 1
-    cut = " (with --cut)" if genus else ""
+    cut = " (with cut=True)" if genus else ""
     doubled = all(len(part.faces) > 1 for part in parts if part.loops)  # the double of one triangle is no surface
     if several and doubled:
-        lines.append(f"--components: map each of the {len(parts)} parts by itself{cut}")
-        lines.append(f"--together: map all parts side by side to one sphere, in proportion to their areas{cut}")
-    needed = ["--components"] * several + ["--cut"] * bool(genus)
+        lines.append(f"components=True: map each of the {len(parts)} parts by itself{cut}")
+        lines.append(f"together=True: map all parts side by side to one sphere, in proportion to their areas{cut}")
+    needed = ["components=True"] * several + ["cut=True"] * bool(genus)
     more = f" (with {' and '.join(needed)})" if needed else ""
     if doubled and all(part.loops for part in parts):
         lines += _options_with_rim(several, loops > len(parts), more)
     if loops:
-        lines.append(
-            f"--fill-area natural or small: {number(loops, 'hole')} filled, the rest of the sphere covered{more}"
-        )
+        way, holes = "domain='sphere', fill_area='natural' or 'small'", number(loops, "hole")
+        lines.append(f"{way}: {holes} filled, the rest of the sphere covered{more}")
     if len(parts) == 1 and parts[0].is_torus:
-        lines.append("--torus: map the surface to the flat torus that it is conformal to")
+        lines.append("domain='torus': map the surface to the flat torus that it is conformal to")
     if genus:
         handles = number(genus, "handle")
-        beside = " (with --components)" if several else ""
-        lines.append(f"--cut: cut {handles} open along short loops, fill the cuts small, and map to the sphere{beside}")
+        beside = " (with components=True)" if several else ""
+        lines.append(
+            f"cut=True: cut {handles} open along short loops, fill the cuts small, and map to the sphere{beside}"
+        )
     return lines

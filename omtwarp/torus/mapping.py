@@ -182,7 +182,7 @@ class _Run:
             self.warnings.insert(0, text)
         for text in self.warnings:
             if strict:
-                raise OmtwarpError(f"the map is not as good as --strict requires: {text}")
+                raise OmtwarpError(f"the map is not as good as strict=True requires: {text}")
             warnings.warn(OmtwarpWarning(text), stacklevel=5)
         result.report.update(
             {

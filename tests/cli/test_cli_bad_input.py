@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from omtwarp.commands._cli import main
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, with_options
 from omtwarp.mesh import shapes
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.validate import require_valid
@@ -102,7 +102,7 @@ def test_bad_meshes_are_refused_with_the_text_of_the_python_error(tmp_path, caps
     mesh = read_mesh(tmp_path / "bad.ply")
     with pytest.raises(OmtwarpError) as caught:
         require_valid(mesh.vertices, mesh.faces, str(tmp_path / "bad.ply"))
-    assert err == f"omtwarp: error: {caught.value}\n"
+    assert err == f"omtwarp: error: {with_options(str(caught.value))}\n"
     assert [path.name for path in tmp_path.iterdir()] == ["bad.ply"]
 
 

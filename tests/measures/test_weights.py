@@ -89,10 +89,10 @@ def test_where_there_are_as_many_vertices_as_triangles_an_argument_says_which():
     faces = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
     surface = Surface(points, faces)
     weights = [4.0, 1.0, 1.0, 1.0]
-    with pytest.raises(OmtwarpError, match=r"as many vertices as triangles: say which.*--weights-at"):
+    with pytest.raises(OmtwarpError, match=r"as many vertices as triangles: say which.*weights_at='vertices'"):
         weighted_surface(surface, weights)
     for map_it in (omtwarp.map_to_sphere, omtwarp.map_surface):
-        with pytest.raises(OmtwarpError, match="--weights-at"):
+        with pytest.raises(OmtwarpError, match="weights_at='vertices'"):
             map_it((points, faces), weights=weights)
     of_triangles = weighted_surface(surface, weights, "triangles").face_areas
     np.testing.assert_allclose(of_triangles / SPHERE_AREA, np.array([4, 1, 1, 1]) / 7, rtol=1e-12)

@@ -140,7 +140,7 @@ def test_upper_entries_by_hand():
 
 
 def test_what_is_missing_is_said_in_one_line(fake, monkeypatch):
-    with pytest.raises(OmtwarpError, match=r"^the solver cudss runs on a GPU: use --device cuda, or another solver$"):
+    with pytest.raises(OmtwarpError, match=r"^the solver cudss runs on a GPU: use device='cuda', or another solver$"):
         omtwarp.map_to_sphere(icosphere(3), solver="cudss")
     monkeypatch.setitem(sys.modules, "nvmath.bindings", None)
     with pytest.raises(OmtwarpError, match=r"pip install 'omtwarp\[cuda\]'$"):

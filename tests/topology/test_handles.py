@@ -132,7 +132,7 @@ def _on_loops(result: omtwarp.MapResult, points: np.ndarray) -> np.ndarray:
 
 
 def test_handles_without_leave_to_cut_are_refused():
-    with pytest.raises(OmtwarpError, match="--cut would map it"):
+    with pytest.raises(OmtwarpError, match="cut=True would map it"):
         omtwarp.map_surface(shapes.rings(2, cell=0.3), cut=False)
 
 
