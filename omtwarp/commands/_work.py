@@ -202,9 +202,9 @@ def read_sound_mesh(
     mesh = read_joined_mesh(path, together=repair or any_surface, smoothing=smoothing)
     notes, of_file = [*of_a_map(path), *mesh.notes], mesh.vertex_of_file
     surface, repaired = sound_surface(path, mesh.vertices, mesh.faces, notes, repair, any_surface=any_surface)
-    surface.origins = None if of_file is None else mesh.origins
+    surface.origins = None if of_file is None else mesh
     if repaired is not None:
-        surface.origins, of_file = mesh.origins.compose(repaired.origins), None
+        surface.origins, of_file = mesh.compose(repaired), None
     return Input(surface, (len(mesh.file.vertices), len(mesh.faces)), notes, of_file, mesh.file.faces)
 
 

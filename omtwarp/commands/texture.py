@@ -29,7 +29,7 @@ def read_sound_painted(path: Path, repair: bool) -> tuple[omtwarp.PaintedMesh, o
     mesh = omtwarp.read_painted_mesh(path)
     surface, repaired = _work.sound_surface(path, mesh.vertices, mesh.faces, list(mesh.notes), repair)
     if repaired is not None:
-        surface.origins = replace(repaired.origins, given=len(mesh.vertices))
+        surface.origins = repaired
         mesh = mesh.on(repaired.vertices, repaired.faces, repaired.face_origin)
     return mesh, surface
 

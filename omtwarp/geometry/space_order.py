@@ -107,7 +107,7 @@ class OrderedSurface(Origins):
             Of every vertex and every face of this surface quartered: the number of its equal, shapes [V + E] and [4 F].
         """
         count = self.surface.vertex_count
-        known = edge_keys(given.ends, count)
+        known = edge_keys(given.split_edges, count)
         order = np.argsort(known)
         middles = order[np.searchsorted(known, edge_keys(self.vertex_origin[self.surface.edges], count), sorter=order)]
         parts = np.full((len(self.face_origin), PARTS), PARTS - 1)

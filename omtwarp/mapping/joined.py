@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.maps.result import SEVERAL, MapReport, MapResult
+from omtwarp.maps.result import SEVERAL, MapReport, MapResult, origin_arrays
 from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.origins import Origins
@@ -71,13 +71,11 @@ def _numbers(maps: list[MapResult], count: int) -> tuple[list[NDArray], int]:
     """
     numbers = []
     for part in maps:
-        origin = _known(part.vertex_origin)
-        first = np.zeros(len(origin), dtype=bool)
-        given = np.flatnonzero(origin >= 0)
-        first[given[np.unique(origin[given], return_index=True)[1]]] = True
-        number = np.where(first, origin, -1)
-        number[~first] = count + np.arange(int((~first).sum()))
-        count += int((~first).sum())
+        assert part.origins is not None
+        number, first = np.full(len(part.vertices), -1), part.origins.places()
+        number[first[first >= 0]] = np.flatnonzero(first >= 0)
+        number[number < 0] = count + np.arange(int((number < 0).sum()))
+        count = max(count, int(number.max()) + 1)
         numbers.append(number)
     return numbers, count
 
@@ -186,8 +184,8 @@ def in_input_order(result: MapResult, given: Part, *, exact: bool) -> MapResult:
         given: the part as it was before.
         exact: whether triangles were quartered.
     """
-    assert result.vertex_origin is not None and result.face_origin is not None
-    order = _order(result.faces, result.vertex_origin, result.face_origin, given, exact)
+    assert result.origins is not None
+    order = _order(result.faces, result.origins, given, exact)
     place, count, own = order.place, len(result.vertices), len(result.faces)
     arrays = result.rows({"V": order.vertices, "F": order.faces})
     arrays["faces"] = place[order.of_corners(result.faces)].astype(np.int32)
@@ -215,42 +213,39 @@ def torus_in_input_order(result: TorusMap, ordered: Part, given: Part) -> TorusM
     """
     exact, own = result.origins is not None, Origins(np.arange(len(result.vertices)), np.arange(len(result.faces)))
     origins = ordered.compose(result.origins or own)
-    of_vertices, of_faces = origins.vertex_origin, origins.face_origin
-    order = _order(result.faces, of_vertices, of_faces, given, exact)
-    arrays = result.rows({"V": order.vertices, "F": order.faces})
+    order = _order(result.faces, origins, given, exact)
+    known = result.with_arrays(origin_arrays(origins)) if exact else result
+    arrays = known.rows({"V": order.vertices, "F": order.faces})
     arrays["faces"] = order.place[order.of_corners(result.faces)].astype(np.int32)
     arrays["wraps"] = order.of_corners(result.wraps)
     if exact:
-        arrays |= {"vertex_origin": of_vertices[order.vertices], "face_origin": of_faces[order.faces]}
+        arrays["split_edges"] = np.sort(order.place[origins.split_edges], axis=1)
     return result.with_arrays(arrays)
 
 
-def _order(faces: NDArray, of_vertices: Places, of_faces: Places, given: Part, exact: bool) -> _Order:
+def _order(faces: NDArray, origins: Origins, given: Part, exact: bool) -> _Order:
     """Return the order of a map's vertices and faces in which those of the input lie as they do there.
 
     Args:
         faces: of the map, shape [F, 3], those of one face of the input after each other.
-        of_vertices: the input's vertex that each vertex is or is a copy of, -1 for new ones, shape [V].
-        of_faces: the input's face that each face is a part of, shape [F].
+        origins: what its vertices and faces are in the input.
         given: the part in the order of the input.
         exact: whether triangles were quartered, see :class:`omtwarp.mesh.quarter.QuarteredSurface`.
     """
-    known = np.flatnonzero(of_vertices >= 0)
-    first = known[np.unique(of_vertices[known], return_index=True)[1]]
-    added = np.ones(len(of_vertices), dtype=bool)
-    added[first] = False
-    parts = PARTS if exact else 1
-    groups = of_faces.reshape(-1, parts)[:, 0]
+    first, parts = origins.places(), PARTS if exact else 1
+    first = first[first >= 0]
+    vertices = np.r_[first, np.setdiff1d(np.arange(len(origins.vertex_origin)), first)]
+    groups = origins.face_origin.reshape(-1, parts)[:, 0]
     along = np.argsort(groups, kind="stable")
     # The corner of the input's face at which a triangle begins; 0 for pieces of split ones that begin at a new vertex.
     corners = given.vertex_origin[given.faces[np.searchsorted(given.face_origin, groups[along])]]
-    begins = of_vertices[faces.reshape(-1, parts, 3)[along, 0, 0]]
+    begins = origins.vertex_origin[faces.reshape(-1, parts, 3)[along, 0, 0]]
     back = (np.arange(3) - (corners == begins[:, None]).argmax(axis=1)[:, None]) % 3
     if not exact:
-        return _Order(np.concatenate([first, np.flatnonzero(added)]), along, back)
+        return _Order(vertices, along, back)
     # A part at a corner goes to another corner's place as it is; the middle one is turned.
     middle = np.full((len(along), 1), PARTS - 1)
     rows = (PARTS * along)[:, None] + np.concatenate([back, middle], axis=1)
     turned = np.broadcast_to(np.arange(3), (len(along), PARTS, 3)).copy()
     turned[:, PARTS - 1] = back
-    return _Order(np.concatenate([first, np.flatnonzero(added)]), rows.ravel(), turned.reshape(-1, 3))
+    return _Order(vertices, rows.ravel(), turned.reshape(-1, 3))

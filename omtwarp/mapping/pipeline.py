@@ -25,7 +25,7 @@ from omtwarp.flips.guard import hold_back
 from omtwarp.geometry.axes import principal_axes, rotation_onto_axes, towards_coordinates, turned_towards
 from omtwarp.geometry.space_order import OrderedSurface, in_space_order
 from omtwarp.mapping.verdict import judge, refusal
-from omtwarp.maps.result import MapReport, MapResult, StageReport, renumbered
+from omtwarp.maps.result import MapReport, MapResult, StageReport, origin_arrays, renumbered
 from omtwarp.measures import TargetDensity, mass_distortion, weighted_surface
 from omtwarp.mesh.arrays import TINY, Floats, normalised
 from omtwarp.mesh.quarter import quarter
@@ -612,8 +612,8 @@ class MapComputation:
         give_back()
         assert self.source is not None
         quartered = quarter(self.surface)
-        origins = quartered.origins
-        quartered.surface.origins = origins if self.surface.origins is None else self.surface.origins.compose(origins)
+        given = self.surface.origins
+        quartered.surface.origins = quartered if given is None else given.compose(quartered)
         self.surface = quartered.surface
         if self.mirror is not None:
             self.mirror = quartered_double(self.mirror, quartered)
@@ -849,15 +849,12 @@ def _begun(start: ArrayLike | MapResult, surface: Surface, ordered: OrderedSurfa
 def _in_order_of(surface: Surface, ordered: OrderedSurface, result: MapResult) -> MapResult:
     """Return the map of a surface, quartered or with edges split, from that of the surface in another order."""
     vertices, faces, made = ordered.vertex_origin, ordered.face_origin, surface
-    origins, split_edges = surface.origins, None
+    origins = surface.origins
     if result.report.get("exact"):
         quartered = quarter(surface)
         vertices, faces = ordered.of_parts(quartered)
-        made, of_parts = quartered.surface, quartered.origins
-        origins, split_edges = of_parts if origins is None else origins.compose(of_parts), of_parts.split_edges
-    arrays: dict[str, object] = {"vertices": made.vertices, "faces": made.faces, "split_edges": split_edges}
-    arrays["vertex_origin"] = None if origins is None else origins.vertex_origin
-    arrays["face_origin"] = None if origins is None else origins.face_origin
+        made, origins = quartered.surface, quartered if origins is None else origins.compose(quartered)
+    arrays = {"vertices": made.vertices, "faces": made.faces, **origin_arrays(origins)}
     if origins is not None and origins.given is not None:
         result.report["mesh"]["input_vertices"] = origins.given
     certificate = replace(result.certificate, smallest_face=int(faces[result.certificate.smallest_face]))

@@ -162,6 +162,10 @@ class StoredMap(Displayable):
         fitting = fitting_arrays(arrays, self.layout, {"V": len(vertices), "F": len(faces)})
         for name, value in fitting.items():
             object.__setattr__(self, name, value)
+        for name in ("part", "loops", "loop_ends", "loop_pairs", "split_edges"):
+            numbers = fitting.get(name)
+            if numbers is not None and numbers.size and numbers.min() < 0:
+                raise OmtwarpError(f"'{name}': {int(numbers.min())} is out of range, at least 0")
 
     @classmethod
     def _require(cls, arrays: Mapping[str, object]) -> None:
@@ -180,7 +184,7 @@ class StoredMap(Displayable):
         known = vars(self)
         if known["vertex_origin"] is None or known["face_origin"] is None:
             return None
-        edges, given = known.get("split_edges"), known["report"].get("mesh", {}).get("input_vertices")
+        edges, given = known["split_edges"], known["report"].get("mesh", {}).get("input_vertices")
         origins = Origins(known["vertex_origin"], known["face_origin"], given=given if isinstance(given, int) else None)
         return origins if edges is None else replace(origins, split_edges=edges)
 
@@ -372,10 +376,6 @@ class MapResult(StoredMap):
         if self.filled_faces is not None:
             points = self.vertices if self.filled_vertices is None else self.filled_vertices
             whole_numbers(self.filled_faces, "'filled_faces'", (None, 3), below=len(points))
-        for name in ("part", "loops", "loop_ends", "loop_pairs", "split_edges"):
-            numbers = getattr(self, name)
-            if numbers is not None and numbers.size and numbers.min() < 0:
-                raise OmtwarpError(f"'{name}': {int(numbers.min())} is out of range, at least 0")
         if not isinstance(self.domain, str) or self.domain not in (*Domain, SEVERAL):
             raise OmtwarpError(f"there is no domain {str(self.domain)[:20]!r}")
 
@@ -508,6 +508,14 @@ class MapResult(StoredMap):
 
 
 MapResult.layout = layout_of(MapResult)
+
+
+def origin_arrays(origins: Origins | None) -> dict[str, NDArray[np.int64] | None]:
+    """Return the arrays of a map, by name, that say what its vertices and faces are in the input."""
+    if origins is None:
+        return {"vertex_origin": None, "face_origin": None, "split_edges": None}
+    edges = origins.split_edges if len(origins.split_edges) else None
+    return {"vertex_origin": origins.vertex_origin, "face_origin": origins.face_origin, "split_edges": edges}
 
 
 def renumbered(result: MapResult, numbers: Mapping[str, NDArray[np.int64]], arrays: Mapping[str, object]) -> MapResult:

@@ -70,6 +70,7 @@ class TorusMap(StoredMap):
         conformal: the conformal map that distances are measured from, as ``coordinates``, shape [V, 2].
         vertex_origin: after a repair, the index of every vertex in the mesh before it, shape [V].
         face_origin: the same of the faces, shape [F].
+        split_edges: the two vertices that each vertex of origin -1 lies halfway between, in their order, shape [K, 2].
         history: one record per step of the transport.
         report: how the map was made, ready for JSON.
 
@@ -92,6 +93,7 @@ class TorusMap(StoredMap):
     conformal: Floats = field(metadata=result.stored(np.float64, "V", 2))
     vertex_origin: NDArray[np.int64] | None = field(default=None, metadata=result.stored(np.int64, "V"))
     face_origin: NDArray[np.int64] | None = field(default=None, metadata=result.stored(np.int64, "F"))
+    split_edges: NDArray[np.int64] | None = field(default=None, metadata=result.stored(np.int64, "K", 2), kw_only=True)
 
     history: list[Record] = field(default_factory=list)
     report: TorusReport = field(default_factory=lambda: cast(TorusReport, {}))

@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.errors import OmtwarpError
+
 Ints = NDArray[np.int64]
 
 
@@ -27,9 +29,30 @@ class Origins:
 
     def compose(self, later: "Origins") -> "Origins":
         """Return the origins, in the surface that this one was made from, of another that was made from this one."""
-        vertices = np.where(later.vertex_origin >= 0, self.vertex_origin[later.vertex_origin], -1)
+        kept, given = later.vertex_origin >= 0, len(self.vertex_origin)
+        vertices = np.where(kept, self.vertex_origin[later.vertex_origin], -1)
         faces = np.where(later.face_origin >= 0, self.face_origin[later.face_origin], -1)
-        return Origins(vertices, faces, split_edges=later.split_edges, given=self.given)
+        ends = Origins(later.vertex_origin, faces, given=given).places()[self._ends()[later.vertex_origin]]
+        ends = np.where(kept[:, None], ends, later._ends())[vertices < 0]
+        known = np.logical_and.accumulate((ends >= 0).all(axis=1))
+        return Origins(vertices, faces, split_edges=ends[known], given=self.given)
+
+    def places(self) -> Ints:
+        """Return the first vertex of this surface that is, or is a copy of, each of the one that it was made from.
+
+        It is -1 for those that are gone, and at the end, so that -1 leads to -1: shape [N + 1].
+        """
+        place = np.full(max(self.given or 0, int(self.vertex_origin.max(initial=-1)) + 1) + 1, -1)
+        place[self.vertex_origin[::-1]] = np.arange(len(self.vertex_origin))[::-1]
+        place[-1] = -1
+        return place
+
+    def _ends(self) -> Ints:
+        """Return the two vertices that each new one lies halfway between, -1 where none are known, shape [V, 2]."""
+        new = np.flatnonzero(self.vertex_origin < 0)[: len(self.split_edges)]
+        ends = np.full((len(self.vertex_origin), 2), -1)
+        ends[new] = self.split_edges[: len(new)]
+        return ends
 
     def prolong(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
         """Carry data at the vertices of the surface that this one was made from to the vertices of this one.
@@ -40,21 +63,41 @@ class Origins:
         Args:
             values: shape [N] or [N, K].
         """
-        given = int(self.vertex_origin.max(initial=-1)) + 1 if self.given is None else self.given
-        new = np.flatnonzero(self.vertex_origin < 0)
-        if values.ndim == 0 or len(values) != given or len(new) > len(self.split_edges):
+        left, ends = self.vertex_origin < 0, self._ends()
+        if values.ndim == 0 or len(values) != len(self.places()) - 1 or (ends[left] < 0).any():
             return values
         carried = values[self.vertex_origin]
-        left = np.ones(len(carried), dtype=bool)
-        left[self.vertex_origin >= 0] = False
-        ends = self.split_edges[: len(new)]
         while left.any():  # an end can be the middle of another edge
-            ready = left[new] & ~left[ends].any(axis=1)
+            ready = left & ~left[ends].any(axis=1)
             if not ready.any():
                 return values
             first, second = carried[ends[ready, 0]], carried[ends[ready, 1]]
-            carried[new[ready]] = 0.5 * first + 0.5 * second if values.dtype.kind == "f" else first
-            left[new[ready]] = False
+            carried[ready] = 0.5 * first + 0.5 * second if values.dtype.kind == "f" else first
+            left = left & ~ready
+        return carried
+
+    def restrict(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
+        """Carry data at the vertices of this surface back to those of the one that it was made from.
+
+        Of several copies of a vertex, the first counts. Where a vertex is gone, there is no number: NaN.
+
+        Args:
+            values: shape [V] or [V, K].
+
+        Returns:
+            Shape [N] or [N, K].
+
+        Raises:
+            OmtwarpError: another length, or whole numbers, of which none is NaN, where vertices are gone.
+        """
+        place = self.places()[:-1]
+        gone = np.flatnonzero(place < 0)
+        if values.ndim == 0 or len(values) != len(self.vertex_origin):
+            raise OmtwarpError(f"data of shape {list(values.shape)} for {len(self.vertex_origin)} vertices")
+        if len(gone) and values.dtype.kind != "f":
+            raise OmtwarpError(f"{len(gone)} vertices are gone, first vertex {gone[0]}, and have no whole number")
+        carried = values[place]
+        carried[gone] = np.nan
         return carried
 
 
@@ -64,11 +107,11 @@ class Derived(Origins):
 
     Attributes:
         vertices: float64, shape [V, 3].
-        faces: int32, shape [F, 3].
+        faces: shape [F, 3].
     """
 
     vertices: NDArray[np.float64]
-    faces: NDArray[np.int32]
+    faces: NDArray[np.integer]
 
 
 def named_face(names: Origins | None, face: int) -> tuple[int, str]:

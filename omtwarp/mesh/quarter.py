@@ -15,34 +15,25 @@ from omtwarp.mesh.surface import Surface
 PARTS = 4  # of a triangle: one at each corner, and the one in the middle
 
 
-@dataclass(frozen=True)
-class QuarteredSurface:
-    """A surface whose triangles are the parts of another's.
+@dataclass(frozen=True, eq=False)
+class QuarteredSurface(Origins):
+    """A surface whose triangles are the parts of another's; the new vertices are halfway between two.
 
     Part 4 f + k of triangle f lies at its corner k and has the corners (corner k, middle of the edge from corner k to
     the next, middle of the edge from the one before to corner k); part 4 f + 3 has the three middles for corners.
 
     Attributes:
         surface: V + E vertices, those of the mesh first, then the middles of its edges; 4 F triangles.
-        ends: the two vertices between which every new one lies, int32, shape [E, 2].
         middles: of the edges from corner k to the next of every triangle of the mesh, int32, shape [F, 3].
     """
 
     surface: Surface
-    ends: Ints
     middles: Ints
 
     @property
     def parents(self) -> Ints:
-        """The triangle that every part belongs to, shape [4 F]."""
-        return np.repeat(np.arange(len(self.middles), dtype=np.int32), PARTS)
-
-    @property
-    def origins(self) -> Origins:
-        """What vertices and parts are in the mesh; the new vertices are halfway between two."""
-        count = self.surface.vertex_count - len(self.ends)
-        number = np.r_[np.arange(count), np.full(len(self.ends), -1)]
-        return Origins(number, self.parents.astype(np.int64), split_edges=self.ends.astype(np.int64), given=count)
+        """The triangle that every part belongs to, int32, shape [4 F]."""
+        return self.face_origin.astype(np.int32)
 
     def on_sphere(self, sphere: Floats) -> Floats:
         """Extend a map: new vertices go to the midpoints of the images of their edges.
@@ -55,7 +46,7 @@ class QuarteredSurface:
         Returns:
             Unit vectors, shape [V + E, 3]. Where the ends of an edge are opposite points it is the first end.
         """
-        one, other = sphere[self.ends[:, 0]], sphere[self.ends[:, 1]]
+        one, other = sphere[self.split_edges[:, 0]], sphere[self.split_edges[:, 1]]
         middle = one + other
         length = np.linalg.norm(middle, axis=1, keepdims=True)
         middle = np.where(length > 0.0, middle / np.where(length > 0.0, length, 1.0), one)
@@ -97,4 +88,6 @@ def quarter(surface: Surface) -> QuarteredSurface:
     measure = np.repeat(surface.face_areas / PARTS, PARTS) if surface.weighted else None
     cut = Surface(np.concatenate([points, between]), parts.reshape(-1, 3), measure)
     cut.checked = surface.checked
-    return QuarteredSurface(cut, edges, middles.astype(np.int32))
+    vertices, parents = np.r_[np.arange(len(points)), np.full(len(edges), -1)], np.arange(4 * len(faces)) // PARTS
+    ends, middles = edges.astype(np.int64), middles.astype(np.int32)
+    return QuarteredSurface(vertices, parents, cut, middles, split_edges=ends, given=len(points))

@@ -31,7 +31,7 @@ from omtwarp.files.output import as_path, scratch
 from omtwarp.mesh import other_formats
 from omtwarp.mesh.arrays import whole_number, whole_numbers
 from omtwarp.mesh.neuro import load_gifti, nibabel_module
-from omtwarp.mesh.origins import Origins
+from omtwarp.mesh.origins import Derived
 from omtwarp.mesh.other_formats import MESHIO_FORMATS, WAYS_ROUND
 from omtwarp.mesh.ply import read_ply
 from omtwarp.mesh.polygons import Triangles, fans, taken_together
@@ -339,9 +339,9 @@ Ints = NDArray[np.int64]
 _DOUBLED = (".glb", ".gltf", ".dae", ".3mf", ".json")
 
 
-@dataclass(frozen=True)
-class JoinedMesh:
-    """A mesh file whose copies of vertices along seams are joined.
+@dataclass(frozen=True, eq=False)
+class JoinedMesh(Derived):
+    """A mesh file whose copies of vertices along seams are joined; each is the first of its copies.
 
     Attributes:
         vertices: without copies, in the file's order, float64, shape [V, 3].
@@ -351,18 +351,9 @@ class JoinedMesh:
         notes: decisions that were made, in words.
     """
 
-    vertices: NDArray[np.float64]
-    faces: Ints
     file: MeshFile
     vertex_of_file: Ints | None
     notes: tuple[str, ...]
-
-    @property
-    def origins(self) -> Origins:
-        """What vertices and faces are in the file: of copies that were joined, the first."""
-        count, of_file = len(self.file.vertices), self.vertex_of_file
-        first = np.arange(count) if of_file is None else np.unique(of_file, return_index=True)[1]
-        return Origins(first, np.arange(len(self.faces)), given=count)
 
 
 def seam_copies(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> Ints | None:
@@ -418,19 +409,17 @@ def read_joined_mesh(
     number = None
     if file.faces.size and 0 <= file.faces.min() and file.faces.max() < len(file.vertices):
         number = seam_copies(file.vertices, file.faces)
-    joined, stays = file.faces, None
+    count, notes = len(file.vertices), file.notes
+    first, joined, of_file = np.arange(count), file.faces, None
     if number is not None:
-        stays, of_file = compressed(number)
-        joined = of_file[file.faces]
-        if shared and Topology(joined, len(file.vertices)).on_boundary.any():
-            number, joined = None, file.faces
+        stays, places = compressed(number)
+        if not shared or not Topology(places[file.faces], count).on_boundary.any():
+            first, joined, of_file = np.flatnonzero(stays), places[file.faces], places
+            copies = count - len(first)
+            notes = (*notes, f"joined {copies} {'copy' if copies == 1 else 'copies'} of vertices along seams")
     if not one_mesh and not _in_one_piece(joined):
         raise refused  # the user has to choose among geometries that do not belong together
-    if number is None or stays is None:
-        return JoinedMesh(file.vertices, file.faces, file, None, file.notes)
-    copies = len(stays) - int(stays.sum())
-    note = f"joined {copies} {'copy' if copies == 1 else 'copies'} of vertices along seams"
-    return JoinedMesh(file.vertices[stays], joined, file, of_file, (*file.notes, note))
+    return JoinedMesh(first, np.arange(len(joined)), file.vertices[first], joined, file, of_file, notes, given=count)
 
 
 def _in_one_piece(faces: Ints) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh import validate
 from omtwarp.mesh.arrays import TINY, WELD, Floats, edge_keys
-from omtwarp.mesh.origins import Origins
+from omtwarp.mesh.origins import Derived
 from omtwarp.mesh.validate import MeshLike, Topology, check, components_of, number
 
 LARGEST_HOLE = 64
@@ -19,29 +19,19 @@ LARGEST_HOLE = 64
 NOTED_LOSS = 0.01  # share of the area above which the repair says how much of it is gone
 
 
-class Repaired(NamedTuple):
-    """A repaired mesh.
+@dataclass(frozen=True, eq=False)
+class Repaired(Derived):
+    """A repaired mesh, with what its vertices and faces are in the input; faces that fill holes are new.
 
     Attributes:
         vertices: float64, shape [V, 3].
         faces: int64, shape [F, 3].
         actions: what was done, in words and in order; empty if nothing was changed.
-        vertex_origin: for every vertex its index in the input, int64, shape [V].
-        face_origin: for every face its index in the input, int64, shape [F]; -1 for a face that fills a hole.
         loss: share of the input's area that is gone; where more than :data:`NOTED_LOSS`, the last action says it.
     """
 
-    vertices: Floats
-    faces: NDArray[np.int64]
     actions: list[str]
-    vertex_origin: NDArray[np.int64]
-    face_origin: NDArray[np.int64]
-    loss: float = 0.0
-
-    @property
-    def origins(self) -> Origins:
-        """What vertices and faces are in the input."""
-        return Origins(self.vertex_origin, self.face_origin)
+    loss: float
 
 
 def repair(mesh: MeshLike | ArrayLike, faces: ArrayLike | None = None, *, whole: bool = True) -> Repaired:
@@ -92,7 +82,9 @@ def repair(mesh: MeshLike | ArrayLike, faces: ArrayLike | None = None, *, whole:
                 step()
         work.drop_unused_vertices()
         work.measure_loss(points, triangles)
-    return Repaired(work.points, work.faces, work.actions, work.vertex_origin, work.face_origin, work.loss)
+    return Repaired(
+        work.vertex_origin, work.face_origin, work.points, work.faces, work.actions, work.loss, given=len(points)
+    )
 
 
 def _require_counted_from_zero(faces: NDArray[np.int64], count: int) -> None:

@@ -327,7 +327,7 @@ def plane_areas(corners: Floats) -> Floats:
     return 0.5 * (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
 
 
-def triangle_areas(points: Floats, faces: Ints) -> Floats:
+def triangle_areas(points: Floats, faces: NDArray[np.integer]) -> Floats:
     """Return the area of every flat triangle, shape [F]."""
     p0, p1, p2 = (points[faces[:, k]] for k in range(3))
     return 0.5 * np.linalg.norm(np.cross(p1 - p0, p2 - p0), axis=1)

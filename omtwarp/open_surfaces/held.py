@@ -299,7 +299,8 @@ class Quartered:
 
     def cells(self, surface: Surface, total: float) -> TriangleCells:
         """Return the original triangles of the mesh as a surface, whose areas are to add up to a total."""
-        quartered = QuarteredSurface(surface, np.empty((0, 2), np.int32), self.middles)
+        parents = np.arange(len(self.faces)) // PARTS
+        quartered = QuarteredSurface(np.arange(len(self.surface)), parents, surface, self.middles)
         cells = TriangleCells(quartered, resolve_device("cpu"))
         cells.wanted = cells.wanted * (total / cells.wanted.sum())
         return cells

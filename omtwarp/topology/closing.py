@@ -154,13 +154,13 @@ def quartered_double(whole: Double, quartered: QuarteredSurface) -> Double:
         whole: a surface and its mirror copy, W vertices and 2F faces.
         quartered: the same with every triangle cut into four, the surface's own first.
     """
-    count, ends = len(whole.mirror), quartered.ends.astype(np.int64)
+    count, ends = len(whole.mirror), quartered.split_edges
     keys, wanted = edge_keys(ends, count), edge_keys(whole.mirror[ends], count)
     order = np.argsort(keys)
     image = order[np.searchsorted(keys, wanted, sorter=order)]
     own = np.zeros(len(ends), dtype=bool)
     own[quartered.middles[: len(quartered.middles) // 2] - count] = True
-    made = whole.compose(quartered.origins)
+    made = whole.compose(quartered)
     return Double(
         made.vertex_origin,
         made.face_origin,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
-from omtwarp.maps.result import StageReport
+from omtwarp.maps.result import StageReport, origin_arrays
 from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.origins import Origins
@@ -107,7 +107,7 @@ class _Run:
         wraps, (x, y) = quartered_torus(quartered, self.surface.faces, self.conformal.wraps, *maps)
         lattice = self.conformal.lattice
         self.surface = quartered.surface
-        self.origins = quartered.origins
+        self.origins = quartered
         self.conformal, self.torus = FlatTorus(x, wraps, lattice), FlatTorus(y, wraps, lattice)
         found = exact_on_torus(
             quartered, self.conformal, y @ lattice, self.shape_weight, progress=self.notify("exact"), device=self.device
@@ -163,9 +163,7 @@ class _Run:
             lattice=torus.lattice * np.sqrt(area / SPHERE_AREA),
             conformal=self.conformal.coordinates,
             history=self.history,
-            vertex_origin=None if self.origins is None else self.origins.vertex_origin,
-            face_origin=None if self.origins is None else self.origins.face_origin,
-        )
+        ).with_arrays(origin_arrays(self.origins))
 
     def result(self, strict: bool) -> TorusMap:
         """Return the finished map; with a warning, or an error if strict, where areas are wrong.
@@ -213,11 +211,11 @@ def quartered_torus(
     Returns:
         The wraps at the corners of the parts, shape [4 F, 3, 2], and the coordinates of all vertices.
     """
-    count, edges = len(maps[0]), len(quartered.ends)
+    count, ends = len(maps[0]), quartered.split_edges
     # A middle has the wraps of the first end of its edge.
-    first = quartered.ends[quartered.middles - count, 0]
+    first = ends[quartered.middles - count, 0]
     own = np.where((faces == first)[..., None], wraps, np.roll(wraps, -1, axis=1))
-    step = np.zeros((edges, 2), dtype=np.int64)
+    step = np.zeros((len(ends), 2), dtype=np.int64)
     after = np.roll(wraps, -1, axis=1) - wraps
     step[quartered.middles - count] = np.where((faces == first)[..., None], after, -after)
     parts = np.empty((len(faces), PARTS, 3, 2), dtype=np.int64)
@@ -226,6 +224,6 @@ def quartered_torus(
     parts[:, 3] = own
     found = []
     for places in maps:
-        one, other = places[quartered.ends[:, 0]], places[quartered.ends[:, 1]]
+        one, other = places[ends[:, 0]], places[ends[:, 1]]
         found.append(np.concatenate([places, quantised(0.5 * (one + other + step))]))
     return parts.reshape(-1, 3, 2), found

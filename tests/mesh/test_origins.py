@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 import omtwarp
 from omtwarp import OmtwarpError, resample, shapes
@@ -21,16 +22,17 @@ def test_linear_data_stay_linear_where_triangles_are_split_twice():
     assert np.allclose(split.prolong(square), split.vertices)
     four = quarter(BALL)
     again = quarter(four.surface)
-    both = four.origins.compose(again.origins)
+    both = four.compose(again)
     assert np.array_equal(both.face_origin, np.arange(len(again.surface.faces)) // 16)
-    assert np.array_equal(four.origins.prolong(BALL.vertices), four.surface.vertices)
-    assert np.array_equal(again.origins.prolong(four.origins.prolong(BALL.vertices)), again.surface.vertices)
+    assert np.array_equal(four.prolong(BALL.vertices), four.surface.vertices)
+    assert np.array_equal(again.prolong(four.prolong(BALL.vertices)), again.surface.vertices)
+    assert np.array_equal(both.prolong(BALL.vertices), again.surface.vertices)
 
 
 def test_labels_in_the_middle_of_an_edge_are_those_of_an_end():
     labels = np.arange(len(BALL.vertices)) * 10
     four = quarter(BALL)
-    assert set(four.origins.prolong(labels)) == set(labels)
+    assert set(four.prolong(labels)) == set(labels)
 
 
 def test_data_of_another_length_are_returned_as_they_are():
@@ -40,6 +42,29 @@ def test_data_of_another_length_are_returned_as_they_are():
     assert np.array_equal(origins.prolong(np.arange(4)), np.arange(4))  # of a new vertex nothing is known
 
 
+def test_data_return_to_the_surface_they_came_from():
+    """The first of a vertex's copies counts, and where it is gone there is no number."""
+    four = quarter(BALL)
+    assert np.array_equal(four.restrict(four.prolong(BALL.vertices)), BALL.vertices)
+    origins = Origins(np.array([2, 0, -1, 2]), np.array([0]), given=4)
+    assert np.array_equal(origins.restrict(np.array([5.0, 6.0, 7.0, 8.0])), [6.0, np.nan, 5.0, np.nan], equal_nan=True)
+    for values, words in ((np.arange(4), "2 vertices are gone, first vertex 1"), (np.ones(3), "for 4 vertices")):
+        with pytest.raises(OmtwarpError, match=words):
+            origins.restrict(values)
+
+
+def test_new_vertices_of_both_steps_get_data():
+    """Edges are split, one of their middles is doubled by a cut, and one of their ends comes last in what is kept."""
+    split = Origins(np.array([0, 1, 2, -1, -1]), np.array([0]), split_edges=np.array([[0, 1], [1, 2]]), given=3)
+    cut = Origins(np.array([3, 4, 0, 2, 1, 3, -1]), np.array([0]), split_edges=np.array([[5, 4]]), given=5)
+    values = np.array([0.0, 8.0, 64.0])
+    assert np.array_equal(split.compose(cut).prolong(values), [4.0, 36.0, 0.0, 64.0, 8.0, 4.0, 6.0])
+    without = Origins(
+        np.array([0, 1, 3]), np.array([0]), given=5
+    )  # an end of the second edge is gone, not of the first
+    assert np.array_equal(split.compose(without).prolong(values), [0.0, 8.0, 4.0])
+
+
 def test_data_of_the_input_are_resampled_through_a_quartered_map():
     result = omtwarp.map_to_sphere(BALL, exact=True, optimality=False, device="cpu")
     assert len(result.vertices) > len(BALL.vertices)
@@ -47,6 +72,30 @@ def test_data_of_the_input_are_resampled_through_a_quartered_map():
     assert np.allclose(found.apply(BALL.vertices), found.apply(result.vertices))
     with pytest.raises(OmtwarpError, match="the data have"):
         found.apply(BALL.vertices[1:])
+
+
+def test_data_of_the_file_follow_a_map_to_a_torus(tmp_path):
+    ring = trimesh.creation.torus(1.0, 0.4, major_sections=12, minor_sections=6)
+    write_mesh(tmp_path / "ring.ply", ring.vertices, ring.faces)
+    np.save(tmp_path / "data.npy", ring.vertices[:, 0])
+    for line in (
+        f"map {tmp_path}/ring.ply -o {tmp_path}/map.npz --torus --exact --quiet --device cpu",
+        f"texture --map {tmp_path}/map.npz --bake {tmp_path}/data.npy -o {tmp_path}/out.glb "
+        "--size 64 --quiet --device cpu",
+    ):
+        with pytest.raises(SystemExit) as end:
+            main(line.split())
+        assert not end.value.code
+    result = omtwarp.TorusMap.load(tmp_path / "map.npz")
+    assert np.array_equal(result.origins.prolong(np.asarray(ring.vertices)), result.vertices)
+
+
+def test_data_follow_a_repair_that_drops_the_last_vertices():
+    vertices = np.concatenate([BALL.vertices, [[9.0, 9.0, 9.0]] * 2])
+    repaired = omtwarp.repair(vertices, BALL.faces)
+    assert len(repaired.vertices) == len(BALL.vertices)
+    assert np.array_equal(repaired.prolong(vertices), repaired.vertices)
+    assert np.array_equal(repaired.restrict(repaired.vertices)[:-2], BALL.vertices)
 
 
 def test_data_of_the_file_follow_a_repaired_mesh(tmp_path, capsys):

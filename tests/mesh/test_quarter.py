@@ -26,9 +26,9 @@ def test_parts_make_up_their_triangles(seed, faces):
     normals = np.cross(b - a, c - a)[cut.parents]
     a, b, c = (cut.surface.vertices[cut.surface.faces[:, k]] for k in range(3))
     np.testing.assert_allclose(4 * np.cross(b - a, c - a), normals, atol=1e-12 * np.abs(normals).max())
-    old = cut.origins.vertex_origin >= 0
+    old = cut.vertex_origin >= 0
     np.testing.assert_array_equal(cut.surface.vertices[old], surface.vertices)
-    np.testing.assert_allclose(cut.surface.vertices[~old], surface.vertices[cut.ends].mean(axis=1), atol=1e-15)
+    np.testing.assert_allclose(cut.surface.vertices[~old], surface.vertices[cut.split_edges].mean(axis=1), atol=1e-15)
     other = trimesh.Trimesh(surface.vertices, surface.faces, process=False).subdivide()
     ours = trimesh.Trimesh(cut.surface.vertices, cut.surface.faces, process=False)
     assert ours.is_watertight and ours.euler_number == 2
@@ -51,7 +51,7 @@ def test_a_map_without_flips_stays_without_flips(seed, squeeze):
     assert is_bijective(carried, cut.surface.faces) == is_bijective(sphere, surface.faces)
     new = carried[surface.vertex_count :]
     np.testing.assert_allclose(np.linalg.norm(new, axis=1), 1.0, atol=1e-14)
-    one, other = (sphere[cut.ends[:, k]] for k in range(2))
+    one, other = (sphere[cut.split_edges[:, k]] for k in range(2))
     np.testing.assert_allclose((new * one).sum(axis=1), (new * other).sum(axis=1), atol=1e-12)
 
 

@@ -40,8 +40,8 @@ def test_copies_are_joined_in_the_order_of_the_file(split):
     assert len(joined.vertices) == len(mesh.vertices) < len(joined.file.vertices)
     np.testing.assert_array_equal(joined.vertices[joined.vertex_of_file], joined.file.vertices)
     np.testing.assert_array_equal(joined.vertex_of_file[joined.file.faces], joined.faces)
-    np.testing.assert_array_equal(joined.file.vertices[joined.origins.vertex_origin], joined.vertices)
-    assert (np.diff(joined.origins.vertex_origin) > 0).all() and omtwarp.check(joined.vertices, joined.faces) == []
+    np.testing.assert_array_equal(joined.file.vertices[joined.vertex_origin], joined.vertices)
+    assert (np.diff(joined.vertex_origin) > 0).all() and omtwarp.check(joined.vertices, joined.faces) == []
     assert "copies of vertices along seams" in joined.notes[-1]
 
 
@@ -54,7 +54,7 @@ def test_map_keeps_the_vertices_of_the_file(split, capsys):
     result, joined = omtwarp.MapResult.load(folder / "map.npz"), read_joined_mesh(file)
     np.testing.assert_array_equal(result.vertex_of_file, joined.vertex_of_file)
     np.testing.assert_array_equal(result.vertices[result.vertex_of_file], joined.file.vertices)
-    np.testing.assert_array_equal(result.vertex_origin, joined.origins.vertex_origin)
+    np.testing.assert_array_equal(result.vertex_origin, joined.vertex_origin)
     assert run("map", file, "-o", folder / "ball.ply", "--until", "conformal", "--device", "cpu") == 0
     ball = omtwarp.read_mesh(folder / "ball.ply")
     np.testing.assert_array_equal(ball.faces, joined.file.faces)
