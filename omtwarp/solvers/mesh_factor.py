@@ -72,9 +72,13 @@ class OrderedSaddleFactor:
 
     def __init__(self, order: SaddleOrder, workspace: Workspace | None = None):
         unknowns, multipliers = order
-        made = CudssFactor if solves_with_cudss() else MultifrontalCholesky
+        negative = multipliers if multipliers.any() else None
         self._size = unknowns.vertex_count
-        self._factor = made(unknowns, workspace=workspace, negative=multipliers if multipliers.any() else None)
+        self._factor: CudssFactor | MultifrontalCholesky
+        if solves_with_cudss():
+            self._factor = CudssFactor(unknowns, workspace=workspace, negative=negative)
+        else:
+            self._factor = MultifrontalCholesky(unknowns, workspace=workspace, negative=negative, single=True)
 
     def factorise(self, matrix: SaddleMatrix) -> None:
         """Factorise one matrix; see :class:`SaddlePointFactor`."""

@@ -20,8 +20,8 @@ from omtwarp.solvers.cholesky.saddle import expand
 measure_map(made("blob", 2000), "cpu", "none")
 surface = made("blob", 20_000)
 peak = measure_map(surface, "cpu", "none")["peak_bytes"]
-factor = MultifrontalCholesky(expand(surface_dissection(surface))[0])  # the largest
-print((peak - 8 * (len(factor._factor) + factor._length)) / surface.vertex_count)
+factor = MultifrontalCholesky(expand(surface_dissection(surface))[0], single=True)  # the largest
+print((peak - 8 * len(factor._factor) - 4 * factor._length) / surface.vertex_count)
 """
 
 

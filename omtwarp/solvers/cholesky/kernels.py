@@ -30,7 +30,16 @@ class Fronts:
     offsets: wp.array[wp.int64]  # of a front in the workspace
     factor_offsets: wp.array[wp.int64]  # of its columns in the factor
     routines: wp.array[wp.uint64]  # addresses of LAPACK's and BLAS's
+    single: wp.bool  # whether fronts and factor are of float32, two in the place of one float64
     factor: wp.array[wp.float64]
+
+
+def of_numbers(text: str) -> str:
+    """Return the text of a function whose fronts are of float32 or float64, called Real there."""
+    return (
+        "auto run = [&](auto zero) {\n    typedef decltype(zero) Real;" + text + "};\n"
+        "return tree.single ? run(0.0f) : run(0.0);"
+    )
 
 
 # Raw pointers, because the compiler vectorises loops over them but not over Warp's arrays: three times as fast. The
@@ -40,37 +49,37 @@ ASSEMBLE = """
     const int block = tree.block;
     const int rows_count = tree.starts.data[f + 1] - tree.starts.data[f];
     const int size = block * rows_count, width = block * block;
-    double* __restrict__ front = workspace.data + tree.offsets.data[f];
+    Real* __restrict__ front = (Real*)workspace.data + tree.offsets.data[f];
     for (int j = 0; j < size; ++j)
         #pragma clang loop interleave(disable) unroll(disable)
         for (long long i = j; i < size; ++i) front[i + (long long)j * size] = 0.0;
     for (int k = 0; k < tree.owned.data[f]; ++k) {
         const double* value = diagonal.data + (long long)width * tree.order.data[tree.first.data[f] + k];
-        double* into = front + (long long)block * k * size + block * k;
+        Real* into = front + (long long)block * k * size + block * k;
         #pragma clang loop vectorize(disable) unroll(disable)
         for (int v = 0; v < block; ++v)
             #pragma clang loop vectorize(disable) unroll(disable)
-            for (int u = v; u < block; ++u) into[(long long)v * size + u] = value[block * u + v];
+            for (int u = v; u < block; ++u) into[(long long)v * size + u] = (Real)value[block * u + v];
     }
     for (int e = tree.edge_starts.data[f]; e < tree.edge_starts.data[f + 1]; ++e) {
         const double* value = off_diagonal.data + (long long)width * tree.edges.data[e];
-        double* into = front + (long long)block * tree.edge_columns.data[e] * size + block * tree.edge_rows.data[e];
+        Real* into = front + (long long)block * tree.edge_columns.data[e] * size + block * tree.edge_rows.data[e];
         const bool transposed = tree.turned.data[e];
         #pragma clang loop vectorize(disable) unroll(disable)
         for (int v = 0; v < block; ++v)
             #pragma clang loop vectorize(disable) unroll(disable)
             for (int u = 0; u < block; ++u)
-                into[(long long)v * size + u] = transposed ? value[block * v + u] : value[block * u + v];
+                into[(long long)v * size + u] = (Real)(transposed ? value[block * v + u] : value[block * u + v]);
     }
     for (int k = tree.family_starts.data[f]; k < tree.family_starts.data[f + 1]; ++k) {
         const int c = tree.families.data[k];
         const int child_rows = tree.starts.data[c + 1] - tree.starts.data[c], child_size = block * child_rows;
         const int* __restrict__ to = tree.upward.data + tree.starts.data[c];
-        const double* __restrict__ column = workspace.data + tree.offsets.data[c];
+        const Real* __restrict__ column = (const Real*)workspace.data + tree.offsets.data[c];
         for (int j = block * tree.owned.data[c]; j < child_size; ++j) {
             const int row = j / block;
-            const double* source = column + (long long)j * child_size;
-            double* into = front + (long long)(block * to[row] + j % block) * size;
+            const Real* source = column + (long long)j * child_size;
+            Real* into = front + (long long)(block * to[row] + j % block) * size;
             if (block == 1) {
                 #pragma clang loop interleave(disable) unroll(disable)
                 for (int i = row; i < child_rows; ++i) into[to[i]] += source[i];
@@ -87,15 +96,15 @@ ASSEMBLE = """
 
 ELIMINATE = """
     const int block = tree.block;
-    typedef void (*Potrf)(const char*, const int*, double*, const int*, int*);
-    typedef void (*Trsm)(const char*, const char*, const char*, const char*, const int*, const int*, const double*,
-                         const double*, const int*, double*, const int*);
-    typedef void (*Syrk)(const char*, const char*, const int*, const int*, const double*, const double*, const int*,
-                         const double*, double*, const int*);
+    typedef void (*Potrf)(const char*, const int*, Real*, const int*, int*);
+    typedef void (*Trsm)(const char*, const char*, const char*, const char*, const int*, const int*, const Real*,
+                         const Real*, const int*, Real*, const int*);
+    typedef void (*Syrk)(const char*, const char*, const int*, const int*, const Real*, const Real*, const int*,
+                         const Real*, Real*, const int*);
     const char lower = 'L', right = 'R', transposed = 'T', plain = 'N';
-    const double one = 1.0, minus = -1.0;
+    const Real one = 1.0, minus = -1.0;
     const int size = block * (tree.starts.data[f + 1] - tree.starts.data[f]), own = block * tree.owned.data[f];
-    double* front = workspace.data + tree.offsets.data[f];
+    Real* front = (Real*)workspace.data + tree.offsets.data[f];
     int info = 0;
     // First the columns with positive pivots, then, with their sign turned, those with negative ones.
     for (int sign = 1; sign >= -1 && info == 0; sign -= 2) {
@@ -103,14 +112,14 @@ ELIMINATE = """
         const int begin = sign > 0 ? 0 : positive, end = sign > 0 ? positive : own;
         const int count = end - begin, rest = size - end;
         if (count == 0) continue;
-        double* corner = front + begin + (long long)begin * size;
+        Real* corner = front + begin + (long long)begin * size;
         if (sign < 0)
             for (int j = 0; j < count; ++j)
                 #pragma clang loop interleave(disable) unroll(disable)
                 for (long long i = j; i < size - begin; ++i) corner[i + (long long)j * size] *= -1.0;
         ((Potrf)tree.routines.data[0])(&lower, &count, corner, &size, &info);
         if (info == 0 && rest > 0) {
-            double* side = corner + count;
+            Real* side = corner + count;
             ((Trsm)tree.routines.data[1])(&right, &lower, &transposed, &plain, &rest, &count, &one, corner, &size, side,
                                      &size);
             ((Syrk)tree.routines.data[2])(&lower, &plain, &rest, &count, sign > 0 ? &minus : &one, side, &size, &one,
@@ -118,7 +127,7 @@ ELIMINATE = """
         }
     }
     if (own > 0) {
-        double* __restrict__ kept = tree.factor.data + tree.factor_offsets.data[f];
+        Real* __restrict__ kept = (Real*)tree.factor.data + tree.factor_offsets.data[f];
         for (int j = 0; j < own; ++j)
             #pragma clang loop interleave(disable) unroll(disable)
             for (long long i = j; i < size; ++i) kept[i + (long long)j * size] = front[i + (long long)j * size];
@@ -127,7 +136,7 @@ ELIMINATE = """
 """
 
 
-@wp.func_native(ASSEMBLE)
+@wp.func_native(of_numbers(ASSEMBLE))
 def assemble_front(
     f: int,
     tree: Fronts,
@@ -137,7 +146,7 @@ def assemble_front(
 ): ...
 
 
-@wp.func_native(ELIMINATE)
+@wp.func_native(of_numbers(ELIMINATE))
 def eliminate_front(f: int, tree: Fronts, workspace: wp.array[wp.float64]) -> int: ...  # type: ignore[empty-body]
 
 
@@ -194,11 +203,11 @@ DOWN = """
         #pragma clang loop vectorize(disable) unroll(disable)
         for (int i = 0; i < own; ++i) y[i] -= w[i];
         w += own;
-        const double* column = tree.factor.data + tree.factor_offsets.data[f];
+        const Real* column = (const Real*)tree.factor.data + tree.factor_offsets.data[f];
         int j = 0;
         for (; j + 1 < own; j += 2) {
-            const double* __restrict__ a = column + (long long)j * size;
-            const double* __restrict__ b = a + size;
+            const Real* __restrict__ a = column + (long long)j * size;
+            const Real* __restrict__ b = a + size;
             const double u = y[j] / a[j];
             const double v = (y[j + 1] - a[j + 1] * u) / b[j + 1];
             y[j] = u;
@@ -211,7 +220,7 @@ DOWN = """
             for (int i = 0; i < rest; ++i) w[i] += a[i] * u + b[i] * v;
         }
         for (; j < own; ++j) {
-            const double* __restrict__ a = column + (long long)j * size;
+            const Real* __restrict__ a = column + (long long)j * size;
             const double u = y[j] / a[j];
             y[j] = u;
             #pragma clang loop vectorize(disable) unroll(disable)
@@ -236,9 +245,9 @@ UP = """
         #pragma clang loop vectorize(disable) unroll(disable)
         for (int i = 0; i < rest; ++i) w[own + i] = all[block * row[i / block] + i % block];
         double* y = all + block * tree.first.data[f];
-        const double* column = tree.factor.data + tree.factor_offsets.data[f];
+        const Real* column = (const Real*)tree.factor.data + tree.factor_offsets.data[f];
         for (int j = own - 1; j >= 0; --j) {
-            const double* __restrict__ a = column + (long long)j * size;
+            const Real* __restrict__ a = column + (long long)j * size;
             double s[8] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
             int i = j + 1;
             for (; i + 7 < size; i += 8)
@@ -254,7 +263,7 @@ UP = """
 """
 
 
-@wp.func_native(DOWN)
+@wp.func_native(of_numbers(DOWN))
 def substitute_down(
     r: int,
     fronts: wp.array[wp.int32],
@@ -266,7 +275,7 @@ def substitute_down(
 ): ...
 
 
-@wp.func_native(UP)
+@wp.func_native(of_numbers(UP))
 def substitute_up(
     r: int,
     fronts: wp.array[wp.int32],
@@ -299,3 +308,46 @@ def solve_triangular(
         substitute_up(r, fronts, unknowns, stride, tree, carried, x)
     else:
         substitute_down(r, fronts, unknowns, stride, tree, carried, x)
+
+
+PRODUCT = """
+    const double* __restrict__ z = x.data + (long long)r * unknowns;
+    double* __restrict__ y = rest.data + (long long)r * unknowns;
+    for (int i = 0; i < unknowns; ++i) y[i] -= diagonal.data[tree.order.data[i]] * z[i];
+    for (int f = 0; f < tree.first.shape[0]; ++f) {
+        const int* row = tree.rows.data + tree.starts.data[f];
+        for (int e = tree.edge_starts.data[f]; e < tree.edge_starts.data[f + 1]; ++e) {
+            const double value = off_diagonal.data[tree.edges.data[e]];
+            const int i = row[tree.edge_rows.data[e]], j = row[tree.edge_columns.data[e]];
+            y[i] -= value * z[j];
+            y[j] -= value * z[i];
+        }
+    }
+"""
+
+
+@wp.func_native(PRODUCT)
+def subtract_row_products(
+    r: int,
+    unknowns: int,
+    tree: Fronts,
+    diagonal: wp.array[wp.float64],
+    off_diagonal: wp.array[wp.float64],
+    x: wp.array[wp.float64],
+    rest: wp.array[wp.float64],
+): ...
+
+
+@wp.kernel
+def subtract_product(
+    unknowns: int,
+    tree: Fronts,
+    diagonal: wp.array[wp.float64],
+    off_diagonal: wp.array[wp.float64],
+    x: wp.array[wp.float64],
+    # Data in and out, one thread per right-hand side:
+    rest: wp.array[wp.float64],
+):
+    """Compute what a solution of a matrix with one unknown per vertex leaves of the right-hand side, in the order."""
+    r, _compiled_once = wp.tid()
+    subtract_row_products(r, unknowns, tree, diagonal, off_diagonal, x, rest)

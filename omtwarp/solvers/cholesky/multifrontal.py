@@ -20,20 +20,24 @@ from scipy.linalg import cython_blas, cython_lapack
 from omtwarp.device.arrays import Workspace, sent
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads, core_count, load, run_all
+from omtwarp.mesh.arrays import TINY
 from omtwarp.solvers.cholesky.dissection import Dissection
-from omtwarp.solvers.cholesky.kernels import Fronts, factorise_fronts, solve_triangular
+from omtwarp.solvers.cholesky.kernels import Fronts, factorise_fronts, solve_triangular, subtract_product
 
 PANEL = 192  # columns eliminated at once where threads share a front
 STRIP = 256  # columns of the remaining matrix that one of them updates at a time
 
 LETTERS = np.frombuffer(b"LRTN", dtype=np.uint8).copy()
-ONES = np.array([1.0, -1.0])  # the factors that routines of BLAS take by address
+SINGLE: np.dtype[np.floating] = np.dtype(np.float32)
+DOUBLE: np.dtype[np.floating] = np.dtype(np.float64)
+PREFIXES = {SINGLE: "s", DOUBLE: "d"}  # of the names of LAPACK's and BLAS's routines
+ONES = {kind: np.array([1.0, -1.0]).astype(kind) for kind in PREFIXES}  # the factors that they take by address
 
 
 @lru_cache
 def routine(name: str) -> int:
-    """Return the address of a routine that SciPy offers to compiled code: ``dpotrf``, or one of BLAS."""
-    capsule = (cython_lapack if name == "dpotrf" else cython_blas).__pyx_capi__[name]
+    """Return the address of a routine that SciPy offers to compiled code: ``dpotrf``, ``spotrf``, or one of BLAS."""
+    capsule = (cython_lapack if name.endswith("potrf") else cython_blas).__pyx_capi__[name]
     get_name = ctypes.pythonapi.PyCapsule_GetName
     get_name.restype, get_name.argtypes = ctypes.c_char_p, [ctypes.py_object]
     get_pointer = ctypes.pythonapi.PyCapsule_GetPointer
@@ -50,7 +54,9 @@ def _callable(name: str, arguments: int) -> Callable[..., None]:
     return ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * arguments)(routine(name))
 
 
-def eliminate_together(own: int, size: int, corner: int, negative: int = 0) -> bool:
+def eliminate_together(
+    own: int, size: int, corner: int, negative: int = 0, kind: np.dtype[np.floating] = DOUBLE
+) -> bool:
     """Eliminate the first columns of one large symmetric matrix on all threads; rounding depends on their number.
 
     Args:
@@ -58,19 +64,22 @@ def eliminate_together(own: int, size: int, corner: int, negative: int = 0) -> b
         size: its rows.
         corner: address of its first number; its lower triangle is stored by columns.
         negative: how many of the columns to eliminate, the last ones, have negative pivots.
+        kind: of the numbers.
 
     Returns:
         Whether all pivots have the sign that they should have.
     """
-    potrf, trsm = _callable("dpotrf", 5), _callable("dtrsm", 11)
-    syrk, gemm = _callable("dsyrk", 10), _callable("dgemm", 13)
+    potrf, trsm, syrk, gemm = (
+        _callable(PREFIXES[kind] + name, count)
+        for name, count in (("potrf", 5), ("trsm", 11), ("syrk", 10), ("gemm", 13))
+    )
     lower = LETTERS.ctypes.data
     right, transposed, plain = lower + 1, lower + 2, lower + 3
-    one = ONES.ctypes.data
-    minus = one + 8
+    one = ONES[kind].ctypes.data
+    minus = one + kind.itemsize
 
     def at(row: int, column: int) -> int:
-        return corner + 8 * (row + column * size)
+        return corner + kind.itemsize * (row + column * size)
 
     def numbers(*values: int) -> tuple[NDArray[np.int32], list[int]]:
         workspace = np.array([*values, size], dtype=np.int32)
@@ -81,10 +90,10 @@ def eliminate_together(own: int, size: int, corner: int, negative: int = 0) -> b
     for first, last in panels:
         positive = first < own - negative
         if first == own - negative:
-            _turn_sign(own, size, corner, negative)
+            _turn_sign(own, size, corner, negative, kind)
         status = ctypes.c_int(0)
-        width, (n_width, n_size) = numbers(last - first)
-        potrf(lower, n_width, at(first, first), n_size, ctypes.addressof(status))
+        columns, (n_columns, n_size) = numbers(last - first)
+        potrf(lower, n_columns, at(first, first), n_size, ctypes.addressof(status))
         if status.value != 0:
             return False
 
@@ -110,7 +119,7 @@ def eliminate_together(own: int, size: int, corner: int, negative: int = 0) -> b
                 )  # fmt: skip
             del kept
 
-        del width
+        del columns
         bounds = [(last, size)] if positive else [(last, own), (own, size)]
         strips = [range(k, min(k + STRIP, end)) for begin, end in bounds for k in range(begin, end, STRIP)]
         run_all(scale, strips)
@@ -118,9 +127,9 @@ def eliminate_together(own: int, size: int, corner: int, negative: int = 0) -> b
     return True
 
 
-def _turn_sign(own: int, size: int, corner: int, count: int) -> None:
+def _turn_sign(own: int, size: int, corner: int, count: int, kind: np.dtype[np.floating]) -> None:
     """Multiply the last of the columns to eliminate by -1, from the diagonal down."""
-    numbers = (ctypes.c_double * (size * own)).from_address(corner)
+    numbers = (np.ctypeslib.as_ctypes_type(kind) * (size * own)).from_address(corner)
     columns = np.ctypeslib.as_array(numbers).reshape(own, size)
     columns[own - count :, own - count :] *= -1.0
 
@@ -131,6 +140,12 @@ MIN_PARALLEL_OPERATIONS = 1e7
 MIN_SHARED_OPERATIONS = 5e7
 # Branches of the tree for every thread: with several of them their work evens out.
 BRANCHES_PER_THREAD = 4
+
+
+# Relative error of refined solutions, at most: that of single precision itself. Further corrections change no digit of
+# a map that is written.
+ACCURACY = 1e-7
+REFINEMENTS = 4  # most corrections of a solution
 
 
 class NotPositiveDefinite(ArithmeticError):
@@ -148,6 +163,9 @@ class MultifrontalCholesky:
         workspace: memory for the fronts; by default it is allocated for each factorisation and freed after it.
         negative: how many of every front's own unknowns, the last ones, have negative pivots, shape [N]; none by
             default. With them the matrix is quasi-definite instead of positive definite.
+        single: factorise in float32, in half of the memory and time, and refine solutions in float64, for one unknown
+            per vertex; from the first matrix on for which that fails, in float64 (as LAPACK's ``dsposv``). The matrix
+            must stay as it was given until it is solved.
     """
 
     def __init__(
@@ -157,6 +175,7 @@ class MultifrontalCholesky:
         threads: int | None = None,
         workspace: Workspace | None = None,
         negative: NDArray[np.int32] | None = None,
+        single: bool = False,
     ):
         self.dissection = dissection
         count = len(dissection.owned)
@@ -167,14 +186,12 @@ class MultifrontalCholesky:
         own = block * dissection.owned
         self._sizes, self._own = sizes, own
         self._factor_offsets = np.cumsum(own * sizes) - own * sizes
-        self._factor = np.empty(int((own * sizes).sum()))
+        self._factor_length = int((own * sizes).sum())
         costs = own**3 / 3 + own**2 * (sizes - own) + own * (sizes - own) ** 2
         self._operations = float(costs.sum())
         self._jobs, self._trunk = self._divide(costs)
         self._offsets, self._length = self._places()
         self._workspace = workspace
-        if workspace is not None:
-            workspace.numbers(self._length)  # now: what is asked for sooner would leave a hole where it was
         self._carried = workspace or Workspace()
         self._x = np.empty((0, dissection.vertex_count, block))  # right-hand sides and solutions, in the order
         self._negative_places = self._find_negative() if negative is not None else None
@@ -191,6 +208,22 @@ class MultifrontalCholesky:
         self._failed = np.empty(len(groups), dtype=np.int32)
         self._groups = [wp.array(fronts, dtype=wp.int32, device="cpu", copy=False) for fronts in groups]
         self._upload()
+        self._take(SINGLE if single else DOUBLE)
+
+    def _take(self, kind: np.dtype[np.floating]) -> None:
+        """Factorise in numbers of a kind from now on."""
+        self._kind = kind
+        self._factor = np.empty(0)  # frees the old one
+        self._factor = np.empty(self._doubles(self._factor_length))
+        routines = [routine(PREFIXES[kind] + name) for name in ("potrf", "trsm", "syrk")]
+        self._tree.single, self._tree.factor = kind == SINGLE, sent(self._factor, wp.float64)
+        self._tree.routines = wp.array(routines, dtype=wp.uint64, device="cpu")
+        if self._workspace is not None:
+            self._workspace.numbers(self._doubles(self._length))  # now: what is asked for sooner would leave a hole
+
+    def _doubles(self, count: int) -> int:
+        """Return how many float64 take the memory of so many numbers."""
+        return -(-count * self._kind.itemsize // DOUBLE.itemsize)
 
     def _divide(self, costs: NDArray[np.float64]) -> tuple[list[NDArray[np.int32]], list[NDArray[np.int32]]]:
         """Divide the fronts into jobs, each of whole branches of the tree, and the trunk above them by depth."""
@@ -263,7 +296,7 @@ class MultifrontalCholesky:
     def _upload(self) -> None:
         d, tree = self.dissection, Fronts()
         family_starts, families = d.families
-        tree.block, tree.factor = self.block, sent(self._factor, wp.float64)
+        tree.block = self.block
         for name, values in (
             ("first", d.first),
             ("owned", d.owned),
@@ -284,8 +317,6 @@ class MultifrontalCholesky:
             for values in (d.starts, self._offsets, self._factor_offsets)
         )
         tree.turned = sent(d.edge_turned, wp.bool)
-        routines = [routine(name) for name in ("dpotrf", "dtrsm", "dsyrk")]
-        tree.routines = wp.array(routines, dtype=wp.uint64, device="cpu")
         self._tree, self._w_failed = tree, sent(self._failed, wp.int32)
 
     def factorise(self, diagonal: NDArray[np.float64], off_diagonal: NDArray[np.float64]) -> None:
@@ -299,9 +330,19 @@ class MultifrontalCholesky:
         Raises:
             NotPositiveDefinite: it is not, to round-off.
         """
-        workspace = (self._workspace or Workspace()).numbers(self._length)
         values = [np.ascontiguousarray(array, dtype=np.float64).ravel() for array in (diagonal, off_diagonal)]
-        data = [wp.array(array, device="cpu", copy=False) for array in (*values, workspace)]
+        self._matrix = [wp.array(array, device="cpu", copy=False) for array in values]
+        failed = self._failing_front()
+        if failed >= 0 and self._kind == SINGLE:
+            self._take(DOUBLE)
+            failed = self._failing_front()
+        if failed >= 0:
+            raise NotPositiveDefinite(f"pivot of front {failed} of {len(self._own)} is not positive")
+
+    def _failing_front(self) -> int:
+        """Factorise the matrix at hand; return the first front with a pivot of the wrong sign, or -1."""
+        workspace = (self._workspace or Workspace()).numbers(self._doubles(self._length))
+        data = [*self._matrix, wp.array(workspace, device="cpu", copy=False)]
         load(factorise_fronts, "cpu")
 
         def run(group: int) -> int:
@@ -319,8 +360,7 @@ class MultifrontalCholesky:
                     failed = max(self._share(f, data, workspace) for f in fronts.tolist())
                 else:
                     failed = max(run_all(run, groups))
-        if failed >= 0:
-            raise NotPositiveDefinite(f"pivot of front {failed} of {len(self._own)} is not positive")
+        return failed
 
     def factorise_entries(self, entries: wp.array) -> None:
         """Factorise a matrix with one unknown per vertex whose diagonal and couplings are in one array, on any device.
@@ -341,10 +381,12 @@ class MultifrontalCholesky:
         inputs = [assembled, 0, *data, self._tree, wp.empty(1, dtype=wp.int32, device="cpu")]
         wp.launch(factorise_fronts, dim=1, inputs=inputs, device="cpu")
         own, size, begin = int(self._own[front]), int(self._sizes[front]), int(self._offsets[front])
-        if not eliminate_together(own, size, workspace.ctypes.data + 8 * begin, int(self._negative[front])):
+        negative, kind = int(self._negative[front]), self._kind
+        corner = workspace.ctypes.data + kind.itemsize * begin
+        if not eliminate_together(own, size, corner, negative, kind):
             return front
         target = int(self._factor_offsets[front])
-        self._factor[target : target + own * size] = workspace[begin : begin + own * size]
+        self._factor.view(kind)[target : target + own * size] = workspace.view(kind)[begin : begin + own * size]
         return -1
 
     def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -355,7 +397,38 @@ class MultifrontalCholesky:
         if self._x.shape[0] != count:
             self._x = np.empty((count, d.vertex_count, block))
         np.take(flat.transpose(2, 0, 1), d.order, axis=1, out=self._x, mode="clip")  # unbuffered
-        stride = block * len(d.rows)
+        given = self._x.copy() if self._kind == SINGLE else None
+        self._substitute()
+        if given is not None and not self._refined(given):
+            self._take(DOUBLE)
+            self._failing_front()
+            self._x[:] = given
+            self._substitute()
+        out = np.empty_like(flat)
+        out[d.order] = self._x.transpose(1, 2, 0)
+        return out.reshape(np.shape(right))
+
+    def _refined(self, given: NDArray[np.float64]) -> bool:
+        """Correct solutions by what they leave of the right-hand sides given; return whether they are accurate then."""
+        solved, last = self._x.copy(), 1.0
+        for _ in range(REFINEMENTS):
+            self._x[:] = given
+            inputs = [self.dissection.vertex_count, self._tree, *self._matrix, sent(solved.ravel(), wp.float64)]
+            rest = sent(self._x.ravel(), wp.float64)
+            wp.launch(subtract_product, dim=(len(given), 1), inputs=inputs, outputs=[rest], device="cpu")
+            self._substitute()
+            solved += self._x
+            size = float(np.linalg.norm(self._x)) / max(float(np.linalg.norm(solved)), TINY)
+            if size * size <= ACCURACY * last:  # as much smaller than this one the next would be
+                self._x[:] = solved
+                return True
+            last = size
+        return False
+
+    def _substitute(self) -> None:
+        """Replace right-hand sides in the order of elimination by the solutions that the factor gives."""
+        d, block = self.dissection, self.block
+        count, stride = self._x.shape[0], block * len(d.rows)
         carried = wp.array(self._carried.numbers(count * stride), dtype=wp.float64, device="cpu", copy=False)
         x = wp.array(self._x.ravel(), dtype=wp.float64, device="cpu", copy=False)
         load(solve_triangular, "cpu")
@@ -373,6 +446,3 @@ class MultifrontalCholesky:
         for trunk in self._of_trunk:
             run(trunk, 1)
         run_all(partial(run, transposed=1), self._of_jobs)
-        out = np.empty_like(flat)
-        out[d.order] = self._x.transpose(1, 2, 0)
-        return out.reshape(np.shape(right))

@@ -8,7 +8,7 @@ from scipy.sparse.linalg import spsolve
 from omtwarp.mesh.shapes import icosphere
 from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.solvers.cholesky.dissection import surface_dissection
-from omtwarp.solvers.cholesky.multifrontal import eliminate_together
+from omtwarp.solvers.cholesky.multifrontal import MultifrontalCholesky, eliminate_together
 from omtwarp.solvers.cholesky.saddle import SaddleMatrix, expand
 from omtwarp.solvers.mesh_factor import OrderedSaddleFactor, solve_parts
 
@@ -58,6 +58,40 @@ def test_solution_is_scipys(level):
     assert np.abs(found - expected).max() < 1e-10 * np.abs(expected).max()
 
 
+def _solved(surface, parts, matrix, single):
+    """Relative error of a solution, and the kind of numbers of the factor at the end."""
+    order, negative = expand(surface_dissection(surface))
+    factor = MultifrontalCholesky(order, negative=negative, single=single)
+    factor.factorise_entries(SaddleMatrix.of(*parts).entries)
+    wanted = np.random.default_rng(3).normal(size=matrix.shape[0])
+    solution = factor.solve(matrix @ wanted)
+    return np.abs(solution - wanted).max(), factor._kind
+
+
+def test_a_factor_in_single_precision_is_refined_in_double():
+    surface = icosphere(12)
+    parts, matrix = _random_saddle(surface, 1)
+    error, kind = _solved(surface, parts, matrix, single=True)
+    assert kind == np.float32 and error < 1e-9
+
+
+def test_where_single_precision_does_not_do_the_factor_is_made_in_double():
+    """Coordinates of the whole surface that cost next to nothing, and areas that do not hold them either."""
+    surface = icosphere(12)
+    count, edges = surface.vertex_count, surface.edges
+    free = np.zeros(count)
+    np.add.at(free, edges.ravel(), 1.0)
+    for least, kinds in ((1e-2, np.float32), (1e-8, np.float64)):
+        diagonal = (free + least)[:, None, None] * np.eye(2)
+        off = np.broadcast_to(-np.eye(2), (len(edges), 2, 2)).copy()
+        parts = diagonal, off, np.zeros((2, len(edges), 2)), np.ones(count)
+        whole = sparse.coo_matrix((np.ones(len(edges)), edges.T), shape=(count, count))
+        laplacian = sparse.diags(free + least) - whole - whole.T
+        matrix = sparse.bmat([[sparse.kron(laplacian, np.eye(2)), None], [None, -sparse.eye(count)]]).tocsr()
+        error, kind = _solved(surface, parts, matrix, single=True)
+        assert kind == kinds and error < 1e-6
+
+
 def test_indefinite_coordinates_are_refused():
     surface = icosphere(2)
     (diagonal, off, gradients, compliance), _ = _random_saddle(surface, 0)
@@ -66,21 +100,22 @@ def test_indefinite_coordinates_are_refused():
         factor.factorise(SaddleMatrix.of(-diagonal, off, gradients, compliance))
 
 
+@pytest.mark.parametrize(("kind", "off"), [(np.float64, 1e-11), (np.float32, 1e-4)])
 @pytest.mark.parametrize(("own", "negative", "size"), [(500, 170, 900), (300, 300, 310), (410, 0, 700)])
-def test_shared_elimination_has_both_signs(own, negative, size):
+def test_shared_elimination_has_both_signs(own, negative, size, kind, off):
     # [A, B'; B, -C] in its first columns; what is left is the Schur complement of the rest.
     rng = np.random.default_rng(own)
     draw = rng.normal(size=(size, size)) / np.sqrt(size)
     matrix = draw @ draw.T + np.eye(size)
     turned = slice(own - negative, own)
     matrix[turned, turned] *= -1.0
-    stored = np.asfortranarray(np.tril(matrix))
-    assert eliminate_together(own, size, stored.ctypes.data, negative)
+    stored = np.asfortranarray(np.tril(matrix), dtype=kind)
+    assert eliminate_together(own, size, stored.ctypes.data, negative, stored.dtype)
     columns = np.tril(stored)[:, :own]
     signs = np.ones(own)
     signs[turned] = -1.0
     product = (columns * signs) @ columns.T
-    assert np.allclose(product[:, :own], matrix[:, :own], atol=1e-11)
+    assert np.allclose(product[:, :own], matrix[:, :own], atol=off)
     rest = slice(own, size)
     schur = matrix[rest, rest] - matrix[rest, :own] @ np.linalg.solve(matrix[:own, :own], matrix[:own, rest])
-    assert np.allclose(np.tril(stored)[rest, rest], np.tril(schur), atol=1e-9)
+    assert np.allclose(np.tril(stored)[rest, rest], np.tril(schur), atol=100.0 * off)
