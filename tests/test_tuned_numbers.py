@@ -42,6 +42,7 @@ OTHERS = {
         "optimal/solver.py": "GAIN LOCAL_GAIN_SHARE LEAST_AREA_GAIN",
         "untangling/untangle.py": "LARGEST_EPSILON SMALLEST_EPSILON SETTLED_GAIN",
         "moser.py": "courant",
+        "solvers/cholesky/multifrontal.py": "ACCURACY",
     },
     # Work that is allowed at most: what ends well needs less.
     "bound of work": {
@@ -50,6 +51,7 @@ OTHERS = {
         "optimal/local.py": "MAX_OPERATIONS MAX_STEPS MAX_HALVINGS",
         "optimal/nested.py": "STEPS SMOOTHING_STEPS",
         "optimal/solver.py": "MAX_HALVINGS",
+        "solvers/cholesky/multifrontal.py": "REFINEMENTS",
         "moser.py": "SHORTEST_STEP MAX_STEPS",
         "start/hierarchical.py": "insertion_attempts",
         "start/hierarchical_kernels.py": "_HALVINGS",
@@ -93,9 +95,7 @@ OTHERS = {
             "MAX_LEAF_VERTICES CUT_WINDOW MAX_CUT_RATIO MIN_REFINED BAND_RINGS BAND_SHARE LEAST_SAVED WITHIN_PART"
         ),
         "solvers/cholesky/envelope.py": "COLUMNS",
-        "solvers/cholesky/multifrontal.py": (
-            "PANEL STRIP ONES MIN_PARALLEL_OPERATIONS MIN_SHARED_OPERATIONS BRANCHES_PER_THREAD"
-        ),
+        "solvers/cholesky/multifrontal.py": "MIN_PARALLEL_OPERATIONS MIN_LIMITED_OPERATIONS BRANCHES_PER_THREAD",
         "solvers/cholesky/saddle.py": "UNKNOWNS COORDINATES",
         "optimal/local.py": "MIN_SHARED_TRIANGLES BLOCK",
         "start/decimation.py": "MAX_VALENCE NO_KEY INSIDE RIM POLE",

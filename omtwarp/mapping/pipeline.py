@@ -130,7 +130,7 @@ def map_to_sphere(
             whose points the minimisation begins; transport is then measured from that map's own points x.
         device: ``auto``, ``cpu``, ``cuda`` or ``cuda:N``.
         solver: how sparse systems are solved: by ``scipy``, by the built-in ``cholesky``, which ``auto`` takes, or on
-            a GPU by ``cudss``. The maps are the same to round-off.
+            a GPU by ``cudss``. The maps agree to about 1e-7.
         strict: raise an error for a map that would come with a warning.
         progress: called as ``progress(stage, done, total, details)``.
 

@@ -153,7 +153,6 @@ def eliminate_front(f: int, tree: Fronts, workspace: wp.array[wp.float64]) -> in
 @wp.kernel
 def factorise_fronts(
     fronts: wp.array[wp.int32],
-    eliminate: int,
     diagonal: wp.array[wp.float64],
     off_diagonal: wp.array[wp.float64],
     # Data in and out:
@@ -166,16 +165,14 @@ def factorise_fronts(
 
     One thread does all of them, since a front may depend on the one before; ``failed`` is the first whose pivots have
     the wrong sign, or -1. With L the columns as they are kept, the matrix is L S Lᵀ, S diagonal with entries 1 and -1.
-    Where ``eliminate`` is 0 fronts are only assembled.
     """
     failed[0] = wp.int32(-1)
     for k in range(fronts.shape[0]):
         f = fronts[k]
         assemble_front(f, tree, diagonal, off_diagonal, workspace)
-        if eliminate == 1:
-            if eliminate_front(f, tree, workspace) != 0:
-                failed[0] = f
-                return
+        if eliminate_front(f, tree, workspace) != 0:
+            failed[0] = f
+            return
 
 
 # A front's own rows are consecutive in x. Contributions to the rows above go from child to parent, as in the

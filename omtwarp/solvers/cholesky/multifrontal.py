@@ -2,15 +2,14 @@
 
 SuperLU, which SciPy brings, treats a symmetric matrix as a general one, orders it for every factorisation and works
 with small dense blocks. Here the order is computed once for a mesh, dense Cholesky of LAPACK does the work, and
-independent fronts run on as many threads as there are cores. LAPACK and BLAS are called by address: kernels do so from
-compiled code, and wrappers would copy every block.
+independent fronts run on as many threads as there are cores, with the same bits on any number of them. LAPACK and BLAS
+are called by address: kernels do so from compiled code, and wrappers would copy every block.
 """
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
-from collections.abc import Callable
 from functools import lru_cache, partial
 
 import numpy as np
@@ -24,14 +23,9 @@ from omtwarp.mesh.arrays import TINY
 from omtwarp.solvers.cholesky.dissection import Dissection
 from omtwarp.solvers.cholesky.kernels import Fronts, factorise_fronts, solve_triangular, subtract_product
 
-PANEL = 192  # columns eliminated at once where threads share a front
-STRIP = 256  # columns of the remaining matrix that one of them updates at a time
-
-LETTERS = np.frombuffer(b"LRTN", dtype=np.uint8).copy()
 SINGLE: np.dtype[np.floating] = np.dtype(np.float32)
 DOUBLE: np.dtype[np.floating] = np.dtype(np.float64)
 PREFIXES = {SINGLE: "s", DOUBLE: "d"}  # of the names of LAPACK's and BLAS's routines
-ONES = {kind: np.array([1.0, -1.0]).astype(kind) for kind in PREFIXES}  # the factors that they take by address
 
 
 @lru_cache
@@ -48,96 +42,10 @@ def routine(name: str) -> int:
     return int(get_pointer(capsule, signature))
 
 
-@lru_cache
-def _callable(name: str, arguments: int) -> Callable[..., None]:
-    """Make a routine callable from Python; other threads run meanwhile."""
-    return ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * arguments)(routine(name))
-
-
-def eliminate_together(
-    own: int, size: int, corner: int, negative: int = 0, kind: np.dtype[np.floating] = DOUBLE
-) -> bool:
-    """Eliminate the first columns of one large symmetric matrix on all threads; rounding depends on their number.
-
-    Args:
-        own: columns to eliminate.
-        size: its rows.
-        corner: address of its first number; its lower triangle is stored by columns.
-        negative: how many of the columns to eliminate, the last ones, have negative pivots.
-        kind: of the numbers.
-
-    Returns:
-        Whether all pivots have the sign that they should have.
-    """
-    potrf, trsm, syrk, gemm = (
-        _callable(PREFIXES[kind] + name, count)
-        for name, count in (("potrf", 5), ("trsm", 11), ("syrk", 10), ("gemm", 13))
-    )
-    lower = LETTERS.ctypes.data
-    right, transposed, plain = lower + 1, lower + 2, lower + 3
-    one = ONES[kind].ctypes.data
-    minus = one + kind.itemsize
-
-    def at(row: int, column: int) -> int:
-        return corner + kind.itemsize * (row + column * size)
-
-    def numbers(*values: int) -> tuple[NDArray[np.int32], list[int]]:
-        workspace = np.array([*values, size], dtype=np.int32)
-        return workspace, [workspace.ctypes.data + 4 * k for k in range(len(workspace))]
-
-    panels = [(k, min(k + PANEL, own - negative)) for k in range(0, own - negative, PANEL)]
-    panels += [(k, min(k + PANEL, own)) for k in range(own - negative, own, PANEL)]
-    for first, last in panels:
-        positive = first < own - negative
-        if first == own - negative:
-            _turn_sign(own, size, corner, negative, kind)
-        status = ctypes.c_int(0)
-        columns, (n_columns, n_size) = numbers(last - first)
-        potrf(lower, n_columns, at(first, first), n_size, ctypes.addressof(status))
-        if status.value != 0:
-            return False
-
-        def scale(rows: range, first: int = first, last: int = last) -> None:
-            kept, (n_rows, n_columns, n_lead) = numbers(len(rows), last - first)
-            trsm(
-                right, lower, transposed, plain, n_rows, n_columns, one,
-                at(first, first), n_lead, at(rows.start, first), n_lead,
-            )  # fmt: skip
-            del kept
-
-        def update(columns: range, first: int = first, last: int = last, positive: bool = positive) -> None:
-            below = size - columns.stop
-            kept, (n_columns, n_inner, n_below, n_lead) = numbers(len(columns), last - first, below)
-            panel, own_block = at(columns.start, first), at(columns.start, columns.start)
-            # Later columns with negative pivots have had their sign changed already.
-            factor = minus if positive or columns.start < own else one
-            syrk(lower, plain, n_columns, n_inner, factor, panel, n_lead, one, own_block, n_lead)
-            if below:
-                gemm(
-                    plain, transposed, n_below, n_columns, n_inner, factor, at(columns.stop, first), n_lead,
-                    panel, n_lead, one, at(columns.stop, columns.start), n_lead,
-                )  # fmt: skip
-            del kept
-
-        del columns
-        bounds = [(last, size)] if positive else [(last, own), (own, size)]
-        strips = [range(k, min(k + STRIP, end)) for begin, end in bounds for k in range(begin, end, STRIP)]
-        run_all(scale, strips)
-        run_all(update, strips)
-    return True
-
-
-def _turn_sign(own: int, size: int, corner: int, count: int, kind: np.dtype[np.floating]) -> None:
-    """Multiply the last of the columns to eliminate by -1, from the diagonal down."""
-    numbers = (np.ctypeslib.as_ctypes_type(kind) * (size * own)).from_address(corner)
-    columns = np.ctypeslib.as_array(numbers).reshape(own, size)
-    columns[own - count :, own - count :] *= -1.0
-
-
 # Total operations below which a second thread costs more than it saves.
 MIN_PARALLEL_OPERATIONS = 1e7
-# Operations per thread from which on threads share a front, where there are fewer fronts than threads.
-MIN_SHARED_OPERATIONS = 5e7
+# Total operations from which on setting a library's number of threads takes no time that counts.
+MIN_LIMITED_OPERATIONS = 5e7
 # Branches of the tree for every thread: with several of them their work evens out.
 BRANCHES_PER_THREAD = 4
 
@@ -158,8 +66,7 @@ class MultifrontalCholesky:
     Args:
         dissection: the order of elimination.
         block: unknowns per vertex, 1 or 2.
-        threads: shares that independent fronts are cut into; one per core by default. On large meshes, where the last
-            fronts are given to several threads together, results depend on it by rounding.
+        threads: shares that independent fronts are cut into; one per core by default.
         workspace: memory for the fronts; by default it is allocated for each factorisation and freed after it.
         negative: how many of every front's own unknowns, the last ones, have negative pivots, shape [N]; none by
             default. With them the matrix is quasi-definite instead of positive definite.
@@ -195,8 +102,6 @@ class MultifrontalCholesky:
         self._carried = workspace or Workspace()
         self._x = np.empty((0, dissection.vertex_count, block))  # right-hand sides and solutions, in the order
         self._negative_places = self._find_negative() if negative is not None else None
-        few = [fronts for fronts in self._trunk if len(fronts) < self.threads]
-        self._shared = {int(f) for fronts in few for f in fronts if costs[f] > MIN_SHARED_OPERATIONS * self.threads}
         # What is launched at once: the jobs, the pieces of the trunk's depths, and for solves all of the trunk.
         pieces = [np.array_split(fronts, min(self.threads, len(fronts))) for fronts in self._trunk]
         trunk = [np.concatenate(self._trunk)] if self._trunk else []
@@ -346,19 +251,14 @@ class MultifrontalCholesky:
         load(factorise_fronts, "cpu")
 
         def run(group: int) -> int:
-            inputs = [self._groups[group], 1, *data, self._tree, self._w_failed[group : group + 1]]
+            inputs = [self._groups[group], *data, self._tree, self._w_failed[group : group + 1]]
             wp.launch(factorise_fronts, dim=1, inputs=inputs, device="cpu")
             return int(self._failed[group])
 
-        # Small matrices take less time than setting a library's number of threads.
-        with blas_threads(1) if self._operations > MIN_SHARED_OPERATIONS else contextlib.nullcontext():
+        with blas_threads(1) if self._operations > MIN_LIMITED_OPERATIONS else contextlib.nullcontext():
             failed = max(run_all(run, self._of_jobs))
-            for fronts, groups in zip(self._trunk, self._of_depths, strict=True):
-                if failed >= 0:
-                    break
-                if self._shared.intersection(fronts.tolist()):
-                    failed = max(self._share(f, data, workspace) for f in fronts.tolist())
-                else:
+            for groups in self._of_depths:
+                if failed < 0:
                     failed = max(run_all(run, groups))
         return failed
 
@@ -374,20 +274,6 @@ class MultifrontalCholesky:
     def solve_entries(self, right: wp.array) -> wp.array:
         """Solve for a right-hand side, shape [V], with one unknown per vertex, on its device."""
         return wp.array(self.solve(right.numpy()), dtype=wp.float64, device=right.device, copy=False)
-
-    def _share(self, front: int, data: list[wp.array], workspace: NDArray[np.float64]) -> int:
-        """Eliminate one front on all threads and keep its columns; return the front if that fails, or -1."""
-        assembled = wp.array(np.array([front], dtype=np.int32), dtype=wp.int32, device="cpu")
-        inputs = [assembled, 0, *data, self._tree, wp.empty(1, dtype=wp.int32, device="cpu")]
-        wp.launch(factorise_fronts, dim=1, inputs=inputs, device="cpu")
-        own, size, begin = int(self._own[front]), int(self._sizes[front]), int(self._offsets[front])
-        negative, kind = int(self._negative[front]), self._kind
-        corner = workspace.ctypes.data + kind.itemsize * begin
-        if not eliminate_together(own, size, corner, negative, kind):
-            return front
-        target = int(self._factor_offsets[front])
-        self._factor.view(kind)[target : target + own * size] = workspace.view(kind)[begin : begin + own * size]
-        return -1
 
     def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
         """Solve for right-hand sides, shape [V, 2] or [V, 2, K]; [V] or [V, K] for one unknown per vertex."""

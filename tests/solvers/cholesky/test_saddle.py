@@ -8,7 +8,7 @@ from scipy.sparse.linalg import spsolve
 from omtwarp.mesh.shapes import icosphere
 from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.solvers.cholesky.dissection import surface_dissection
-from omtwarp.solvers.cholesky.multifrontal import MultifrontalCholesky, eliminate_together
+from omtwarp.solvers.cholesky.multifrontal import MultifrontalCholesky
 from omtwarp.solvers.cholesky.saddle import SaddleMatrix, expand
 from omtwarp.solvers.mesh_factor import OrderedSaddleFactor, solve_parts
 
@@ -98,24 +98,3 @@ def test_indefinite_coordinates_are_refused():
     factor = OrderedSaddleFactor(expand(surface_dissection(surface)))
     with pytest.raises(NotPositiveDefinite):
         factor.factorise(SaddleMatrix.of(-diagonal, off, gradients, compliance))
-
-
-@pytest.mark.parametrize(("kind", "off"), [(np.float64, 1e-11), (np.float32, 1e-4)])
-@pytest.mark.parametrize(("own", "negative", "size"), [(500, 170, 900), (300, 300, 310), (410, 0, 700)])
-def test_shared_elimination_has_both_signs(own, negative, size, kind, off):
-    # [A, B'; B, -C] in its first columns; what is left is the Schur complement of the rest.
-    rng = np.random.default_rng(own)
-    draw = rng.normal(size=(size, size)) / np.sqrt(size)
-    matrix = draw @ draw.T + np.eye(size)
-    turned = slice(own - negative, own)
-    matrix[turned, turned] *= -1.0
-    stored = np.asfortranarray(np.tril(matrix), dtype=kind)
-    assert eliminate_together(own, size, stored.ctypes.data, negative, stored.dtype)
-    columns = np.tril(stored)[:, :own]
-    signs = np.ones(own)
-    signs[turned] = -1.0
-    product = (columns * signs) @ columns.T
-    assert np.allclose(product[:, :own], matrix[:, :own], atol=off)
-    rest = slice(own, size)
-    schur = matrix[rest, rest] - matrix[rest, :own] @ np.linalg.solve(matrix[:own, :own], matrix[:own, rest])
-    assert np.allclose(np.tril(stored)[rest, rest], np.tril(schur), atol=100.0 * off)
