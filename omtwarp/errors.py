@@ -81,6 +81,14 @@ def unexpected(error: Exception, hint: str = "") -> str:
     return f"internal error, {type(error).__name__}: {error}{hint}"
 
 
+class DrawingFailed(Exception):
+    """The drawing process gave no picture; the text says why. ``lasting``: the next attempt would fail too."""
+
+    def __init__(self, reason: str, lasting: bool = False):
+        super().__init__(reason)
+        self.lasting = lasting
+
+
 class OmtwarpWarning(UserWarning):
     """Warns of a map that is one to one but worse than it should be: the measure, the worst place and what would help.
 

@@ -21,6 +21,7 @@ import time
 from contextlib import suppress
 from typing import IO, TYPE_CHECKING, cast
 
+from omtwarp.errors import DrawingFailed
 from omtwarp.files.interruptions import interpreter
 from omtwarp.mesh.arrays import Bytes
 
@@ -34,72 +35,55 @@ IDLE_SECONDS = 60.0  # after which the drawing process gets no more jobs
 _COMMAND = "from omtwarp.render.gl_client import serve; serve()"
 
 
-class DrawingFailed(Exception):
-    """The drawing process gave no picture; the text says why. ``lasting``: the next attempt would fail too."""
-
-    def __init__(self, reason: str, lasting: bool = False):
-        super().__init__(reason)
-        self.lasting = lasting
-
-
 def _send(stream: IO[bytes], message: object) -> None:
     pickle.dump(message, stream, protocol=pickle.HIGHEST_PROTOCOL)
     stream.flush()
 
 
 def serve() -> None:
-    """Draw the jobs on standard input until it ends, or none comes for a while; write answers to standard output."""
+    """Write the device, and pictures for each job on standard input, to standard output, until a job or it fails."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C and closes the pipe
     replies = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever a driver prints must not mix with the replies
+    failing = "OpenGL could not be started: "
     try:
         from omtwarp.render.pyrender_renderer import GLRenderer
 
         renderer = GLRenderer()
+        _send(replies, renderer.device)
+        failing = ""
+        while True:
+            _send(replies, renderer.draw(pickle.load(sys.stdin.buffer)))
+    except DrawingFailed as failure:
+        _send(replies, failure)
+    except EOFError:  # the caller has ended, or wants no more
+        pass
     except Exception as error:
-        known = type(error).__name__ == "GLUnavailable"
-        reason = str(error) if known else f"OpenGL could not be started: {type(error).__name__}: {error}"
-        return _send(replies, ("unavailable", reason))
-    _send(replies, ("ready", renderer.device))
-    idle = threading.Timer(0.0, os._exit)  # started after each job
-    while True:
-        try:
-            job = pickle.load(sys.stdin.buffer)
-        except EOFError:
-            return
-        idle.cancel()
-        try:
-            answer: tuple[str, object] = ("pictures", renderer.draw(job))
-        except Exception as error:
-            answer = ("failed", f"{type(error).__name__}: {error}".splitlines()[0])
-        _send(replies, answer)
-        # Spare seconds: until it then ends and frees its memory, so that it never does so while a job arrives
-        idle = threading.Timer(IDLE_SECONDS + 5.0, os._exit, (0,))
-        idle.daemon = True
-        idle.start()
+        text = f"{failing}{type(error).__name__}: {error}".splitlines()[0]
+        _send(replies, DrawingFailed(text, lasting=bool(failing)))
 
 
 class _DrawingProcess:
     """A child process with an OpenGL context.
 
     It starts in the background (importing pyrender, opening a context) while the caller reads its mesh, and is kept for
-    the next picture until it has been idle for a minute.
+    the next picture until it has been idle for a minute. It is not usable in a process that was forked from this one.
     """
 
     def __init__(self) -> None:
-        self._owner = os.getpid()
         self._log: IO[bytes] = tempfile.TemporaryFile()
         self._lock = threading.Lock()
         self._until = math.inf
-        self.device: str | None = None
+        self._idle = threading.Timer(0.0, self.close)
+        self.device = ""
         self._process = subprocess.Popen(
             interpreter(_COMMAND), stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._log
         )
 
     @property
     def usable(self) -> bool:
-        """Whether the process runs, is not about to end, and belongs to this one (after a fork it does not)."""
-        return self._owner == os.getpid() and time.monotonic() < self._until and self._process.poll() is None
+        """Whether the process runs, and is not about to end."""
+        return time.monotonic() < self._until and self._process.poll() is None
 
     def draw(self, job: RenderJob) -> list[Bytes]:
         """Draw a job.
@@ -109,36 +93,35 @@ class _DrawingProcess:
         """
         picture_seconds = 180.0
         with self._lock:
+            self._idle.cancel()
             try:
-                if self.device is None:
-                    kind, text = self._answer(None, START_SECONDS)
-                    if kind != "ready":
-                        raise DrawingFailed(str(text), lasting=True)
-                    self.device = str(text)
-                kind, answer = self._answer(job, picture_seconds * max(1, len(job.shots)))
+                self.device = self.device or cast(str, self._answer(None, START_SECONDS))
+                pictures = self._answer(job, picture_seconds * max(1, len(job.shots)))
             except BaseException:
                 self.close()  # after a failure or Ctrl-C the pipe may hold half a message
                 raise
             self._until = time.monotonic() + IDLE_SECONDS
-        if kind != "pictures":
-            raise DrawingFailed(str(answer))
-        return cast("list[Bytes]", answer)
+            self._idle = threading.Timer(IDLE_SECONDS + 5.0, self.close)  # never while a job arrives
+            self._idle.daemon = True
+            self._idle.start()
+        return cast("list[Bytes]", pictures)
 
-    def _answer(self, job: RenderJob | None, seconds: float) -> tuple[str, object]:
+    def _answer(self, job: RenderJob | None, seconds: float) -> object:
         """Send a job, if any, and wait for one message; pipes have no timeout, so that a late process is ended."""
-        end = time.monotonic() + seconds
-        timer = threading.Timer(seconds, self._process.kill)
-        timer.daemon = True
-        timer.start()
+        end, late = time.monotonic() + seconds, threading.Timer(seconds, self._process.kill)
+        late.start()
         try:
             if job is not None:
                 _send(cast("IO[bytes]", self._process.stdin), job)
-            return cast("tuple[str, object]", pickle.load(cast("IO[bytes]", self._process.stdout)))
+            answer = pickle.load(cast("IO[bytes]", self._process.stdout))
         except (EOFError, OSError, pickle.UnpicklingError) as error:
             reason = f"gave no picture within {seconds:.0f} s" if time.monotonic() >= end else self._last_words()
             raise DrawingFailed(f"the OpenGL driver {reason}", lasting=True) from error
         finally:
-            timer.cancel()
+            late.cancel()
+        if isinstance(answer, DrawingFailed):
+            raise answer
+        return answer
 
     def _last_words(self) -> str:
         code = self._process.wait(5)
@@ -147,9 +130,7 @@ class _DrawingProcess:
         return f"ended its process (exit status {code}{''.join(f': {line.strip()}' for line in lines[-1:])})"
 
     def close(self) -> None:
-        """End the child process."""
-        if self._owner != os.getpid():
-            return
+        """End the child process; in a process forked from this one, only let go of it."""
         self._process.kill()
         self._process.wait()
         for stream in (self._process.stdin, self._process.stdout, self._log):
@@ -161,22 +142,16 @@ _current: _DrawingProcess | None = None
 _no_use: str | None = None
 
 
-def reason_against() -> str | None:
-    """Say why no picture can be drawn with OpenGL here; None while no reason is known."""
-    global _no_use
+def prepare() -> None:
+    """Start the drawing process if there is none, without waiting for it, unless nothing can be drawn with OpenGL."""
+    global _current, _no_use
     if _no_use is None and importlib.util.find_spec("pyrender") is None:
         from omtwarp.render.pyrender_compat import INSTALL_GL, INSTALL_PYRENDER
 
         _no_use = f"pyrender is not installed ({INSTALL_PYRENDER}; on Debian and Ubuntu also {INSTALL_GL})"
     if _no_use is None and not sys.executable:
         _no_use = "there is no Python executable to start the drawing process with"
-    return _no_use
-
-
-def prepare() -> None:
-    """Start the drawing process if there is none, without waiting for it."""
-    global _current
-    if reason_against() is None and (_current is None or not _current.usable):
+    if _no_use is None and (_current is None or not _current.usable):
         shut_down()
         _current = _DrawingProcess()
 
@@ -191,12 +166,11 @@ def draw(job: RenderJob) -> tuple[list[Bytes], str]:
         DrawingFailed: pyrender or OpenGL is missing, or the process crashed, hung or reported an error.
     """
     global _no_use
-    if reason := reason_against():
-        raise DrawingFailed(reason, lasting=True)
     prepare()
-    assert _current is not None
+    if _no_use is not None or _current is None:
+        raise DrawingFailed(str(_no_use), lasting=True)
     try:
-        return _current.draw(job), _current.device or "unknown"
+        return _current.draw(job), _current.device
     except DrawingFailed as failure:
         if failure.lasting:
             _no_use = str(failure)

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from PIL import Image
 
 from omtwarp.colors import backdrop
-from omtwarp.errors import OmtwarpError, choose
+from omtwarp.errors import DrawingFailed, OmtwarpError, choose
 from omtwarp.files.limits import FRAMES_PER_SECOND, LARGEST_VIEW, MOST_FILM_PIXELS, MOST_FRAMES
 from omtwarp.files.output import as_path
 from omtwarp.mesh.arrays import Bytes, real_number, whole_number
@@ -425,7 +425,7 @@ def render(job: RenderJob, backend: str, device: str) -> tuple[list[Bytes], str]
         try:
             pictures, name = gl_client.draw(job)
             return pictures, f"pyrender ({name})"
-        except gl_client.DrawingFailed as failure:
+        except DrawingFailed as failure:
             if backend == "pyrender":
                 raise OmtwarpError(f"cannot draw with pyrender: {failure}; backend 'warp' needs no OpenGL") from failure
             if str(failure) not in _told:

@@ -9,10 +9,16 @@ It requires PyOpenGL 3.1.0 exactly. What is changed, why, and where it was repor
   github.com/mcfletch/pyopengl/issues/90.
 * PyOpenGL's handler of pointers, which knows the type behind ``byref`` by the name it had before Python 3.12:
   github.com/mcfletch/pyopengl/issues/99.
+* ``pyrender.renderer.ShaderProgramCache``, which reads pyrender's own shaders, and no argument names others:
+  github.com/mmatl/pyrender/issues/39.
+* ``pyrender.Texture``, of 8 bits, whose mipmaps average encoded colours, and ``pyrender.Renderer``, which reads depths
+  too, at the cost of a small scene: neither has an option (github.com/mmatl/pyrender/issues/181).
 
 Call :func:`import_pyrender` before anything else imports pyrender or OpenGL in the process. It runs in the drawing
 process only (see :mod:`omtwarp.render.gl_client`), so that its changes affect no other code.
 """
+
+from __future__ import annotations
 
 import ctypes.util
 import os
@@ -21,15 +27,21 @@ import types
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
+from omtwarp.colors import to_linear
+from omtwarp.errors import DrawingFailed
+from omtwarp.mesh.arrays import Bytes
+
+if TYPE_CHECKING:
+    import pyrender
+
 INSTALL_GL = "apt-get install --no-install-recommends libegl1 libgl1"
 INSTALL_PYRENDER = "pip install 'omtwarp[preview]'"
-
-
-class GLUnavailable(Exception):
-    """No OpenGL on this machine; the text says what is missing and how to install it."""
+LIGHT_OF_SRGB = np.round(65535.0 * to_linear(np.arange(256) / 255.0)).astype(np.uint16)
 
 
 def import_pyrender() -> types.ModuleType:
@@ -39,16 +51,13 @@ def import_pyrender() -> types.ModuleType:
         The module.
 
     Raises:
-        GLUnavailable: pyrender or an OpenGL library is missing.
+        DrawingFailed: pyrender or an OpenGL library is missing.
     """
     linux = sys.platform.startswith("linux")
     if linux:
         os.environ["PYOPENGL_PLATFORM"] = "egl"  # the same path for llvmpipe and for a GPU's driver
-    if not hasattr(np, "infty"):
-        setattr(np, "infty", np.inf)  # noqa: B010
-    viewer = types.ModuleType("pyrender.viewer")
-    viewer.Viewer = type("Viewer", (), {})  # type: ignore[attr-defined]
-    sys.modules.setdefault("pyrender.viewer", viewer)
+    setattr(np, "infty", np.inf)  # noqa: B010
+    sys.modules.setdefault("pyrender.viewer", cast(types.ModuleType, types.SimpleNamespace(Viewer=object)))
     # For good: PyOpenGL looks for libraries when they are first used, EGL long after this.
     ctypes.util.find_library = partial(_find_library, ctypes.util.find_library)  # type: ignore[assignment]
     try:
@@ -58,24 +67,64 @@ def import_pyrender() -> types.ModuleType:
         import OpenGL.GL
         from OpenGL.plugins import FormatHandler
 
-        handler = FormatHandler.by_name("ctypesparameter")
-        if handler is not None and "_ctypes.CArgObject" not in handler.check:
-            handler.check.append("_ctypes.CArgObject")
+        FormatHandler.by_name("ctypesparameter").check.append("_ctypes.CArgObject")
         import pyrender
     except (ImportError, AttributeError, OSError) as error:
         # libEGL without libGL: 'NoneType' has no attribute 'glGetError'
         if isinstance(error, ImportError) and error.name in ("pyrender", "OpenGL"):
-            raise GLUnavailable(f"pyrender is not installed ({INSTALL_PYRENDER})") from error
+            raise DrawingFailed(f"pyrender is not installed ({INSTALL_PYRENDER})", lasting=True) from error
         missing = f"with EGL was found ({INSTALL_GL})" if linux else f"was found ({error})"
-        raise GLUnavailable(f"no OpenGL library {missing}") from error
+        raise DrawingFailed(f"no OpenGL library {missing}", lasting=True) from error
+    shaders = str(Path(__file__).with_name("shaders"))
+    pyrender.renderer.ShaderProgramCache = partial(pyrender.renderer.ShaderProgramCache, shaders)
+    pyrender.Renderer._read_main_framebuffer = _read_colors
     return pyrender
 
 
+def _read_colors(renderer: pyrender.Renderer, scene: object, flags: int) -> Bytes:
+    """Return what was drawn, each pixel the mean of its samples."""
+    from OpenGL import GL
+
+    width, height = renderer.viewport_width, renderer.viewport_height
+    GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, renderer._main_fb_ms)
+    GL.glBindFramebuffer(GL.GL_DRAW_FRAMEBUFFER, renderer._main_fb)
+    GL.glBlitFramebuffer(0, 0, width, height, 0, 0, width, height, GL.GL_COLOR_BUFFER_BIT, GL.GL_LINEAR)
+    GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, renderer._main_fb)
+    data = GL.glReadPixels(0, 0, width, height, GL.GL_RGBA, GL.GL_UNSIGNED_BYTE)
+    return np.frombuffer(data, dtype=np.uint8).reshape(height, width, 4)[::-1]
+
+
+def light_texture(image: Bytes, levels: bool, **sampler: object) -> object:
+    """Return a texture of linear light rather than its sRGB encoding, so that filtering averages light.
+
+    With 16 bits per channel nothing is lost, and a driver on the CPU need not decode every sample of the filter.
+
+    Args:
+        image: shape [height, width, 3].
+        levels: whether it is made smaller for parts of it that are seen small.
+        sampler: how it goes on beyond its borders.
+    """
+    import pyrender
+    from OpenGL import GL
+
+    class LightTexture(pyrender.Texture):  # type: ignore[misc, name-defined]
+        def _add_to_context(self) -> None:
+            GL.glPixelStorei(GL.GL_UNPACK_ALIGNMENT, 1)
+            super()._add_to_context()
+            self._bind()
+            size, light = image.shape[1::-1], np.ascontiguousarray(LIGHT_OF_SRGB[image[::-1]])
+            GL.glTexImage2D(GL.GL_TEXTURE_2D, 0, GL.GL_RGBA16, *size, 0, GL.GL_RGB, GL.GL_UNSIGNED_SHORT, light)
+            if levels:
+                GL.glGenerateMipmap(GL.GL_TEXTURE_2D)
+
+    smaller = GL.GL_LINEAR_MIPMAP_LINEAR if levels else GL.GL_LINEAR
+    filters = pyrender.Sampler(magFilter=GL.GL_LINEAR, minFilter=smaller, **sampler)
+    return LightTexture(source=image[:1, :1], source_channels="RGB", sampler=filters)
+
+
 def _find_library(original: Callable[[str], str | None], name: str) -> str | None:
-    """Find a library as ``original`` does or, where that finds no OpenGL, by asking the loader."""
-    found = original(name)
-    if found is None and sys.platform.startswith("linux") and name in ("EGL", "GL"):
+    """Find a library of OpenGL by asking the loader, and others as ``original`` does."""
+    if sys.platform.startswith("linux") and name in ("EGL", "GL"):
         with suppress(OSError):
-            ctypes.CDLL(f"lib{name}.so.1")
-            return f"lib{name}.so.1"
-    return found
+            return str(ctypes.CDLL(f"lib{name}.so.1") and f"lib{name}.so.1")
+    return original(name)
