@@ -24,6 +24,7 @@ ELSEWHERE = (
 TUNED = {
     "optimal/nested.py": "SHAPE_SHARE AREA_FACTOR VERTICES_PER_COARSE MOSER_PASSES SMOOTHING_WEIGHT",
     "optimal/solver.py": "PENALTY",
+    "optimal/steps.py": "MOST_HELD",
     "optimal/local.py": "GAIN_SHARE MAX_GAIN_SHARE MAX_CHOSEN_SHARE FREED_RINGS",
     "solvers/motion_kernels.py": "NEXT_SHARE",
     "solvers/triangle.py": "AREA_WEIGHT",

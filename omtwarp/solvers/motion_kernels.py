@@ -15,8 +15,7 @@ ROUND_OFF = wp.constant(wp.float64(1e-14))
 LEAST_SHARE = wp.constant(wp.float64(0.01))
 # Most that a vertex may take of a step, relative to each neighbour: where shares jump, triangles are torn. 120 made
 # surfaces end with the same areas and angles without this limit and with 2, 1.75, 1.5 and 1.25; drawn parts, whose
-# steps are held back in many places, end in rags without it; less makes steps shorter. Around a vertex that stays its
-# neighbours stay too, a ring further with every halving.
+# steps are held back in many places, end in rags without it; less makes steps shorter.
 NEXT_SHARE = wp.constant(wp.float64(1.75))
 
 
@@ -83,7 +82,7 @@ def hold_back(
     own = share[i]
     if any_trouble > ZERO:
         own = HALF * own
-    own = wp.min(own, NEXT_SHARE * least)
+    own = wp.min(own, NEXT_SHARE * wp.max(least, LEAST_SHARE))
     if own < LEAST_SHARE:
         own = ZERO
     held[i] = own
