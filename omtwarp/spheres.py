@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import flipped_faces
-from omtwarp.geometry.sphere_hierarchy import sphere_hierarchy
+from omtwarp.geometry.sphere_hierarchy import sphere_hierarchy, triangle_solid_angles
 from omtwarp.mesh import arrays
 from omtwarp.mesh.arrays import TINY, Floats, Ints, normalised
 from omtwarp.mesh.shapes import sphere_from_directions
@@ -110,13 +110,6 @@ def polygon_areas(corners: Floats) -> Floats:
     return triangle_solid_angles(corners[:, 0], corners[:, 1], corners[:, 2]) + triangle_solid_angles(
         corners[:, 0], corners[:, 2], corners[:, 3]
     )
-
-
-def triangle_solid_angles(a: Floats, b: Floats, c: Floats) -> Floats:
-    """Return the signed areas of spherical triangles with unit corners, [M, 3] each (Van Oosterom, Strackee 1983)."""
-    triple = np.einsum("ij,ij->i", a, np.cross(b - a, c - a))  # differences: small triangles keep their digits
-    dots = [np.einsum("ij,ij->i", u, v) for u, v in ((a, b), (b, c), (c, a))]
-    return np.asarray(2.0 * np.arctan2(triple, 1.0 + dots[0] + dots[1] + dots[2]))
 
 
 def vertex_cells(points: Floats, faces: Ints) -> tuple[Floats, Ints]:

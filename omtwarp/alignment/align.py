@@ -13,13 +13,14 @@ from omtwarp.alignment.rotation_search import Best, best_rotations, complex_coef
 from omtwarp.errors import OmtwarpError, OmtwarpWarning, choose
 from omtwarp.geometry.axes import fitted_rotation
 from omtwarp.geometry.harmonics import check_degree, harmonics_in_parts
+from omtwarp.geometry.sphere_hierarchy import triangle_solid_angles
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.arrays import TINY, Floats, in_range, real_numbers
 from omtwarp.mesh.surface import sums_around
 from omtwarp.options import AlignBy, AlignByLike
 from omtwarp.resampling import SpherePoints, as_points
 from omtwarp.resampling.resample import PointsLike
-from omtwarp.spheres import SphereGrid, triangle_solid_angles
+from omtwarp.spheres import SphereGrid
 
 
 def sphere_weights(points: SpherePoints) -> Floats:

@@ -21,6 +21,13 @@ from omtwarp.mesh.surface import face_neighbours
 HIGHEST_LEVEL = 10  # of an icosahedron that has 10 · 4¹⁰ + 2 nodes, ten million
 
 
+def triangle_solid_angles(a: Floats, b: Floats, c: Floats) -> Floats:
+    """Return the signed areas of spherical triangles with unit corners, [M, 3] each (Van Oosterom, Strackee 1983)."""
+    triple = np.einsum("ij,ij->i", a, np.cross(b - a, c - a))  # differences: small triangles keep their digits
+    dots = [np.einsum("ij,ij->i", u, v) for u, v in ((a, b), (b, c), (c, a))]
+    return np.asarray(2.0 * np.arctan2(triple, 1.0 + dots[0] + dots[1] + dots[2]))
+
+
 def icosahedron() -> tuple[Floats, Ints]:
     """Return the vertices of an icosahedron on the unit sphere, shape [12, 3], and its outward faces, shape [20, 3]."""
     signs = [(s, t * (1 + np.sqrt(5.0)) / 2) for s in (-1.0, 1.0) for t in (-1, 1)]
@@ -78,11 +85,7 @@ class SphereHierarchy:
 
         This is the quadrature with respect to which the wavelets' integrals vanish: ∫ f = sum of node_areas * f(node).
         """
-        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
-        triple = np.einsum("ij,ij->i", a, np.cross(b, c))
-        dots = [np.einsum("ij,ij->i", u, v) for u, v in ((a, b), (b, c), (c, a))]
-        solid_angles = 2 * np.arctan2(triple, 1 + dots[0] + dots[1] + dots[2])
-        shares = np.repeat(solid_angles / 3, 3)
+        shares = np.repeat(triangle_solid_angles(*(self.vertices[self.faces[:, k]] for k in range(3))) / 3, 3)
         return np.bincount(self.faces.ravel(), weights=shares, minlength=self.node_count).astype(np.float64)
 
     def node_spacing(self, level: int) -> float:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.device.policy import resolve_device, solving_with
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.space_order import in_space_order
+from omtwarp.geometry.sphere_hierarchy import triangle_solid_angles
 from omtwarp.mapping.joined import in_input_order, joined, torus_in_input_order
 from omtwarp.mapping.pipeline import map_double, map_to_sphere
 from omtwarp.maps.result import MapResult, MeshReport, StageReport, SurfaceReport
@@ -52,7 +53,6 @@ from omtwarp.options import (
     WeightsAtLike,
     choose,
 )
-from omtwarp.spheres import triangle_solid_angles
 from omtwarp.texturing.density import TargetLike
 from omtwarp.topology.closing import Double, FilledSurface, double, fill_holes, quartered_double, split_chords
 from omtwarp.topology.handles import cut_handles, cut_open, slit_open

@@ -9,6 +9,7 @@ import numpy as np
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.limbs import thinnest_ring, vertices_needed
+from omtwarp.geometry.sphere_hierarchy import triangle_solid_angles
 from omtwarp.maps.result import StageReport, Warned
 from omtwarp.measures import mass_distortion
 from omtwarp.mesh.arrays import TINY, Floats
@@ -17,7 +18,6 @@ from omtwarp.mesh.quarter import PARTS
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.optimal.refinement import not_matched
 from omtwarp.options import AreaMatch, MapOptions, Method, Refinement, Stage
-from omtwarp.spheres import triangle_solid_angles
 
 # Mean of r + 1/r, r the area of a triangle's image over the area wanted. Smooth shapes of a few hundred triangles are
 # below 2.04, where flat triangles are a coarse picture of the sphere, and fine ones at 2.001.

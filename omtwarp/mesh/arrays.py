@@ -27,6 +27,8 @@ WELD = 1e-3
 
 Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int32]
+Indices: TypeAlias = NDArray[np.int64]
+Numbers: TypeAlias = NDArray[np.generic]
 Bytes: TypeAlias = NDArray[np.uint8]
 Shape = tuple[int | None, ...]
 Layout = Mapping[str, tuple[type[np.generic], tuple[str | int, ...]]]

@@ -24,12 +24,11 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import file_beside, read_bytes
 from omtwarp.files.limits import LARGEST_MESH_FILE, amount, memory_for_file
-from omtwarp.mesh.arrays import Floats, whole_numbers
+from omtwarp.mesh.arrays import Floats, Numbers, whole_numbers
 
 if TYPE_CHECKING:
     import trimesh
 
-Numbers = NDArray[np.generic]
 
 _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}  # by componentType
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}

@@ -16,12 +16,10 @@ from scipy import sparse
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import read_stack
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Floats, Indices
 from omtwarp.mesh.neuro import nibabel_module
 from omtwarp.mesh.polygons import taken_together
 from omtwarp.mesh.shapes import crossed_edges
-
-Ints = NDArray[np.int64]
 
 VOLUMES = ("nii", "mgh", "mgz", "tif", "tiff")  # suffixes
 # Of smoothing: the area of a ball of 8 voxels goes from 1.30 to 1.07 times that of the sphere, its volume from 1.010 to
@@ -30,7 +28,7 @@ ROUNDS = 20
 MOST_ROUNDS = 1000  # a wave of 100 edges is gone by then
 
 
-def label_surfaces(data: bytes, suffix: str, rounds: int = ROUNDS) -> tuple[Floats, Ints, list[str]]:
+def label_surfaces(data: bytes, suffix: str, rounds: int = ROUNDS) -> tuple[Floats, Indices, list[str]]:
     """Extract and smooth the surface of every label of a volume, in the volume's own space.
 
     Args:
@@ -87,7 +85,7 @@ def _volume(data: bytes, suffix: str) -> tuple[NDArray[np.generic], Floats]:
     return np.asanyarray(image.dataobj).reshape(shape), np.asarray(image.affine, dtype=np.float64)
 
 
-def surface_of(inside: NDArray[np.bool_]) -> tuple[Floats, Ints]:
+def surface_of(inside: NDArray[np.bool_]) -> tuple[Floats, Indices]:
     """Return the surface between voxels inside and outside, closed at the sides of the volume too.
 
     Args:
@@ -104,7 +102,7 @@ def surface_of(inside: NDArray[np.bool_]) -> tuple[Floats, Ints]:
     return ends.mean(axis=1) + (first - 1.0), faces
 
 
-def smoothed(vertices: Floats, faces: Ints, rounds: int) -> Floats:
+def smoothed(vertices: Floats, faces: Indices, rounds: int) -> Floats:
     """Smooth a closed mesh by Taubin's filter, which does not shrink it [1]_.
 
     Args:

@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.limits import LARGEST_MESH_FILE, amount
-from omtwarp.mesh.arrays import Floats, Ints, whole_numbers
+from omtwarp.mesh.arrays import Floats, Ints, Numbers, whole_numbers
 from omtwarp.mesh.polygons import Triangles, counted_lists, fans, triangles_of_strips
-
-Numbers = NDArray[np.generic]
 
 _LEGACY_TYPES = {
     "float": "f4", "double": "f8", "char": "i1", "unsigned_char": "u1", "short": "i2", "unsigned_short": "u2",

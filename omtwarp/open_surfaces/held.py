@@ -25,7 +25,8 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import flipped_faces
-from omtwarp.mesh.arrays import TINY
+from omtwarp.geometry.sphere_hierarchy import triangle_solid_angles
+from omtwarp.mesh.arrays import TINY, Floats
 from omtwarp.mesh.quarter import PARTS, QuarteredSurface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, plane_areas
 from omtwarp.open_surfaces.caps import disk_to_cap
@@ -39,7 +40,6 @@ from omtwarp.optimal.sphere import NoCost, Sphere
 from omtwarp.refine.energy import DistortionEnergy
 from omtwarp.solvers.cholesky.saddle import COORDINATES, SaddleMatrix
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
-from omtwarp.spheres import triangle_solid_angles
 from omtwarp.topology.kind import boundary_loops
 from omtwarp.untangling.untangle import RINGS, RepairBudget, untangle_patches
 
@@ -114,7 +114,6 @@ class HeldFactor:
         return self._factor.solve(wp.array(numbers, dtype=wp.float64, device=right.device))
 
 
-Floats = NDArray[np.float64]
 # Weight of area against angle distortion where a map to the disk is minimised, since the disk is to keep areas, and the
 # largest number of steps. With 10 half of a caudate nucleus has area distortion 2.10, with this 2.005.
 AREA_WEIGHT, STEPS = 100.0, 150

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.arrays import Workspace, vectors
 from omtwarp.device.start import wp
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import Surface
 from omtwarp.optimal.cells import Cells, TriangleCells
 from omtwarp.optimal.sphere import Sphere
@@ -20,8 +21,6 @@ from omtwarp.solvers.cholesky import dissect
 from omtwarp.solvers.cholesky.saddle import COORDINATES, SaddleMatrix
 from omtwarp.solvers.mesh_factor import SaddlePointFactor, cell_saddle_factor, solve_parts, vertex_saddle_factor
 from omtwarp.topology.closing import Double
-
-Floats = NDArray[np.float64]
 
 ACROSS = np.array([1.0, 1.0, -1.0])  # what the reflection about the equator does to coordinates
 

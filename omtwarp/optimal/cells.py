@@ -20,6 +20,7 @@ from omtwarp.device.start import KERNEL_OPTIONS, wp
 from omtwarp.device.sums import SparseProduct, scaled
 from omtwarp.device.threads import FIRST_THREAD, launch_parts
 from omtwarp.location import combined
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.quarter import PARTS, QuarteredSurface
 from omtwarp.mesh.surface import Surface
 from omtwarp.optimal.kernels import edge_slopes
@@ -27,7 +28,6 @@ from omtwarp.solvers.mesh_factor import SaddlePointFactor, cell_saddle_factor, c
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-Numbers = NDArray[np.float64]
 
 CORNER_SHARE, MIDDLE_SHARE = 1.0 / 12.0, 1.0 / 4.0  # of a triangle's mass, on each of its six vertices
 # Largest root mean square and largest single relative error of areas that count as kept: of those around vertices, and
@@ -76,7 +76,7 @@ class Cells:
     tolerances: tuple[float, float]
 
     def __init__(
-        self, surface: Surface, of_triangles: NDArray[np.int32], wanted: Numbers, slope_count: int, device: wp.Device
+        self, surface: Surface, of_triangles: NDArray[np.int32], wanted: Floats, slope_count: int, device: wp.Device
     ):
         self._surface, self._device, self._mesh = surface, device, surface.on(device)
         self.wanted, self.multipliers, self.slope_count = wanted, len(wanted), slope_count

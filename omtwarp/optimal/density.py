@@ -12,15 +12,13 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from omtwarp.measures import TargetDensity
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.optimal.nested import shape_term
 from omtwarp.optimal.solver import OptimalMap
 from omtwarp.options import Cost, Record
-
-Numbers = NDArray[np.float64]
 
 # Rounds at most, and steps of each: with more steps a round lasts longer, and the next begins as far away.
 ROUNDS, STEPS = 10, 3
@@ -34,11 +32,11 @@ SETTLED = 0.01
 
 def map_to_density(
     surface: Surface,
-    sphere: Numbers,
+    sphere: Floats,
     target: TargetDensity,
     solve: Callable[..., OptimalMap],
     *,
-    start: Numbers,
+    start: Floats,
     shape_share: float = 1.0,
     cost: str = Cost.SQUARED,
     device: str | None = "auto",
@@ -93,15 +91,15 @@ def map_to_density(
     return replace(best, history=tuple(history), converged=best.converged and settled, ended=ended)
 
 
-def _shares(areas: Numbers) -> Numbers:
+def _shares(areas: Floats) -> Floats:
     return areas / areas.sum()
 
 
-def _wanted(surface: Surface, sphere: Numbers, target: TargetDensity) -> Numbers:
+def _wanted(surface: Surface, sphere: Floats, target: TargetDensity) -> Floats:
     """Return the shares of the sphere that triangles are to have where a map puts them, shape [F]."""
     return _shares(target.goal(surface, sphere).face_areas)
 
 
-def _change(areas: Numbers, before: Numbers) -> float:
+def _change(areas: Floats, before: Floats) -> float:
     """Return the root mean square of the relative differences, weighted by area."""
     return float(np.sqrt(before @ (areas / before - 1.0) ** 2))

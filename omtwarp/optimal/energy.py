@@ -40,6 +40,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.sums import Reading, combine, scaled, sums_for
 from omtwarp.device.threads import FIRST_THREAD, Each, each, launch_parts
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.cells import Cells
 from omtwarp.optimal.kernels import area_errors, raise_diagonal, vertex_entries
@@ -49,8 +50,6 @@ from omtwarp.solvers.cholesky.saddle import COORDINATES, SaddleMatrix
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
 from omtwarp.solvers.newton import gather_edge_blocks
 from omtwarp.solvers.triangle import AREA_WEIGHT
-
-Numbers = NDArray[np.float64]
 
 
 class Domain(Protocol):
@@ -64,10 +63,10 @@ class Domain(Protocol):
     surface: Surface
     device: wp.Device
 
-    def sent(self, values: Numbers) -> wp.array:
+    def sent(self, values: Floats) -> wp.array:
         """Return points or vectors of the vertices, shape [V, D], as an array on the device."""
 
-    def flipped(self, points: Numbers) -> NDArray[np.bool_]:
+    def flipped(self, points: Floats) -> NDArray[np.bool_]:
         """Return a mask of the triangles that are turned over, shape [F]."""
 
     def areas(self, points: wp.array) -> wp.array:
@@ -123,7 +122,7 @@ class VertexCost(Protocol):
 class Shape(Protocol):
     """The distortion of the triangles of one surface's maps."""
 
-    def begin(self, points: wp.array, reading: Reading) -> Callable[[Numbers], ShapeTerms]:
+    def begin(self, points: wp.array, reading: Reading) -> Callable[[Floats], ShapeTerms]:
         """Begin to measure the distortion of a map; return what makes its terms of the numbers that are read."""
 
     def gradient(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
@@ -227,7 +226,7 @@ class TransportEnergy:
         self._total = wp.zeros(1, dtype=wp.float64, device=self.device)
 
     @property
-    def wanted(self) -> Numbers:
+    def wanted(self) -> Floats:
         """The areas that constraints ask for, A_c, shape [N]."""
         return self.cells.wanted
 
@@ -244,7 +243,7 @@ class TransportEnergy:
         """
         return self.begin(points, multipliers)(self.reading.read())
 
-    def begin(self, points: wp.array, multipliers: wp.array | None = None) -> Callable[[Numbers], MapTerms]:
+    def begin(self, points: wp.array, multipliers: wp.array | None = None) -> Callable[[Floats], MapTerms]:
         """Begin to compute what :meth:`terms` returns; return a function of the numbers that :attr:`reading` reads."""
         areas = self.cells.areas(self.domain.areas(points))
         missing, relative = (empty(areas.size, wp.float64, self.device) for _ in range(2))
@@ -255,7 +254,7 @@ class TransportEnergy:
         squares, largest = reading.dot(missing, relative), reading.largest(relative)
         pressed = None if multipliers is None else reading.dot(multipliers, missing)
 
-        def finish(numbers: Numbers) -> MapTerms:
+        def finish(numbers: Floats) -> MapTerms:
             return MapTerms(
                 areas,
                 missing,

@@ -16,13 +16,14 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.mesh.surface import as_unit_vectors
 from omtwarp.optimal.cells import TriangleCells
@@ -38,8 +39,6 @@ from omtwarp.optimal.steps import FlipFreeSteps
 from omtwarp.options import Cost, Progress, Record
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
 
-Numbers = NDArray[np.float64]
-
 ROUNDS = 30  # largest number of steps
 STIFFNESS = 1e7  # weight of areas relative to cost and shape, which only choose among the steps that correct areas
 MAX_HALVINGS = 12  # of a step, down to 1/4096
@@ -49,11 +48,11 @@ SUFFICIENT = 0.1  # a step is taken where it lowers the area errors by this shar
 @blas_threads(1)
 def restore_areas(
     energy: TransportEnergy,
-    given: Numbers,
+    given: Floats,
     *,
     rounds: int = ROUNDS,
     notify: Callable[[int, MapTerms], None] | None = None,
-) -> tuple[Numbers, bool]:
+) -> tuple[Floats, bool]:
     """Move a map without flips to the nearest one with exact areas.
 
     Args:
@@ -163,10 +162,10 @@ def exact_map(
     return minimise_cells(energy, given, iterations, progress)
 
 
-def minimise_cells(energy: TransportEnergy, points: Numbers, iterations: int, progress: Progress | None) -> OptimalMap:
+def minimise_cells(energy: TransportEnergy, points: Floats, iterations: int, progress: Progress | None) -> OptimalMap:
     """Minimise an energy of cells, then correct their areas to 1e-6; arguments and result as of :func:`exact_map`."""
     history: list[Record] = []
-    multipliers: Numbers | None = None
+    multipliers: Floats | None = None
     rms, _ = energy.area_errors(energy.terms(energy.domain.sent(points)))
     for penalty in GROWING_PENALTIES if rms > MAX_START_RMS else GROWING_PENALTIES[-1:]:
         steps = iterations if penalty == PENALTY else STEPS_OF_ROUND

@@ -20,7 +20,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import is_bijective
 from omtwarp.geometry.axes import principal_axes, turned_towards
 from omtwarp.location import Locator
-from omtwarp.mesh.arrays import normalised
+from omtwarp.mesh.arrays import Floats, normalised
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.moser import moser_map
@@ -28,8 +28,6 @@ from omtwarp.optimal.refinement import least_distortion
 from omtwarp.optimal.solver import OptimalMap, optimal_map
 from omtwarp.transport.cost import transport_cost
 from omtwarp.untangling.untangle import untangle
-
-Numbers = NDArray[np.float64]
 
 NESTED, EMBEDDED = "nested", "embedded"  # what the minimisation on the mesh begins with
 
@@ -66,7 +64,7 @@ class ShapeTerm:
     area: float
 
 
-def shape_term(surface: Surface, sphere: Numbers, start: Numbers, device: str | None = "auto") -> ShapeTerm:
+def shape_term(surface: Surface, sphere: Floats, start: Floats, device: str | None = "auto") -> ShapeTerm:
     """Return the weights of the shape term for the minimisation that begins at a map.
 
     With C the mean squared distance and S the mean angle distortion of the map, angles weigh ``SHAPE_SHARE`` of the
@@ -91,7 +89,7 @@ def shape_term_by_law(cost: float, angle: float) -> ShapeTerm:
     return ShapeTerm(SHAPE_SHARE * (cost + LEAST_COST) / bend, AREA_FACTOR * float(np.sqrt(bend)))
 
 
-def coarse_surface(surface: Surface, start: Numbers) -> tuple[Surface, Callable[[Numbers], Numbers]]:
+def coarse_surface(surface: Surface, start: Floats) -> tuple[Surface, Callable[[Floats], Floats]]:
     """Return the Delaunay triangulation of some of a surface's points on the sphere, and how its maps are carried over.
 
     One vertex is taken from each cell of a grid along the surface's own axes, the one nearest to the cell's centre:
@@ -139,7 +137,7 @@ def coarse_surface(surface: Surface, start: Numbers) -> tuple[Surface, Callable[
     return coarse, partial(found.on_sphere, faces)
 
 
-def nested_start(surface: Surface, start: Numbers, *, device: str | None = "auto") -> Numbers:
+def nested_start(surface: Surface, start: Floats, *, device: str | None = "auto") -> Floats:
     """Return a map near the optimal one, made from the optimal map of a coarse triangulation of the points x.
 
     Args:
@@ -161,8 +159,8 @@ def nested_start(surface: Surface, start: Numbers, *, device: str | None = "auto
 
 
 def embedded_start(
-    surface: Surface, start: Numbers, embedding: Numbers | None = None, *, device: str | None = "auto"
-) -> Numbers:
+    surface: Surface, start: Floats, embedding: Floats | None = None, *, device: str | None = "auto"
+) -> Floats:
     """Return a map of even areas made from coarse to fine, turned towards the points x.
 
     Args:
@@ -187,7 +185,7 @@ def embedded_start(
     return smoothed(surface, sphere, device=device)
 
 
-def untangled(surface: Surface, sphere: Numbers, *, device: str | None = "auto") -> Numbers:
+def untangled(surface: Surface, sphere: Floats, *, device: str | None = "auto") -> Floats:
     """Return a map without flipped triangles: the very array given where it has none.
 
     Raises:
@@ -201,7 +199,7 @@ def untangled(surface: Surface, sphere: Numbers, *, device: str | None = "auto")
     return found.sphere
 
 
-def smoothed(surface: Surface, sphere: Numbers, *, device: str | None = "auto") -> Numbers:
+def smoothed(surface: Surface, sphere: Floats, *, device: str | None = "auto") -> Floats:
     """Return a map without the slivers of an embedding, turned onto the one given; as found where turning flips."""
     found = least_distortion(
         surface, sphere, SMOOTHING_WEIGHT, iterations=SMOOTHING_STEPS, tolerance=SMOOTHING_TOLERANCE, device=device
@@ -212,8 +210,8 @@ def smoothed(surface: Surface, sphere: Numbers, *, device: str | None = "auto") 
 
 def minimised(
     surface: Surface,
-    sphere: Numbers,
-    start: Numbers,
+    sphere: Floats,
+    start: Floats,
     solve: Callable[..., OptimalMap],
     *,
     device: str | None = "auto",

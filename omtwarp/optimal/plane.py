@@ -19,6 +19,7 @@ from omtwarp.device.arrays import Workspace
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.device.sums import Reading
 from omtwarp.geometry.spherical import TINY
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.cells import Cells
 from omtwarp.optimal.energy import ShapeTerms
@@ -352,9 +353,6 @@ def plane_cost_metric(
     metric[v, 1] = entries[1]
     metric[v, 2] = entries[1]
     metric[v, 3] = entries[2]
-
-
-Floats = NDArray[np.float64]
 
 
 class Plane:

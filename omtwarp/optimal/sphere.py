@@ -10,7 +10,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import FIRST_THREAD, Each, each, launch_parts
 from omtwarp.flips.exact import flipped_faces
-from omtwarp.mesh.arrays import normalised, real_number, real_numbers
+from omtwarp.mesh.arrays import Floats, normalised, real_number, real_numbers
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_surface, as_unit_vectors
 from omtwarp.optimal.cells import Cells, MeasuredRings, RingCells
 from omtwarp.optimal.energy import SHAPE_WEIGHT, MapTerms, TransportEnergy
@@ -21,8 +21,6 @@ from omtwarp.solvers.mesh_factor import SaddlePointFactor
 from omtwarp.solvers.motion_kernels import from_tangent, retract_to_sphere, to_tangent, triangle_trouble
 from omtwarp.solvers.triangle import AREA_WEIGHT
 from omtwarp.untangling.kernels import solid_angles
-
-Numbers = NDArray[np.float64]
 
 
 class Sphere:
@@ -39,11 +37,11 @@ class Sphere:
         self._examined = surface.face_count  # the first triangles, which are looked at after a step
         self._areas = empty(surface.face_count, wp.float64, device)
 
-    def sent(self, values: Numbers) -> wp.array:
+    def sent(self, values: Floats) -> wp.array:
         """Return points or tangent vectors, shape [V, 3], as vec3d on the device."""
         return vectors(values, self.device)
 
-    def flipped(self, points: Numbers) -> NDArray[np.bool_]:
+    def flipped(self, points: Floats) -> NDArray[np.bool_]:
         """Return a mask of the triangles that are turned over, decided exactly, shape [F]."""
         return flipped_faces(points, self.surface.faces)
 
@@ -105,7 +103,7 @@ class GeodesicCost:
 
     def __init__(self, surface: Surface, start: wp.array, device: wp.Device, softness: float = 0.0):
         self._count, self._device, self._start = surface.vertex_count, device, start
-        self.start: Numbers = start.numpy()
+        self.start: Floats = start.numpy()
         self.softness = wp.float64(softness)
         self._mesh = surface.on(device)
         self._metric = wp.empty((self._count, 4), dtype=wp.float64, device=device)
@@ -265,7 +263,7 @@ class MapEnergy:
         self._energy = energy_on_sphere(mesh, x, where, weight, area_weight=of_areas, softness=soft)
         self._count = mesh.vertex_count
 
-    def terms(self, sphere: ArrayLike) -> dict[str, float | Numbers]:
+    def terms(self, sphere: ArrayLike) -> dict[str, float | Floats]:
         """Return the terms of a map.
 
         Args:
@@ -288,13 +286,13 @@ class MapEnergy:
         """
         return self._energy.lagrangian(self._energy.terms(self._sent(sphere), self._multipliers(multipliers)))
 
-    def gradient(self, sphere: ArrayLike, multipliers: ArrayLike | None = None) -> Numbers:
+    def gradient(self, sphere: ArrayLike, multipliers: ArrayLike | None = None) -> Floats:
         """Return the gradient of :meth:`value` by the vertices, tangent to the sphere, shape [V, 3]."""
         points = self._sent(sphere)
         gradient = self._energy.gradient(points, self._energy.terms(points), self._multipliers(multipliers))
         return np.array(gradient.numpy())
 
-    def hessian_product(self, sphere: ArrayLike, direction: ArrayLike) -> Numbers:
+    def hessian_product(self, sphere: ArrayLike, direction: ArrayLike) -> Floats:
         """Return the product of the matrix of Newton's steps with tangent vectors, shape [V, 3].
 
         The matrix is symmetric and positive semidefinite: of the distortion of every triangle the part that is, and of
@@ -313,7 +311,7 @@ class MapEnergy:
         back = wp.array(product, dtype=wp.float64, device=points.device)
         return np.array(self._energy.domain.vectors(points, back).numpy())
 
-    def area_changes(self, sphere: ArrayLike, direction: ArrayLike) -> Numbers:
+    def area_changes(self, sphere: ArrayLike, direction: ArrayLike) -> Floats:
         """Return the derivative of the areas around vertices along tangent vectors, shape [V]; arguments as before."""
         _, u = self._coordinates(sphere, direction)
         slopes = self._energy.matrix.on_host()[2].reshape(2, -1, 2)
@@ -321,7 +319,7 @@ class MapEnergy:
         changes = np.bincount(i, (slopes[0] * u[j]).sum(axis=1), self._count)
         return np.asarray(changes + np.bincount(j, (slopes[1] * u[i]).sum(axis=1), self._count))
 
-    def _coordinates(self, sphere: ArrayLike, direction: ArrayLike) -> tuple[wp.array, Numbers]:
+    def _coordinates(self, sphere: ArrayLike, direction: ArrayLike) -> tuple[wp.array, Floats]:
         """Compute the matrix of a map; return its points and a direction in their frames, shape [V, 2]."""
         points = self._sent(sphere)
         along = vectors(real_numbers(direction, "direction", (self._count, 3)), points.device)

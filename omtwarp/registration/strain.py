@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.flips.exact import flipped_faces
+from omtwarp.geometry.sphere_hierarchy import triangle_solid_angles
 from omtwarp.mesh.arrays import TINY, Floats
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.surface import Surface, sums_around, triangle_areas
@@ -15,7 +16,6 @@ from omtwarp.optimal.local import LocalSteps
 from omtwarp.optimal.solver import LEAST_PENALTY
 from omtwarp.optimal.sphere import ShapeEnergy
 from omtwarp.refine.further import VertexTerm, strain_limit
-from omtwarp.spheres import triangle_solid_angles
 from omtwarp.untangling.untangle import untangle
 
 ROUNDS = 24  # of relaxing around triangles over the bound

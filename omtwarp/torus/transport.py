@@ -9,10 +9,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TypeAlias
 
-import numpy as np
-from numpy.typing import NDArray
-
 from omtwarp.device.policy import resolve_device
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.cells import Cells, MeasuredRings, RingCells, TriangleCells
@@ -32,7 +30,6 @@ from omtwarp.options import AreaMatch, Progress, Record, parse_refinement
 from omtwarp.solvers.triangle import AREA_WEIGHT
 from omtwarp.torus.harmonic import FlatTorus
 
-Floats = NDArray[np.float64]
 Report: TypeAlias = Callable[[int, int, Record], None]
 """How a minimisation reports on itself: ``report(done, most, record)``."""
 

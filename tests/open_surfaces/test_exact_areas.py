@@ -8,10 +8,10 @@ from plane_truths import round_disk
 
 import omtwarp
 from omtwarp.flips.exact import flipped_faces
+from omtwarp.geometry.sphere_hierarchy import triangle_solid_angles
 from omtwarp.mesh.surface import plane_areas
 from omtwarp.open_surfaces.caps import disk_to_cap
 from omtwarp.open_surfaces.held import Quartered, exact_in_plane, exact_on_cap, flipped_in_plane
-from omtwarp.spheres import triangle_solid_angles
 
 
 def quartered_disk(rings: int) -> tuple[Quartered, np.ndarray]:
