@@ -64,8 +64,8 @@ if TYPE_CHECKING:
     from omtwarp.untangling.untangle import untangle as untangle
 
 
-def _at_first_use(package: str) -> tuple[list[str], _Callable[[str], object]]:
-    """Return the names of a package, and a function that imports one of them.
+def _at_first_use(package: str) -> tuple[list[str], _Callable[[str], object], _Callable[[], list[str]]]:
+    """Return the names of a package, a function that imports one of them, and one that lists them.
 
     The names, and the modules that they come from, are those of the package's block for type checkers: its text is
     there, as that of kernels, which Warp reads, has to be.
@@ -81,10 +81,10 @@ def _at_first_use(package: str) -> tuple[list[str], _Callable[[str], object]]:
         home = vars(_importlib.import_module(homes[name]))
         return home[name] if name in home else _importlib.import_module(f"{homes[name]}.{name}")
 
-    return [*homes], imported
+    return [*homes], imported, lambda: sorted(homes)
 
 
-_names, _imported = _at_first_use(__name__)
+_names, _imported, _ = _at_first_use(__name__)
 __all__ = ["__version__", *_names]  # noqa: PLE0604 (ruff cannot see that all are texts)
 
 

@@ -15,7 +15,7 @@ from omtwarp.conformal.centring import centre_points
 from omtwarp.conformal.maps import dipole, most_regular_face, plane_to_sphere
 from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError, check_word
-from omtwarp.mesh.arrays import TINY, Floats, normalised
+from omtwarp.mesh.arrays import TINY, Floats, InOneLine, normalised
 from omtwarp.mesh.surface import MeshLike, Surface, as_surface, triangle_areas
 from omtwarp.options import Progress, tell
 from omtwarp.solvers.poisson import Factorization, LaplacianSolver
@@ -28,8 +28,8 @@ Report = Callable[[str, int, float], None]
 MOST_STEPS = {"relax": 300, "newton": 40}
 
 
-@dataclass(frozen=True)
-class BarycentricMap:
+@dataclass(frozen=True, repr=False)
+class BarycentricMap(InOneLine):
     """A spherical barycentric map and how it was reached.
 
     Attributes:

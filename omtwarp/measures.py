@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.geometry.sphere_hierarchy import sphere_hierarchy
 from omtwarp.mesh.arrays import Floats, Ints, real_numbers
-from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
-from omtwarp.options import WeightsAt
+from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_surface, triangle_areas
+from omtwarp.options import WeightsAt, WeightsAtLike
 
 
 class TargetDensity:
@@ -114,11 +114,11 @@ def mass_distortion(goal: Surface, sphere: Floats) -> dict[str, float]:
     return {"mean": mean, "p95": float(np.percentile(error, 95)), "max": float(error.max())}
 
 
-def weighted_surface(surface: Surface, weights: ArrayLike | None, at: str = WeightsAt.AUTO) -> Surface:
+def weighted_surface(surface: MeshLike, weights: ArrayLike | None, at: WeightsAtLike = WeightsAt.AUTO) -> Surface:
     """Multiply the area of every triangle by a weight; the result is the measure that maps of the surface keep.
 
     Args:
-        surface: V vertices and F triangles.
+        surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes, V vertices and F triangles.
         weights: positive and finite, shape [V] or [F]; a triangle takes the mean of its vertices. Only ratios count:
             a part of weight 2 among parts of weight 1 covers twice as much of the sphere for its area. None returns the
             surface itself.
@@ -139,12 +139,13 @@ def weighted_surface(surface: Surface, weights: ArrayLike | None, at: str = Weig
         >>> bool(north.vertex_areas[surface.vertices[:, 2] > 0.2].sum() > 2 * 4 * np.pi / 4)
         True
     """
+    surface = surface if isinstance(surface, Surface) else as_surface(surface)
     if weights is None:
         return surface
     return surface.with_areas(surface.face_areas * face_weights(weights, surface.faces, surface.vertex_count, at))
 
 
-def face_weights(weights: ArrayLike, corners: NDArray, vertices: int, at: str = WeightsAt.AUTO) -> Floats:
+def face_weights(weights: ArrayLike, corners: NDArray, vertices: int, at: WeightsAtLike = WeightsAt.AUTO) -> Floats:
     """Convert weights of vertices or triangles to weights of triangles, the largest being 1, shape [F].
 
     Args:

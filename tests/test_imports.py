@@ -174,7 +174,9 @@ def is_slow_to_load(module: str) -> bool:
         for one in set(parents) - seen - {"omtwarp"}:
             seen.add(one)
             if one in FILES:
-                if re.search(r"^(def __getattr__|__all__, __getattr__ =)", FILES[one].read_text("utf-8"), re.MULTILINE):
+                if re.search(
+                    r"^(def __getattr__|__all__, __getattr__, __dir__ =)", FILES[one].read_text("utf-8"), re.MULTILINE
+                ):
                     return True
                 left += runtime_imports(one)
             elif one.split(".")[0] not in sys.stdlib_module_names | {"omtwarp", "click"}:

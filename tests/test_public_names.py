@@ -3,10 +3,15 @@
 import ast
 import importlib
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
 import omtwarp
+from omtwarp.colors import COLORMAPS
+from omtwarp.mesh.read import MeshFile
+from omtwarp.render.camera import LIGHTS
+from omtwarp.render.pictures import ColormapName, LightName
 
 
 def names_for_type_checkers() -> dict[str, str]:
@@ -34,5 +39,27 @@ def test_names_are_what_type_checkers_think(name):
         assert getattr(importlib.import_module(names_for_type_checkers()[name]), name) is value
 
 
-def test_only_public_names_are_listed():
-    assert dir(omtwarp) == sorted(omtwarp.__all__)
+@pytest.mark.parametrize("name", ["omtwarp", "omtwarp.render", "omtwarp.reporting", "omtwarp.texturing"])
+def test_only_public_names_are_listed(name):
+    package = importlib.import_module(name)
+    assert dir(package) == sorted(package.__all__)
+
+
+def test_shapes_alone_are_listed():
+    assert {"icosphere", "demo_shape"} < set(dir(omtwarp.shapes)) and not {"np", "TINY", "_march"} & set(
+        dir(omtwarp.shapes)
+    )
+
+
+def test_results_print_in_one_line():
+    ball = omtwarp.shapes.icosphere(2)
+    repaired = omtwarp.repair((ball.vertices, ball.faces[1:]))
+    said = "Repaired(vertex_origin=int64[42], face_origin=int64[80], split_edges=int64[0, 2], given="
+    assert repr(repaired).startswith(said) and "loss=0" in repr(repaired)
+    for result in (repaired, omtwarp.untangle(ball, ball.vertices, device="cpu"), MeshFile(ball.vertices, ball.faces)):
+        assert len(repr(result)) < 400 and "\n" not in repr(result), result
+
+
+def test_names_of_lights_and_colour_maps_are_those_that_there_are():
+    assert set(get_args(LightName)) == set(LIGHTS)
+    assert set(get_args(ColormapName)) == set(COLORMAPS)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import Floats, normalised, real_numbers
+from omtwarp.mesh.arrays import Floats, InOneLine, normalised, real_numbers
 from omtwarp.mesh.surface import MeshLike, as_sphere, as_surface, as_unit_vectors
 from omtwarp.options import Progress, Record, tell
 
@@ -24,8 +24,8 @@ MAXIMUM_STEPS = 100  # at most; Newton's method needs few where there is a centr
 MAX_CENTRE = 0.7  # of the ball's radius: Newton's centre can lie outside the ball, where there is no transformation
 
 
-@dataclass(frozen=True)
-class CentredMap:
+@dataclass(frozen=True, repr=False)
+class CentredMap(InOneLine):
     """A map whose mean, weighted by mass, is the centre of the sphere.
 
     Attributes:

@@ -34,6 +34,22 @@ Shape = tuple[int | None, ...]
 Layout = Mapping[str, tuple[type[np.generic], tuple[str | int, ...]]]
 
 
+class InOneLine:
+    """Results that print in a line: plain values as they are, arrays by their shapes, records by how many there are."""
+
+    def __repr__(self) -> str:
+        fields = {name: vars(self)[name] for name in getattr(self, "__dataclass_fields__", ())}
+        return f"{type(self).__name__}({', '.join(f'{name}={_brief(value)}' for name, value in fields.items())})"
+
+
+def _brief(value: object) -> str:
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype}{list(value.shape)}"
+    if isinstance(value, list | tuple | dict):
+        return f"<{len(value)}>"
+    return f"{value:.6g}" if isinstance(value, float) else repr(value)
+
+
 @runtime_checkable
 class HasTriangles(Protocol):
     """An object with vertices, shape [V, 3], and faces, shape [F, 3], such as a ``trimesh.Trimesh``."""

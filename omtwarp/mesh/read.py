@@ -29,7 +29,7 @@ from omtwarp.files.inputs import read_arrays, read_bytes, read_up_to, reading
 from omtwarp.files.limits import LARGEST_MESH_FILE, MOST_FACES, amount
 from omtwarp.files.output import as_path, scratch
 from omtwarp.mesh import other_formats
-from omtwarp.mesh.arrays import whole_number, whole_numbers
+from omtwarp.mesh.arrays import InOneLine, whole_number, whole_numbers
 from omtwarp.mesh.neuro import load_gifti, nibabel_module
 from omtwarp.mesh.origins import Derived
 from omtwarp.mesh.other_formats import MESHIO_FORMATS, WAYS_ROUND
@@ -44,8 +44,8 @@ if TYPE_CHECKING:
     import trimesh
 
 
-@dataclass(frozen=True)
-class MeshFile:
+@dataclass(frozen=True, repr=False)
+class MeshFile(InOneLine):
     """A mesh as a file holds it; not yet checked.
 
     Attributes:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh import validate
-from omtwarp.mesh.arrays import TINY, WELD, Floats, edge_keys
+from omtwarp.mesh.arrays import TINY, WELD, Floats, InOneLine, edge_keys
 from omtwarp.mesh.origins import Derived
 from omtwarp.mesh.validate import MeshLike, Topology, check, components_of, number
 
@@ -19,8 +19,8 @@ LARGEST_HOLE = 64
 NOTED_LOSS = 0.01  # share of the area above which the repair says how much of it is gone
 
 
-@dataclass(frozen=True, eq=False)
-class Repaired(Derived):
+@dataclass(frozen=True, eq=False, repr=False)
+class Repaired(InOneLine, Derived):
     """A repaired mesh, with what its vertices and faces are in the input; faces that fill holes are new.
 
     Attributes:

@@ -587,3 +587,8 @@ def _capped_grid(grid: Floats, north: Floats, south: Floats, flip: bool = False)
 def _normals(points: Floats, a: NDArray, b: NDArray, c: NDArray) -> Floats:
     """Return the normals of triangles, whose lengths are twice the triangles' areas."""
     return np.cross(points[b] - points[a], points[c] - points[a])
+
+
+def __dir__() -> list[str]:
+    own = (name for name, value in globals().items() if getattr(value, "__module__", "") == __name__)
+    return [name for name in own if not name.startswith("_")]

@@ -36,7 +36,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -44,7 +44,7 @@ from numpy.typing import ArrayLike
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError, choose
-from omtwarp.mesh.arrays import TINY, Floats, Ints, real_number, real_numbers, whole_number
+from omtwarp.mesh.arrays import TINY, Floats, InOneLine, Ints, real_number, real_numbers, whole_number
 from omtwarp.mesh.surface import (
     SPHERE_AREA,
     MeshLike,
@@ -53,7 +53,7 @@ from omtwarp.mesh.surface import (
     as_surface,
 )
 from omtwarp.metrics.dual import Bound, TorusDual, TransportDual, ascend, log_maps
-from omtwarp.options import Cost, Progress, Record, tell
+from omtwarp.options import Cost, CostLike, Progress, Record, tell
 from omtwarp.solvers.poisson import EdgeLaplacianSolver
 
 ASCENT_STEPS = 3  # by default, as each costs as much as the bound itself
@@ -84,8 +84,8 @@ class Curl:
     stream: Floats
 
 
-@dataclass(frozen=True)
-class Optimality:
+@dataclass(frozen=True, repr=False)
+class Optimality(InOneLine):
     """How far a map is from optimal.
 
     Attributes:
@@ -174,7 +174,7 @@ def optimality(
 
 def map_optimality(
     result: SphereMaps,
-    stage: str = "sphere",
+    stage: Literal["sphere", "moser", "transported"] = "sphere",
     *,
     ascent_steps: int = ASCENT_STEPS,
     device: str | None = "auto",
@@ -390,7 +390,7 @@ def relative_curl(
     sphere: ArrayLike | wp.array,
     *,
     start: ArrayLike | wp.array,
-    cost: str = Cost.SQUARED,
+    cost: CostLike = Cost.SQUARED,
     device: str | None = "auto",
 ) -> float:
     """Measure ||J∇H|| / ||log_y(x)|| on the image mesh: the part of the displacement that is no gradient.
@@ -415,7 +415,7 @@ def map_curl(
     sphere: ArrayLike | wp.array,
     *,
     start: ArrayLike | wp.array,
-    cost: str = Cost.SQUARED,
+    cost: CostLike = Cost.SQUARED,
     device: str | None = "auto",
 ) -> Curl:
     """Compute the part of the displacement that is no gradient; arguments and errors as of :func:`relative_curl`."""

@@ -18,7 +18,7 @@ from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.optimal.nested import shape_term
 from omtwarp.optimal.solver import OptimalMap
-from omtwarp.options import Cost, Record
+from omtwarp.options import Cost, CostLike, Record
 
 # Rounds at most, and steps of each: with more steps a round lasts longer, and the next begins as far away.
 ROUNDS, STEPS = 10, 3
@@ -38,7 +38,7 @@ def map_to_density(
     *,
     start: Floats,
     shape_share: float = 1.0,
-    cost: str = Cost.SQUARED,
+    cost: CostLike = Cost.SQUARED,
     device: str | None = "auto",
 ) -> OptimalMap:
     """Find the optimal map to a density, from a map near it.

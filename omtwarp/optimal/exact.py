@@ -36,7 +36,7 @@ from omtwarp.optimal.solver import (
 )
 from omtwarp.optimal.sphere import Sphere, energy_on_sphere
 from omtwarp.optimal.steps import FlipFreeSteps
-from omtwarp.options import Cost, Progress, Record
+from omtwarp.options import Cost, CostLike, Progress, Record
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
 
 ROUNDS = 30  # largest number of steps
@@ -131,7 +131,7 @@ def exact_map(
     start: ArrayLike,
     shape_weight: float = SHAPE_WEIGHT,
     iterations: int = ITERATIONS,
-    cost: str = Cost.SQUARED,
+    cost: CostLike = Cost.SQUARED,
     domain: Sphere | None = None,
     device: str | None = "auto",
     progress: Progress | None = None,

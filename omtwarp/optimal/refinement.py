@@ -26,7 +26,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import flipped_faces
-from omtwarp.mesh.arrays import real_number, whole_number
+from omtwarp.mesh.arrays import InOneLine, real_number, whole_number
 from omtwarp.mesh.surface import MeshLike, Surface, as_sphere, as_surface
 from omtwarp.optimal.cells import RingCells
 from omtwarp.optimal.solver import minimise
@@ -121,8 +121,8 @@ LOST_AREA, RAISED_WEIGHTS = 1.05, (30.0, 100.0, 300.0)
 MATCH_TOLERANCE, MATCH_TRIALS = 1e-4, 16
 
 
-@dataclass(frozen=True)
-class RefineResult:
+@dataclass(frozen=True, repr=False)
+class RefineResult(InOneLine):
     """A refined map.
 
     Attributes:

@@ -31,7 +31,7 @@ from omtwarp.optimal.kernels import single_gains
 from omtwarp.optimal.local import LocalSteps, freed_vertices
 from omtwarp.optimal.sphere import Sphere, energy_on_sphere
 from omtwarp.optimal.steps import FlipFreeSteps
-from omtwarp.options import Cost, Progress, Record
+from omtwarp.options import Cost, CostLike, Progress, Record
 from omtwarp.solvers.cholesky.saddle import COORDINATES
 from omtwarp.solvers.newton import SUFFICIENT_DECREASE
 from omtwarp.solvers.triangle import AREA_WEIGHT
@@ -117,7 +117,7 @@ def optimal_map(
     multipliers: ArrayLike | None = None,
     iterations: int = 40,
     gain: float = GAIN,
-    cost: str = Cost.SQUARED,
+    cost: CostLike = Cost.SQUARED,
     domain: Sphere | None = None,
     device: str | None = "auto",
     progress: Progress | None = None,

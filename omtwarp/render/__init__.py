@@ -17,8 +17,4 @@ if TYPE_CHECKING:
     from omtwarp.render.subject import as_surface_view as as_surface_view, map_view as map_view
 
 # The drawing process imports this package too, and must not load what it does not use.
-__all__, __getattr__ = _at_first_use(__name__)
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__all__, __getattr__, __dir__ = _at_first_use(__name__)

@@ -12,7 +12,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeAlias, TypedDict, TypeVar, Unpack, cast
+from typing import Literal, TypeAlias, TypedDict, TypeVar, Unpack, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -36,6 +36,8 @@ PANEL_SIZE = (512, 512)  # pixels of a panel of a sheet, so that four are as lar
 _told: set[str] = set()
 
 
+LightName: TypeAlias = Literal["studio", "soft", "flat"]
+ColormapName: TypeAlias = Literal["viridis", "magma", "cividis", "coolwarm", "turbo", "gray"]  # Matplotlib has others
 View: TypeAlias = str | tuple[float, float] | Camera
 
 SMALLEST_VIEW = 16  # pixels along a side, below which neither captions nor a colour bar can be drawn
@@ -49,13 +51,13 @@ class PanelOptions(TypedDict, total=False):
     camera: Camera | None
     up: str | None
     front: str | None
-    light: str | Light | None
+    light: LightName | Light | None
     background: str | ArrayLike
     transparent: bool
     wireframe: bool | Wireframe
     image: Picture | None
     scalar: ScalarField | ArrayLike | None
-    colormap: str
+    colormap: ColormapName | str
     scalar_range: tuple[float, float] | None
     scalar_label: str
     color_bar: bool

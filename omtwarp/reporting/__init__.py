@@ -10,4 +10,4 @@ from omtwarp import _at_first_use
 if TYPE_CHECKING:
     from omtwarp.reporting.page import report_page as report_page, write_report as write_report
 
-__all__, __getattr__ = _at_first_use(__name__)
+__all__, __getattr__, __dir__ = _at_first_use(__name__)

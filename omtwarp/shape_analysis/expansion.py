@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from dataclasses import dataclass
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,7 +19,7 @@ from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.shapes import icosphere
 from omtwarp.mesh.surface import Surface, sums_around, triangle_areas
 
-METHODS = ("least-squares", "quadrature")
+ExpandBy: TypeAlias = Literal["least-squares", "quadrature"]
 # Dunavant's rule of degree 4 (1985): barycentric coordinates (1 - 2 a, a, a) in all orders, and weights.
 _RULE = ((0.445948490915965, 0.223381589678011), (0.091576213509771, 0.109951743655322))
 
@@ -85,7 +86,12 @@ class Expansion:
 
 
 def expand(
-    sphere: ArrayLike, values: ArrayLike, degree: int, *, faces: ArrayLike | None = None, method: str = "least-squares"
+    sphere: ArrayLike,
+    values: ArrayLike,
+    degree: int,
+    *,
+    faces: ArrayLike | None = None,
+    method: ExpandBy = "least-squares",
 ) -> Expansion:
     """Expand data at points of the unit sphere in spherical harmonics.
 
@@ -127,7 +133,7 @@ def expand(
         if triangles is None:
             raise OmtwarpError("quadrature integrates over triangles: give faces")
         return Expansion(_integrals(points, data, triangles, degree))
-    check_word("method", method, METHODS)
+    check_word("method", method, get_args(ExpandBy))
     weights: Floats = np.ones(len(points))
     if triangles is not None:
         weights = sums_around(triangle_areas(points, triangles.astype(np.int32)), triangles, len(points))

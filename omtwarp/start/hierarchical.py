@@ -25,7 +25,7 @@ from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import count_flips
 from omtwarp.geometry.axes import order_by_place
-from omtwarp.mesh.arrays import TINY, Floats, Ints, real_number
+from omtwarp.mesh.arrays import TINY, Floats, InOneLine, Ints, real_number
 from omtwarp.mesh.surface import MeshLike, Surface, as_surface, triangle_areas
 from omtwarp.options import Progress, tell
 from omtwarp.solvers.triangle import AREA_WEIGHT
@@ -51,8 +51,8 @@ COARSE_WEIGHT = 1e4
 _LEAST_DETERMINANT = 1e-15
 
 
-@dataclass(frozen=True)
-class HierarchicalEmbedding:
+@dataclass(frozen=True, repr=False)
+class HierarchicalEmbedding(InOneLine):
     """A map without flips that was made from coarse to fine.
 
     Attributes:

@@ -32,4 +32,4 @@ if TYPE_CHECKING:
     from omtwarp.texturing.textured import TexturedSurface as TexturedSurface, texture as texture
     from omtwarp.texturing.unwrap import unwrap_uv as unwrap_uv
 
-__all__, __getattr__ = _at_first_use(__name__)
+__all__, __getattr__, __dir__ = _at_first_use(__name__)

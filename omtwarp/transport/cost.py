@@ -9,7 +9,7 @@ from omtwarp.device.start import wp
 from omtwarp.errors import choose
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_sphere, as_surface, triangle_areas
-from omtwarp.options import Cost
+from omtwarp.options import Cost, CostLike
 
 
 def transport_cost(
@@ -17,7 +17,7 @@ def transport_cost(
     sphere: ArrayLike | wp.array,
     *,
     start: ArrayLike | wp.array,
-    cost: str = Cost.SQUARED,
+    cost: CostLike = Cost.SQUARED,
     device: str | None = "auto",
 ) -> float:
     """Measure the transport cost M(g), equation 6: the sum of mass times Φ(x, g(x)) over the vertices.

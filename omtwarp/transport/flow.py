@@ -26,7 +26,7 @@ from omtwarp.measures import TargetDensity
 from omtwarp.mesh.arrays import Floats, Ints, normalised, real_number, whole_number
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_sphere, as_surface
 from omtwarp.metrics.optimality import relative_curl
-from omtwarp.options import Cost, Progress, Record, Scheme, tell
+from omtwarp.options import Cost, CostLike, Progress, Record, Scheme, SchemeLike, tell
 from omtwarp.transport.cost import LARGEST_ERROR
 from omtwarp.transport.kernels import (
     Ending,
@@ -105,8 +105,8 @@ def optimal_transport(
     sphere: ArrayLike | wp.array,
     *,
     start: ArrayLike | wp.array,
-    cost: str = Cost.SQUARED,
-    scheme: str = Scheme.DEFAULT,
+    cost: CostLike = Cost.SQUARED,
+    scheme: SchemeLike = Scheme.DEFAULT,
     target: TargetDensity | None = None,
     iterations: int | None = None,
     tolerance: float = CURL_TOLERANCE,

@@ -47,7 +47,7 @@ from omtwarp.geometry import DifferentialOperators, circumcentric_coordinates
 from omtwarp.geometry.spherical import TINY, geodesic_distance, hat_gradient
 from omtwarp.mesh.arrays import Floats, real_number, whole_number, whole_numbers
 from omtwarp.mesh.surface import MeshLike, Surface, as_sphere, as_surface, triangle_areas
-from omtwarp.options import Cost, Progress, Record, tell
+from omtwarp.options import Cost, CostLike, Progress, Record, tell
 from omtwarp.wavelets import SphereSampler, SphericalWavelets, level_for, sphere_hierarchy
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -298,7 +298,7 @@ class PaperFlow:
         initial_map: ArrayLike,
         face_areas_on_surface: ArrayLike,
         *,
-        cost: str = Cost.GEODESIC,
+        cost: CostLike = Cost.GEODESIC,
         highest_resolution: int = max(V_CYCLE),
         butterfly: bool = False,
         device: str = "auto",
@@ -460,7 +460,7 @@ def paper_flow(
     sphere: ArrayLike,
     *,
     start: ArrayLike,
-    cost: str = Cost.GEODESIC,
+    cost: CostLike = Cost.GEODESIC,
     cycles: int = 100,
     resolutions: Sequence[int] | None = None,
     butterfly: bool = False,

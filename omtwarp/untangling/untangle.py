@@ -25,7 +25,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import examine, flipped_faces
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Floats, InOneLine
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_sphere, as_surface
 from omtwarp.options import Progress, tell
@@ -82,8 +82,8 @@ class RepairBudget:
         self.spent += vertices + STEP_WORK
 
 
-@dataclass(frozen=True)
-class UntangleResult:
+@dataclass(frozen=True, repr=False)
+class UntangleResult(InOneLine):
     """A map that is one to one, or the best one found.
 
     Attributes:

@@ -6,7 +6,8 @@ import pytest
 import omtwarp
 from omtwarp.errors import OmtwarpError
 from omtwarp.measures import weighted_surface
-from omtwarp.mesh.shapes import blob
+from omtwarp.mesh.read import MeshFile
+from omtwarp.mesh.shapes import blob, icosphere
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.solvers.triangle import triangle_frames
 
@@ -109,3 +110,12 @@ def test_weights_of_the_other_kind_than_is_said_are_refused():
         weighted_surface(SURFACE, np.ones(SURFACE.vertex_count), "triangles")
     with pytest.raises(OmtwarpError, match="unknown weights_at"):
         weighted_surface(SURFACE, WEIGHTS, "edges")
+
+
+def test_weights_take_what_maps_take():
+    """A mesh as a file holds it, and a pair of arrays."""
+    ball = icosphere(2)
+    weights = np.linspace(1.0, 2.0, ball.vertex_count)
+    expected = weighted_surface(ball, weights).face_areas
+    for mesh in (MeshFile(ball.vertices, ball.faces.astype(np.int64)), (ball.vertices, ball.faces)):
+        assert np.array_equal(weighted_surface(mesh, weights).face_areas, expected)
