@@ -132,7 +132,7 @@ def _points(result: Map) -> SpherePoints:
 def _on_sphere(mesh: PaintedMesh, sphere: Floats, atlas: Atlas, where: wp.Device) -> NDArray[np.float32]:
     """Return a mesh's colours on the picture of an atlas, sRGB and opacity from 0 to 1, float32 [H, W, 4]."""
     cut = unwrap(sphere, mesh.faces, atlas)
-    layout, part = sphere_layout(cut, atlas, sphere, None, where)
+    layout, part = sphere_layout(cut, atlas, sphere, where)
     own = None
     if mesh.uv is not None:
         own = np.nan_to_num(own_at_parts(cut, mesh.faces, mesh.uv))[part]

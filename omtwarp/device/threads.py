@@ -196,12 +196,11 @@ class GraphsByArray:
 
     Args:
         device: a Warp device.
-        record: as in :class:`Graph`.
     """
 
-    def __init__(self, device: wp.Device, record: bool | None = None):
+    def __init__(self, device: wp.Device):
         self._device = wp.get_device(device)
-        self._record = records_graphs(self._device) if record is None else record
+        self._record = records_graphs(self._device)
         self._graphs: dict[tuple[str, int], Graph] = {}
 
     def __call__(self, work: Callable[[wp.array], None], array: wp.array) -> None:

@@ -97,20 +97,18 @@ class StepGuard:
     Args:
         surface: the surface; its triangles' areas, total 4π, are what they should have on the sphere.
         device: where the kernels run.
-        smallest: a step may shrink no triangle below this part of its area on the surface; a triangle that is smaller
-            already may only grow. With 0 only flips count.
 
     Attributes:
         held: how many vertices the last step was shortened for, Warp int32 [1] on the device.
     """
 
-    def __init__(self, surface: Surface, device: wp.Device, smallest: float = MIN_PART):
+    def __init__(self, surface: Surface, device: wp.Device):
         self.device = device
         self._sizes = surface.face_count, surface.vertex_count
         mesh = surface.on(device)
         self._faces, self._around = mesh.faces, mesh.vertex_corners
         # det[s0, s1, s2] of a small triangle is twice its area.
-        self._floors = wp.array(2.0 * smallest * surface.face_areas, dtype=wp.float64, device=device)
+        self._floors = wp.array(2.0 * MIN_PART * surface.face_areas, dtype=wp.float64, device=device)
         self.held, self._rounds, self._again = (wp.zeros(1, dtype=wp.int32, device=device) for _ in range(3))
         self._bad = wp.empty(surface.face_count, dtype=wp.bool, device=device)
         self._halvings = wp.empty(surface.vertex_count, dtype=wp.int32, device=device)

@@ -252,7 +252,6 @@ def tube(
 def hippocampus(
     seed: int = 0,
     bump: float = 0.0,
-    place: tuple[float, float] = (0.55, 90.0),
     width: float = 0.5,
     variation: float = 0.1,
     face_count: int = 2000,
@@ -265,8 +264,7 @@ def hippocampus(
     Args:
         seed: of the random numbers: length, bend and girth, and smooth thickening along the tube.
         bump: how much thicker the tube is at the bump, as a share of its radius there; negative for a dent, above -1.
-        place: where the bump is: share of the centre line from head to tail, and angle around it in degrees, 0 being
-            the inside of the bend (+x).
+            It is a little behind the middle of the centre line, on the side (+y).
         width: standard deviation of the bump's bell curve, as a distance on the straight tube of girth 1.
         variation: standard deviation of the random factors; 0 makes all seeds equal.
         face_count: roughly how many faces.
@@ -297,7 +295,7 @@ def hippocampus(
     waves, phases = rng.normal(size=(6, 3)) * [0.8, 0.8, 1.2], rng.uniform(0.0, 2.0 * np.pi, 6)
     strengths = variation * np.clip(rng.normal(size=6), -2.5, 2.5) / np.sqrt(6 / 2)
     factor = np.exp(np.cos(points @ waves.T + phases) @ strengths)
-    share, angle = place[0], np.radians(place[1])
+    share, angle = 0.55, np.radians(90.0)  # from head to tail, and around the centre line from the inside of the bend
     radius = 0.5 + (hippocampus_taper - 1.0) * 0.5 * share
     centre = np.array([radius * np.cos(angle), radius * np.sin(angle), share * length])
     factor *= 1.0 + bump * np.exp(-((points - centre) ** 2).sum(axis=1) / (2.0 * width * width))

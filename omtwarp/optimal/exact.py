@@ -130,7 +130,6 @@ def exact_map(
     *,
     start: ArrayLike,
     shape_weight: float = SHAPE_WEIGHT,
-    iterations: int = ITERATIONS,
     cost: CostLike = Cost.SQUARED,
     domain: Sphere | None = None,
     device: str | None = "auto",
@@ -143,7 +142,6 @@ def exact_map(
         sphere: a map without flips to begin with, unit vectors, shape [V, 3].
         start: the points x that are transported, unit vectors, shape [V, 3].
         shape_weight: weight of angle and area distortion of the parts relative to the mean squared distance.
-        iterations: largest number of steps with each weight of area errors.
         cost, domain: as of :func:`omtwarp.optimal_map`.
         device: where the kernels run.
         progress: called after every step as ``progress("omt", step, most, record)``.
@@ -159,23 +157,23 @@ def exact_map(
     soft = softness(quartered.surface.vertex_areas, given, x, cost)
     moved, cells = vectors(x, where), TriangleCells(quartered, where)
     energy = energy_on_sphere(quartered.surface, moved, where, shape_weight, domain=domain, cells=cells, softness=soft)
-    return minimise_cells(energy, given, iterations, progress)
+    return minimise_cells(energy, given, progress)
 
 
-def minimise_cells(energy: TransportEnergy, points: Floats, iterations: int, progress: Progress | None) -> OptimalMap:
+def minimise_cells(energy: TransportEnergy, points: Floats, progress: Progress | None) -> OptimalMap:
     """Minimise an energy of cells, then correct their areas to 1e-6; arguments and result as of :func:`exact_map`."""
     history: list[Record] = []
     multipliers: Floats | None = None
     rms, _ = energy.area_errors(energy.terms(energy.domain.sent(points)))
     for penalty in GROWING_PENALTIES if rms > MAX_START_RMS else GROWING_PENALTIES[-1:]:
-        steps = iterations if penalty == PENALTY else STEPS_OF_ROUND
+        steps = ITERATIONS if penalty == PENALTY else STEPS_OF_ROUND
         found = minimise(
             energy,
             points,
             area_penalty=penalty,
             multipliers=multipliers,
             gain=CELL_GAIN,
-            iterations=min(steps, iterations),
+            iterations=min(steps, ITERATIONS),
             progress=progress,
         )
         points, multipliers = found.points, found.multipliers
@@ -185,7 +183,7 @@ def minimise_cells(energy: TransportEnergy, points: Floats, iterations: int, pro
         rms, largest = energy.area_errors(terms)
         history.append({**history[-1], "cost": energy.cost(terms), "ring_rms": rms, "ring_largest": largest})
         if progress is not None:
-            progress("omt", min(len(history) - 1, iterations), iterations, history[-1])
+            progress("omt", min(len(history) - 1, ITERATIONS), ITERATIONS, history[-1])
 
     restored, right = restore_areas(energy, found.points, notify=notify)
     ended = found.ended if right else f"{found.ended}; areas are not right to {EXACT:g}"

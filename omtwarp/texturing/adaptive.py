@@ -66,7 +66,6 @@ def fill_calm(given: Pattern, look: Look, picture: wp.array) -> Ints:
 def rasterize(
     source: str | Pattern,
     width: int = 2048,
-    height: int | None = None,
     *,
     supersample: int = 3,
     device: str | None = "auto",
@@ -75,13 +74,13 @@ def rasterize(
 
     Args:
         source: name of a pattern, or a pattern.
-        width, height: in texels; the height is half the width by default.
+        width: in texels; the height is half of it.
         supersample: side of the grid of samples per texel where the colour changes.
 
     Returns:
-        uint8, shape [height, width, 3], north on top.
+        uint8, shape [width / 2, width, 3], north on top.
     """
-    target = Equirectangular(*check_size((width, max(width // 2, 1) if height is None else height)))
+    target = Equirectangular(*check_size((width, max(width // 2, 1))))
     return bake_bytes(pattern(source), Look(target, resolve_device(device)), supersample=supersample)
 
 

@@ -349,7 +349,6 @@ def bake_to_uv(
     size: int | tuple[int, int] = 2048,
     rotation: ArrayLike | None = None,
     projection: str = "equirectangular",
-    supersample: int = 3,
     padding: int = 16,
     device: str | wp.Device | None = "auto",
 ) -> Picture:
@@ -371,18 +370,19 @@ def bake_to_uv(
     """
     where = resolve_device(device)
     s = np.asarray(sphere, dtype=np.float64)
+    samples = 3  # side of the grid in texels where the function changes, as of bake
     faces = whole_numbers(faces, "faces", (None, 3), below=len(s))
     sides = check_size(size, least=1)
     width, height = sides[0], sides[-1]
     layout = Layout(real_numbers(uv_of_corners(uv, faces), "texture coordinates", None), width, height, where, padding)
     if isinstance(source, VertexValues):
-        return _bake_linear(layout, source.corner_values(faces), supersample, padding)
+        return _bake_linear(layout, source.corner_values(faces), samples, padding)
     given = source_of(source, projection, where)
     turned = s if rotation is None else s @ np.asarray(rotation, dtype=np.float64)
     points = wp.array(np.ascontiguousarray(turned[faces]), dtype=wp.float64, device=where)
 
     picture = wp.zeros((width * height, given.channels), dtype=wp.float32, device=where)
-    supersampled(layout.owned(), int(supersample), partial(layout.look_up, given, points), width, picture)
+    supersampled(layout.owned(), samples, partial(layout.look_up, given, points), width, picture)
     return layout.dilate(picture, padding).reshape(height, width, given.channels)
 
 
@@ -422,8 +422,6 @@ def bake_vertex_values(
     atlas: str | Atlas = "equirectangular",
     *,
     size: int | tuple[int, int] | None = None,
-    rotation: ArrayLike | None = None,
-    supersample: int = 2,
     device: str | wp.Device | None = "auto",
 ) -> Picture:
     """Bake numbers at the vertices of a mesh into the picture of an atlas, through the mesh's map to the sphere.
@@ -432,7 +430,6 @@ def bake_vertex_values(
         values: shape [V] or [V, C].
         sphere, faces: the map, [V, 3] and [F, 3].
         atlas, size: as in :func:`bake`.
-        rotation: turns the picture on the sphere, shape [3, 3].
 
     Returns:
         float32, shape [H, W, C]; gutters are filled by dilation.
@@ -443,19 +440,16 @@ def bake_vertex_values(
     faces = np.asarray(faces, dtype=np.int32)
     if len(given.values) != len(np.asarray(sphere)):
         raise OmtwarpError(f"values at vertices: {len(given.values)} given for {len(np.asarray(sphere))} vertices")
-    cut = unwrap(
-        np.asarray(sphere, dtype=np.float64), faces, target, rotation=None if rotation is None else np.asarray(rotation)
-    )
-    layout, part = sphere_layout(cut, target, sphere, rotation, where)
-    return _bake_linear(layout, (cut.weights @ given.values)[cut.faces][part], supersample, -1)
+    cut = unwrap(np.asarray(sphere, dtype=np.float64), faces, target)
+    layout, part = sphere_layout(cut, target, sphere, where)
+    return _bake_linear(layout, (cut.weights @ given.values)[cut.faces][part], 2, -1)
 
 
 def sphere_layout(
-    cut: Unwrapped, atlas: Atlas, sphere: ArrayLike, rotation: ArrayLike | None, where: wp.Device
+    cut: Unwrapped, atlas: Atlas, sphere: ArrayLike, where: wp.Device
 ) -> tuple[Layout, NDArray[np.int64]]:
     """Lay parts of faces out on an atlas's picture; return the layout and the part of each of its triangles, [K]."""
-    points = cut.weights @ np.asarray(sphere, dtype=np.float64)
-    chords = (points if rotation is None else points @ np.asarray(rotation, dtype=np.float64))[cut.faces]
+    chords = (cut.weights @ np.asarray(sphere, dtype=np.float64))[cut.faces]
     corner_uv, part = cut.uv[cut.faces], np.arange(len(cut.faces))
     if atlas.wraps:
         # On the picture a pole is the whole top or bottom edge. A triangle at a pole has one point of it, but owns the

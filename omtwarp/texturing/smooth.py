@@ -102,7 +102,7 @@ def grid_triangles(parts: int) -> NDArray[np.int64]:
     return np.array(upright + turned, dtype=np.int64)
 
 
-def smooth_map(vertices: Floats, faces: Ints, sphere: Floats, parts: int, *, filtered: bool = True) -> SmoothMap:
+def smooth_map(vertices: Floats, faces: Ints, sphere: Floats, parts: int) -> SmoothMap:
     """Divide a mesh and its map, with new points where the smooth map has them.
 
     Args:
@@ -110,7 +110,6 @@ def smooth_map(vertices: Floats, faces: Ints, sphere: Floats, parts: int, *, fil
         faces: triangles; where they form no manifold, or have no area, the result is still a map.
         sphere: unit vectors, shape [V, 3].
         parts: into how many parts every edge is divided, 1 or more.
-        filtered: whether waves of a few edges are taken out; False keeps the images of the vertices.
 
     Returns:
         The divided map. Its triangles are flipped only where the mesh's triangle that they are parts of is, or is so
@@ -123,14 +122,15 @@ def smooth_map(vertices: Floats, faces: Ints, sphere: Floats, parts: int, *, fil
         >>> smooth_map(ball.vertices, ball.faces, ball.vertices, 3).sphere.shape
         (92, 3)
     """
-    return smooth_curves(vertices, faces, sphere, filtered=filtered and parts > 1).divided(parts)
+    return smooth_curves(vertices, faces, sphere, filtered=parts > 1).divided(parts)
 
 
 def smooth_curves(vertices: Floats, faces: Ints, sphere: Floats, *, filtered: bool = True) -> "SmoothCurves":
     """Return the curves that the smooth map has over the edges of a mesh, from which it is known everywhere.
 
     Args:
-        vertices, faces, sphere, filtered: as in :func:`smooth_map`.
+        vertices, faces, sphere: as in :func:`smooth_map`.
+        filtered: whether waves of a few edges are taken out; False keeps the images of the vertices.
     """
     faces = np.asarray(faces, dtype=np.int32)
     tails, heads = faces.ravel().astype(np.int64), np.roll(faces, -1, axis=1).ravel().astype(np.int64)

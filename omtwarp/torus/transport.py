@@ -15,7 +15,7 @@ from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.cells import Cells, MeasuredRings, RingCells, TriangleCells
 from omtwarp.optimal.energy import TransportEnergy
-from omtwarp.optimal.exact import ITERATIONS, minimise_cells, restore_areas
+from omtwarp.optimal.exact import minimise_cells, restore_areas
 from omtwarp.optimal.nested import shape_term_by_law
 from omtwarp.optimal.plane import Plane, PlaneCost, PlaneShape
 from omtwarp.optimal.refinement import (
@@ -151,7 +151,7 @@ def exact_on_torus(
     """
     start, cells = torus.coordinates @ torus.lattice, TriangleCells(quartered, resolve_device(device))
     energy = energy_on_torus(quartered.surface, torus, start, shape_weight, cells=cells, device=device)
-    return minimise_cells(energy, points, ITERATIONS, _shown(progress))
+    return minimise_cells(energy, points, _shown(progress))
 
 
 def refine_on_torus(

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from omtwarp.device import threads
 from omtwarp.device.start import wp
 from omtwarp.device.threads import MAX_GRAPHS, Graph, GraphsByArray, step_by_step
 from omtwarp.wavelets.kernels import scale_values
@@ -63,8 +64,9 @@ def test_a_graph_inside_of_a_graph_becomes_a_part_of_it(device):
     np.testing.assert_array_equal(inner.values.numpy(), 64.0 * np.arange(1.0, 5.0))
 
 
-def test_graphs_belong_to_arrays(device):
-    graphs = GraphsByArray(device, record=True)
+def test_graphs_belong_to_arrays(device, monkeypatch):
+    monkeypatch.setattr(threads, "records_graphs", lambda device: True)
+    graphs = GraphsByArray(device)
     factors = wp.full(3, 3.0, dtype=wp.float64, device=device)
     calls = []
 

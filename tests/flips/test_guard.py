@@ -1,5 +1,7 @@
 """Steps that cannot flip: whatever the motion, the result is a valid map."""
 
+from unittest import mock
+
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -7,8 +9,8 @@ from sphere_truths import turned, twisted
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
+from omtwarp.flips import guard
 from omtwarp.flips.exact import count_flips
-from omtwarp.flips.guard import StepGuard
 from omtwarp.mesh.shapes import icosphere, random_sphere
 from omtwarp.mesh.surface import Surface
 
@@ -19,7 +21,8 @@ def limited(
     where = resolve_device(device)
     before = wp.array(np.ascontiguousarray(old), dtype=wp.vec3d, device=where)
     after = wp.array(np.ascontiguousarray(new), dtype=wp.vec3d, device=where)
-    held = StepGuard(surface, where, smallest).limit(before, after)
+    with mock.patch.object(guard, "MIN_PART", smallest):
+        held = guard.StepGuard(surface, where).limit(before, after)
     np.testing.assert_array_equal(before.numpy(), old)
     return after.numpy(), held
 

@@ -12,7 +12,7 @@ from omtwarp.flips.exact import count_flips, flipped_faces
 from omtwarp.mesh import shapes
 from omtwarp.texturing import bake, texture
 from omtwarp.texturing.baking import sample
-from omtwarp.texturing.smooth import grid_points, smooth_map
+from omtwarp.texturing.smooth import grid_points, smooth_curves, smooth_map
 
 
 def ball(subdivisions):
@@ -25,7 +25,7 @@ def ball(subdivisions):
 def errors(subdivisions, parts=4):
     """Largest angle between the map of the ball and what is made of its values at the vertices: smooth, and linear."""
     vertices, faces, exact = ball(subdivisions)
-    divided = smooth_map(vertices, faces, exact(vertices), parts, filtered=False)
+    divided = smooth_curves(vertices, faces, exact(vertices), filtered=False).divided(parts)
     truth = exact(divided.weights @ vertices)
     linear = unit(divided.weights @ exact(vertices))
     return np.linalg.norm(divided.sphere - truth, axis=1).max(), np.linalg.norm(linear - truth, axis=1).max()
@@ -57,7 +57,7 @@ def test_lines_have_no_corners_at_edges():
     """Where the derivative jumps at an edge, the mean of two points beside it lies elsewhere than by the exact map."""
     vertices, faces, exact = ball(2)
     sphere = exact(vertices)
-    smooth = smooth_map(vertices, faces, sphere, 16, filtered=False)
+    smooth = smooth_curves(vertices, faces, sphere, filtered=False).divided(16)
     linear = replace(smooth, sphere=unit(smooth.weights @ sphere))
     truth = kinks(replace(smooth, sphere=exact(smooth.weights @ vertices)), faces)
     off, off_linear = (np.linalg.norm(kinks(m, faces) - truth, axis=1) for m in (smooth, linear))
@@ -66,7 +66,7 @@ def test_lines_have_no_corners_at_edges():
 
 def test_points_lie_where_the_weights_say_and_vertices_stay():
     vertices, faces, sphere = ellipsoid(2, seed=1)
-    divided = smooth_map(vertices, faces, sphere, 3, filtered=False)
+    divided = smooth_curves(vertices, faces, sphere, filtered=False).divided(3)
     np.testing.assert_array_equal(divided.sphere[: len(sphere)], sphere)
     np.testing.assert_allclose(np.asarray(divided.weights.sum(axis=1)).ravel(), 1.0, rtol=1e-12)
     share = np.column_stack([3 - grid_points(3).sum(axis=1), grid_points(3)]) / 3.0
@@ -147,7 +147,7 @@ def test_meshes_that_are_no_surfaces_do_no_harm():
     vertices, sphere = np.concatenate([vertices, [[9.0, 9.0, 9.0]]]), np.concatenate([sphere, [[0.0, 0.0, 1.0]]])
     divided = smooth_map(vertices, faces, sphere, 4)
     assert np.isfinite(divided.sphere).all()
-    still = smooth_map(vertices, faces, sphere, 4, filtered=False)
+    still = smooth_curves(vertices, faces, sphere, filtered=False).divided(4)
     np.testing.assert_array_equal(still.sphere[: len(sphere)], sphere)
 
 

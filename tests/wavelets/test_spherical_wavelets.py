@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy import sparse
 
+from omtwarp.device import threads
 from omtwarp.device.start import wp
 from omtwarp.device.threads import GraphsByArray, step_by_step
 from omtwarp.errors import OmtwarpError
@@ -298,7 +299,8 @@ def test_errors_name_what_is_wrong():
 def test_recorded_transforms_launch_nothing_again_and_keep_the_bits(device, name, monkeypatch):
     hierarchy = sphere_hierarchy(4)
     direct, recorded = (SphericalWavelets(hierarchy, butterfly=True, device=device) for _ in range(2))
-    recorded._run = GraphsByArray(device, record=True)
+    monkeypatch.setattr(threads, "records_graphs", lambda device: True)
+    recorded._run = GraphsByArray(device)
     values = np.random.default_rng(3).normal(size=hierarchy.node_count)
     arrays = [wp.array(values, dtype=wp.float64, device=device) for _ in range(2)]
     with step_by_step():
