@@ -186,11 +186,9 @@ def _machine(machine: Facts, settings: Facts) -> str:
     memory = f", {machine['memory'] / 2**30:.0f} GiB" if machine["memory"] else ""
     gpus = "; " + ", ".join(gpu["name"] for gpu in machine["gpus"]) if machine["gpus"] else "; no CUDA device"
     versions = ", ".join(f"{name} {version}" for name, version in machine["versions"].items())
-    load = machine["load_before"]
-    busy = f" Load average before: {load:.1f}." if load is not None else ""
     return (
         f"{machine['processor']}, {machine['cores']} cores{memory}{gpus}; {machine['system']}. {versions}. "
-        f"Median of {settings['repeats']} maps each, kernels compiled before.{busy}"
+        f"Median of {settings['repeats']} maps each, kernels compiled before."
     )
 
 

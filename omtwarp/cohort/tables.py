@@ -111,7 +111,7 @@ def _from_text(text: str, name: str, folder: Path, delimiter: str = "") -> list[
     """Read items from a table's text, whose columns are separated by tabs where its first line has one."""
     first = text.partition("\n")[0]
     rows = csv.DictReader(io.StringIO(text), delimiter=delimiter or ("\t" if "\t" in first else ","))
-    found: list[tuple[Path, dict[str, str]]] = []
+    entries: list[tuple[Path, dict[str, str]]] = []
     try:
         names, listed = rows.fieldnames or [], [(rows.line_num, row) for row in rows]
     except csv.Error as error:
@@ -124,10 +124,10 @@ def _from_text(text: str, name: str, folder: Path, delimiter: str = "") -> list[
         if not row["path"].strip():
             raise OmtwarpError(f"{name}, line {number}: the path is empty")
         fields = {column: value for column, value in row.items() if column != "path"}
-        found.append((folder / row["path"].strip(), fields))
+        entries.append((folder / row["path"].strip(), fields))
     if "id" not in names:
-        return _named(found)
-    return [Item(_safe(fields.pop("id")), mesh, fields) for mesh, fields in found]
+        return _named(entries)
+    return [Item(_safe(fields.pop("id")), mesh, fields) for mesh, fields in entries]
 
 
 def _named(rows: list[tuple[Path, dict[str, str]]]) -> list[Item]:

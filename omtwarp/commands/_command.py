@@ -132,8 +132,8 @@ def described(documented: object) -> dict[str, Option]:
 
     Such lines stand below ``Options:`` at the end; longer sentences go on in lines that are indented further.
     """
-    found = re.findall(r"^    (\w+)(?: \((.*?)\))?: (.*(?:\n {5,}.*)*)", sections(documented)[2], re.M)
-    return {name: Option(" ".join(help.split()), metavar) for name, metavar, help in found}
+    lines = re.findall(r"^    (\w+)(?: \((.*?)\))?: (.*(?:\n {5,}.*)*)", sections(documented)[2], re.M)
+    return {name: Option(" ".join(help.split()), metavar) for name, metavar, help in lines}
 
 
 def _annotated(annotation: object) -> tuple:

@@ -89,7 +89,7 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Shown:
+class PictureOrPattern:
     """A picture or a pattern on the sphere.
 
     Options:

@@ -81,13 +81,13 @@ class Mass:
     Options:
         weights (FILE): Numbers per vertex or triangle (.npy, .csv, .gii, ...): twice the weight, twice the area.
         weights_at: What the weights belong to; auto goes by their number.
-        density (IMAGE): An equirectangular picture as the density to reach: bright regions get more mass.
+        target_picture (IMAGE): An equirectangular picture as the density to reach: bright regions get more mass.
         target_floor (SHARE): Raise the target's dark parts to this share of its mean.
     """
 
     weights: Path | None = None
     weights_at: WeightsAt = WeightsAt.AUTO
-    density: Annotated[Path | None, Typed("--target")] = None
+    target_picture: Annotated[Path | None, Typed("--target")] = None
     target_floor: float = 0.0
 
     def target(self) -> omtwarp.TargetDensity | None:
@@ -96,11 +96,11 @@ class Mass:
         Raises:
             OmtwarpError: the picture cannot be read, or is no density.
         """
-        if self.density is None:
+        if self.target_picture is None:
             return None
         from omtwarp.texturing.density import as_target
 
-        return as_target(self.density, self.target_floor)
+        return as_target(self.target_picture, self.target_floor)
 
 
 def run_map(

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import omtwarp
 from omtwarp.commands import _options
-from omtwarp.commands._options import ROUTE, Argument, Only, Printing, RouteOptions, Shown, Source, Typed
+from omtwarp.commands._options import ROUTE, Argument, Only, PictureOrPattern, Printing, RouteOptions, Source, Typed
 from omtwarp.commands._streams import input_file, progress_bar, step_times
 from omtwarp.commands._work import map_from, show_each, start_device, targets_of
 from omtwarp.errors import OmtwarpError
@@ -152,7 +152,7 @@ def run_film(
     *,
     output: Annotated[Path, _options.output_option(".gif")],
     source: Source,
-    shown: Shown,
+    shown: PictureOrPattern,
     size: Annotated[str | None, Typed(read=_options.picture_size)] = None,
     look: FilmLook,
     mapping: Annotated[MapOptions, Only(name for name in ROUTE if name != "until")],
@@ -203,7 +203,7 @@ def run_report(
     *,
     output: Annotated[Path, _options.output_option(".html")],
     source: Source,
-    picture: Shown,
+    picture: PictureOrPattern,
     title: str | None = None,
     up: str | None = None,
     mapping: RouteOptions,

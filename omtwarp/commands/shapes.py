@@ -217,15 +217,15 @@ def run_group(
     with progress_bar(printing.quiet, printing.verbose) as progress, warnings.catch_warnings():
         warnings.simplefilter("ignore", OmtwarpWarning)  # said below, with the names
         maps, asked = list(map(load_whole_map, paths)), vars(study)
-        found = study_group(maps, labels, covariates=covariates, device=device, progress=progress, **asked)
+        result = study_group(maps, labels, covariates=covariates, device=device, progress=progress, **asked)
         with folder_of_results(output):
             like = paths[0] if len(set(map(structure_of, paths))) == 1 else None  # of one part of the brain
-            files = write_group_report(found, output, names, labels, covariates, like)
-    mirrored = mirrored_words(found.alignment, names)
+            files = write_group_report(result, output, names, labels, covariates, like)
+    mirrored = mirrored_words(result.alignment, names)
     if mirrored:
         say(f"warning: {mirrored}")
     facts = {"output": str(output), "files": [file.name for file in files], "shapes": len(paths)}
-    show_facts(facts | _findings(found, names), _group_line(found, output), printing)
+    show_facts(facts | _findings(result, names), _group_line(result, output), printing)
 
 
 def _findings(study: GroupStudy, names: Sequence[str]) -> dict[str, object]:

@@ -230,11 +230,11 @@ class Extras:
         for extra, allowed in (suffixes | {self.film: FILMS}).items():
             check_output(extra, allowed, pair.source, pair.surface)
 
-    def write(self, found: Registration, pair: Pair, moving: SpherePoints, fixed: SpherePoints | str) -> None:
+    def write(self, registration: Registration, pair: Pair, moving: SpherePoints, fixed: SpherePoints | str) -> None:
         """Write all that is asked for about a registration of one sphere to another."""
         points, faces = moving.grid.points[: moving.grid.own_points], moving.grid.own_triangles
         if self.strain is not None:
-            _write_strain(self.strain, found, faces, pair.surface or pair.source)
+            _write_strain(self.strain, registration, faces, pair.surface or pair.source)
         if self.before is not None:
             from omtwarp.mesh.write import write_mesh
 
@@ -243,11 +243,11 @@ class Extras:
             from omtwarp.registration.sides import target_points
             from omtwarp.shape_analysis.reports import write_registration_page
 
-            write_registration_page(self.report, found, moving, target_points(fixed)[0])
+            write_registration_page(self.report, registration, moving, target_points(fixed)[0])
         if self.film is not None:
             from omtwarp.shape_analysis.reports import film_warp
 
-            film_warp(self.film, found, omtwarp.MapResult.load(pair.source))
+            film_warp(self.film, registration, omtwarp.MapResult.load(pair.source))
 
 
 @dataclass(frozen=True)
@@ -327,10 +327,10 @@ def run_register(
         weights = None if feature_weight is None else _named_weights(list(mine or ["sulc", "curv"]), feature_weight)
         warp: Callable[..., Registration] = omtwarp.register  # whose options are read from groups
         of_both = {"features": mine, "to_features": others, "feature_weights": weights, "landmarks": landmarks}
-        found = warp(moving, fixed, progress=progress, **of_both, **strength.keywords())
-    pair.write(found.registered, found.sphere, moving.grid.own_triangles)
-    extras.write(found, pair, moving, fixed)
-    show_facts({"output": str(pair.output), **found.to_dict()}, f"{pair.output}: {_line(found)}", printing)
+        moved = warp(moving, fixed, progress=progress, **of_both, **strength.keywords())
+    pair.write(moved.registered, moved.sphere, moving.grid.own_triangles)
+    extras.write(moved, pair, moving, fixed)
+    show_facts({"output": str(pair.output), **moved.to_dict()}, f"{pair.output}: {_line(moved)}", printing)
 
 
 def _require_many(mode: str, pair: Pair, others: Mapping[str, object]) -> None:
@@ -393,7 +393,7 @@ def _named_weights(names: list[str], weights: list[float]) -> dict[str, float]:
     return dict(zip(names, weights, strict=True))
 
 
-def _write_strain(file: Path, found: Registration, faces: NDArray, like: Path) -> None:
+def _write_strain(file: Path, registration: Registration, faces: NDArray, like: Path) -> None:
     """Write both strains at the vertices, with the structure of the surface."""
     import numpy as np
 
@@ -401,22 +401,22 @@ def _write_strain(file: Path, found: Registration, faces: NDArray, like: Path) -
     from omtwarp.mesh.neuro import structure_of
     from omtwarp.registration.strain import strain_at_vertices
 
-    strains, before = (found.area_strain, found.stretch_strain), found.start.sphere
+    strains, before = (registration.area_strain, registration.stretch_strain), registration.start.sphere
     columns = [strain_at_vertices(before, faces, values) for values in strains]
     data = VertexData(np.column_stack(columns), ("area_log2", "stretch_log2"), structure=structure_of(like))
-    write_data(file, data, (found.sphere, faces))
+    write_data(file, data, (registration.sphere, faces))
 
 
-def _line(found: Registration) -> str:
+def _line(registration: Registration) -> str:
     """Return how well the features agree, how much the warp strains, and what is to be known about its start."""
-    known, certificate = found.correlations.items(), found.certificate
+    known, certificate = registration.correlations.items(), registration.certificate
     agreement = ", ".join(f"{name} {values['before']:.3f} to {values['after']:.3f}" for name, values in known)
-    line = f"{agreement}; largest strain {found.largest_strain:.2f} of {found.most_strain:g}; "
+    line = f"{agreement}; largest strain {registration.largest_strain:.2f} of {registration.most_strain:g}; "
     line += f"{certificate.flips} flips, degree {certificate.degree}"
-    if found.landmarks:
-        farthest = max(distance["after"] for distance in found.landmarks.values())
+    if registration.landmarks:
+        farthest = max(distance["after"] for distance in registration.landmarks.values())
         line += f"; landmarks within {farthest:.2f} degrees"
-    if found.doubtful:
-        scores = f"{found.start.score:.3f} against {found.start.runner_up:.3f}"
-        line += f"; the start is doubtful ({scores}): the best of {len(found.starts)} starts was taken"
+    if registration.doubtful:
+        scores = f"{registration.start.score:.3f} against {registration.start.runner_up:.3f}"
+        line += f"; the start is doubtful ({scores}): the best of {len(registration.starts)} starts was taken"
     return line

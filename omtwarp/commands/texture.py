@@ -78,11 +78,11 @@ def painted_with_map(
     return mesh, result
 
 
-def mapped(found: AnyMap | omtwarp.Surface, path: Path, mapping: MapOptions, printing: Printing) -> AnyMap:
+def mapped(given: AnyMap | omtwarp.Surface, path: Path, mapping: MapOptions, printing: Printing) -> AnyMap:
     """Return the map of a file; that of a surface is made, and it is said how well."""
-    if not isinstance(found, omtwarp.Surface):
-        return found
-    made = _work.map_on_the_way(found, path, mapping, printing)
+    if not isinstance(given, omtwarp.Surface):
+        return given
+    made = _work.map_on_the_way(given, path, mapping, printing)
     _work.require_bijective(made)
     return made
 
@@ -326,8 +326,8 @@ def _mapped(
         return None, result
     if mesh is None or mesh.suffix.lower() == ".npz":
         raise OmtwarpError("--uv own and --keep-materials need the mesh itself: give it together with the map")
-    painted, found = painted_with_map(mesh, source.finished, source.repair)
-    result = mapped(found, mesh, mapping, printing)
+    painted, surface = painted_with_map(mesh, source.finished, source.repair)
+    result = mapped(surface, mesh, mapping, printing)
     if painting.uv is Coordinates.OWN:
         painted.require_uv(str(mesh))
     return painted, result
@@ -492,7 +492,7 @@ def run_transfer(
         if of_map is not None:
             _work.require_whole(cast("AnyMap", known), of_map)
     mapping = MapOptions(device=device)
-    maps = [mapped(found, path, mapping, printing) for (_, found), (path, _) in zip(pairs, given, strict=True)]
+    maps = [mapped(surface, path, mapping, printing) for (_, surface), (path, _) in zip(pairs, given, strict=True)]
     (painted, plain), (result, other) = (mesh for mesh, _ in pairs), cast("list[omtwarp.MapResult]", maps)
     with warnings_as_lines():
         made = omtwarp.transfer_texture(painted, result, other, onto=plain, device=device, **vars(how))

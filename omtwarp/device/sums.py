@@ -160,9 +160,9 @@ class DeviceSum:
     def largest(self, a: wp.array, out: wp.array) -> None:
         """Write the largest absolute value to the first element of ``out``; what is no number does not count."""
         while a.size > MAX_PARTIAL_ROWS:
-            found = wp.empty(partial_count(a.size), dtype=wp.float64, device=self.device)
-            wp.launch(largest_of_rows, dim=found.size, inputs=[a], outputs=[found], device=self.device)
-            a = found
+            partial = wp.empty(partial_count(a.size), dtype=wp.float64, device=self.device)
+            wp.launch(largest_of_rows, dim=partial.size, inputs=[a], outputs=[partial], device=self.device)
+            a = partial
         wp.launch(finish_largest, dim=1, inputs=[a], outputs=[out], device=self.device)
 
     def _workspace_for(self, length: int) -> tuple[wp.array, RowSums, RowSums]:

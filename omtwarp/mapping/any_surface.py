@@ -554,8 +554,7 @@ def _surface(opened: _Opened, weights: Floats | None = None) -> Surface:
     for number in range(opened.small, len(opened.loops)):
         here = filled.patch == number
         # Where a coarse mesh has a large hole, its filling takes more, so that the sides around it have at least this
-        # share of the mean side on the sphere. With a hundredth in all cases, halves of icospheres of 720 and of 2,880
-        # triangles do not converge.
+        # share of the mean side on the sphere: with less, halves of icospheres do not converge.
         around = 0.25 * side * len(opened.loops[number])  # of a cap with the share (around / 4π)² of the sphere
         areas[here] *= min(1.0, max(least, whole * (around / SPHERE_AREA) ** 2 / fsum(areas[here])))
     return surface.with_areas(areas)

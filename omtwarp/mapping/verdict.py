@@ -22,12 +22,10 @@ from omtwarp.options import AreaMatch, MapOptions, Method, Refinement, Stage
 # Mean of r + 1/r, r the area of a triangle's image over the area wanted. Smooth shapes of a few hundred triangles are
 # below 2.04, where flat triangles are a coarse picture of the sphere, and fine ones at 2.001.
 MAX_AREA_DISTORTION = 2.05
-# With so few faces shorter ones matter too: an ellipsoid of 80 is at 2.20 where 0.76 of its area is in triangles of
-# three times the height, and one of 180 at 2.001.
+# With so few faces shorter ones matter too: an ellipsoid of 80 is at 2.20, and one of 180 at 2.001.
 FEW_FACES, LONG_OF_FEW, SHARE_OF_FEW = 150, 3.0, 0.5
 # Of so few triangles those that are long and folded in the mean may be too many although few are at either limit above:
-# flipped tubes, creatures and flipped spheres of 80 to 132 faces are at 2.05 to 2.14 where the mean ratio of length to
-# height is 2.4 to 3.2 and the mean fold 62 to 74 degrees; beside them spheres of 80 faces with 2.3 and 59 at 2.04.
+# of 80 to 132 faces, shapes above both numbers are at 2.05 to 2.14, and those at them at 2.04.
 MEAN_LONG, MEAN_FOLD = 2.3, 60.0
 NEEDLES = "needle"  # kind of the warning about them
 

@@ -338,7 +338,7 @@ def placed_meshes(scene: trimesh.Scene) -> list[tuple[str, trimesh.Trimesh, Floa
     order = list(scene.geometry)
     placed = [(*scene.graph[node], str(node)) for node in scene.graph.nodes_geometry]
     placed.sort(key=lambda entry: (order.index(entry[1]), entry[2]))  # the graph gives them in no order
-    found = []
+    meshes = []
     for matrix, name, _ in placed:
         mesh = scene.geometry[name]
         if hasattr(mesh, "faces"):
@@ -347,5 +347,5 @@ def placed_meshes(scene: trimesh.Scene) -> list[tuple[str, trimesh.Trimesh, Floa
                 points = points @ matrix[:3, :3].T + matrix[:3, 3]
             if np.linalg.det(matrix[:3, :3]) < 0:
                 faces = faces[:, ::-1]
-            found.append((str(name), mesh, points, faces))
-    return found
+            meshes.append((str(name), mesh, points, faces))
+    return meshes

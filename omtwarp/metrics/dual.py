@@ -369,10 +369,10 @@ class TorusDual(MapDual):
         wp.launch(build_plane_nodes, dim=len(nodes), inputs=inputs, outputs=[nodes], device="cpu")
         own = self.cost - potential
         seeds, copies = sent(own, wp.float64), sent(self._copies(potential), wp.vec2d)
-        found = [wp.empty(len(own), dtype=kind, device="cpu") for kind in (wp.float64, wp.int32, wp.vec3d)]
+        nearest = [wp.empty(len(own), dtype=kind, device="cpu") for kind in (wp.float64, wp.int32, wp.vec3d)]
         inputs = [*each(self._home, seeds), copies, *mesh, nodes, self._leaves, self.tolerance]
-        launch_parts(best_images, len(own), inputs, each(*found), wp.get_device("cpu"))
-        proven, leaf, weights = (array.numpy() for array in found)
+        launch_parts(best_images, len(own), inputs, each(*nearest), wp.get_device("cpu"))
+        proven, leaf, weights = (array.numpy() for array in nearest)
         gap = own - proven
         face = np.where(leaf >= 0, self._order[leaf], -1)
         return Bound(potential, gap, float(self.mass @ gap), face, weights)

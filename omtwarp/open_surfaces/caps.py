@@ -76,13 +76,13 @@ def pack_caps(shares: Floats) -> tuple[Floats, float]:
         best = _apart(starts[0], shares, low)
     for _ in range(7):  # the covered share is then known to 1 %
         covered = 0.5 * (low + high)
-        found = next(
+        packing = next(
             (placed for start in (best, *starts) if (placed := _apart(start, shares, covered)) is not None), None
         )
-        if found is None:
+        if packing is None:
             high = covered
         else:
-            best, low = found, covered
+            best, low = packing, covered
     return best, low
 
 
@@ -113,8 +113,8 @@ def _apart(start: Floats, shares: Floats, covered: float) -> Floats | None:
         return float((missing**2).sum()), (pull / length).ravel()
 
     # 100 unequal caps took 172 steps, 30 took 231.
-    found = minimize(overlaps, start.ravel(), jac=True, method="L-BFGS-B", options={"maxiter": 500})
-    if found.fun > SETTLED:
+    solution = minimize(overlaps, start.ravel(), jac=True, method="L-BFGS-B", options={"maxiter": 500})
+    if solution.fun > SETTLED:
         return None
-    placed = found.x.reshape(-1, 3)
+    placed = solution.x.reshape(-1, 3)
     return placed / np.linalg.norm(placed, axis=1)[:, None]

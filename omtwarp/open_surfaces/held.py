@@ -180,8 +180,8 @@ def _least_distorted(points: Floats, held: NDArray[np.bool_], surface: Surface, 
     plane = Plane(surface, np.zeros((surface.face_count, 3, 2)), device)
     cost, shape = PlaneCost(plane, scale * points), PlaneShape(plane)
     energy = HeldEnergy(plane, held, MeasuredRings(surface, device), cost, shape, weight)
-    found = minimise(energy, scale * points, gain=GAIN, iterations=STEPS, progress=None, penalty=0.0)
-    return np.where(held[:, None], points, found.points / scale)
+    flattened = minimise(energy, scale * points, gain=GAIN, iterations=STEPS, progress=None, penalty=0.0)
+    return np.where(held[:, None], points, flattened.points / scale)
 
 
 def match_in_plane(
@@ -202,10 +202,10 @@ def match_in_plane(
     def refined(start: tuple[Floats, int], weight: float) -> tuple[Floats, int]:
         return untangle_in_plane(start[0], faces, held, surface, weight)
 
-    def area_of(found: tuple[Floats, int]) -> float:
-        images = plane_areas(found[0][faces[:own]])
+    def area_of(candidate: tuple[Floats, int]) -> float:
+        images = plane_areas(candidate[0][faces[:own]])
         ratio = np.maximum(images / images.sum() / sizes, TINY)
-        return float(sizes @ (ratio + 1.0 / ratio)) if found[1] == 0 else np.inf
+        return float(sizes @ (ratio + 1.0 / ratio)) if candidate[1] == 0 else np.inf
 
     first = refined((points, 0), MOST_WEIGHT)
     return match_area(first, area, refined, area_of, tolerance=MATCH_TOLERANCE, trials=MATCH_TRIALS)[0]
@@ -323,19 +323,19 @@ def exact_in_plane(points: Floats, mesh: Quartered) -> tuple[Floats, float]:
     plane = Plane(surface, np.zeros((len(mesh.faces), 3, 2)), resolve_device("cpu"))
     cost, shape = PlaneCost(plane, scale * points), PlaneShape(plane)
     energy = HeldEnergy(plane, mesh.held, mesh.cells(surface, SPHERE_AREA), cost, shape)
-    found, error = _exact(energy, scale * points)
-    return np.where(mesh.held[:, None], points, found / scale), error
+    moved, error = _exact(energy, scale * points)
+    return np.where(mesh.held[:, None], points, moved / scale), error
 
 
 def exact_on_cap(points: Floats, mesh: Quartered) -> tuple[Floats, float]:
-    """Do the same for a map to a cap, unit vectors, shape [V, 3], whose triangles have great circles as sides."""
+    """Give the triangles of a map to a cap their areas, as :func:`exact_in_plane` does; sides are great circles."""
     surface, device = mesh.as_surface(), resolve_device("cpu")
     area = float(triangle_solid_angles(*(points[mesh.faces[:, k]] for k in range(3))).sum())
     cost = NoCost(surface, vectors(points, device), device)
     shape = DistortionEnergy(surface, device)
     energy = HeldEnergy(Sphere(surface, device), mesh.held, mesh.cells(surface, area), cost, shape)
-    found, error = _exact(energy, points)
-    return np.where(mesh.held[:, None], points, found), error
+    moved, error = _exact(energy, points)
+    return np.where(mesh.held[:, None], points, moved), error
 
 
 def shares_of_polygons(rims: list[Floats], shares: Floats, wanted: Floats) -> Floats:
@@ -352,11 +352,11 @@ def shares_of_polygons(rims: list[Floats], shares: Floats, wanted: Floats) -> Fl
     """
     areas = np.array([_polygon(rim, share) for rim, share in zip(rims, shares, strict=True)])
     unit = float((areas / wanted).min())
-    found = shares.copy()
+    polygons = shares.copy()
     for k, rim in enumerate(rims):
         if areas[k] > unit * wanted[k]:
-            found[k] = brentq(lambda share, r=rim, area=unit * wanted[k]: _polygon(r, share) - area, 0.0, shares[k])
-    return found
+            polygons[k] = brentq(lambda share, r=rim, area=unit * wanted[k]: _polygon(r, share) - area, 0.0, shares[k])
+    return polygons
 
 
 def _polygon(rim: Floats, share: float) -> float:
@@ -379,16 +379,16 @@ def _largest_error(energy: HeldEnergy, points: Floats) -> float:
 def _exact(energy: HeldEnergy, points: Floats) -> tuple[Floats, float]:
     """Return a map with exact areas, and its largest error: the nearest, or where that is far the least distorted."""
     if not energy.domain.flipped(points).any():
-        found, right = restore_areas(energy, points, rounds=FEW)
+        moved, right = restore_areas(energy, points, rounds=FEW)
         if right:
-            return found, _largest_error(energy, found)
-        found, right = restore_areas(energy, points)
+            return moved, _largest_error(energy, moved)
+        moved, right = restore_areas(energy, points)
         if not right:
-            found, right = restore_areas(energy, _less_distorted(energy, points, PENALTY))
+            moved, right = restore_areas(energy, _less_distorted(energy, points, PENALTY))
         if right:
-            least, still = restore_areas(energy, _less_distorted(energy, found))
-            found = least if still else found
-            return found, _largest_error(energy, found)
+            least, still = restore_areas(energy, _less_distorted(energy, moved))
+            moved = least if still else moved
+            return moved, _largest_error(energy, moved)
     raise OmtwarpError(
         "no map with straight sides was found that keeps the areas of triangles: use a finer mesh, map to the "
         "hemisphere, or leave exact out"

@@ -64,7 +64,7 @@ def map_to_density(
     for _ in range(ROUNDS):
         goal = surface.with_areas(wanted)
         term = shape_term(goal, sphere, start, device)
-        found = solve(
+        optimal = solve(
             goal,
             sphere,
             start=start,
@@ -75,12 +75,12 @@ def map_to_density(
             cost=cost,
             device=device,
         )
-        sphere, multipliers = found.sphere, found.multipliers
-        history += found.history[bool(history) :]
+        sphere, multipliers = optimal.sphere, optimal.multipliers
+        history += optimal.history[bool(history) :]
         there = _wanted(surface, sphere, target)
         missed = _change(there, _shares(triangle_areas(sphere, surface.faces)))
         if missed < least or best is None:
-            best, least = found, missed
+            best, least = optimal, missed
         moved = _change(there, wanted)
         if moved <= SETTLED:
             break

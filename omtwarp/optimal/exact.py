@@ -167,7 +167,7 @@ def minimise_cells(energy: TransportEnergy, points: Floats, progress: Progress |
     rms, _ = energy.area_errors(energy.terms(energy.domain.sent(points)))
     for penalty in GROWING_PENALTIES if rms > MAX_START_RMS else GROWING_PENALTIES[-1:]:
         steps = ITERATIONS if penalty == PENALTY else STEPS_OF_ROUND
-        found = minimise(
+        optimal = minimise(
             energy,
             points,
             area_penalty=penalty,
@@ -176,8 +176,8 @@ def minimise_cells(energy: TransportEnergy, points: Floats, progress: Progress |
             iterations=min(steps, ITERATIONS),
             progress=progress,
         )
-        points, multipliers = found.points, found.multipliers
-        history += found.history
+        points, multipliers = optimal.points, optimal.multipliers
+        history += optimal.history
 
     def notify(number: int, terms: MapTerms) -> None:
         rms, largest = energy.area_errors(terms)
@@ -185,6 +185,6 @@ def minimise_cells(energy: TransportEnergy, points: Floats, progress: Progress |
         if progress is not None:
             progress("omt", min(len(history) - 1, ITERATIONS), ITERATIONS, history[-1])
 
-    restored, right = restore_areas(energy, found.points, notify=notify)
-    ended = found.ended if right else f"{found.ended}; areas are not right to {EXACT:g}"
-    return replace(found, points=restored, history=tuple(history), converged=found.converged and right, ended=ended)
+    restored, right = restore_areas(energy, optimal.points, notify=notify)
+    ended = optimal.ended if right else f"{optimal.ended}; areas are not right to {EXACT:g}"
+    return replace(optimal, points=restored, history=tuple(history), converged=optimal.converged and right, ended=ended)

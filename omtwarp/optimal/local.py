@@ -32,8 +32,8 @@ from omtwarp.solvers.cholesky.envelope import Envelopes
 
 Numbers = NDArray[np.float64]
 
-# The chosen vertices are the fewest that together have this share of the gains that single vertices could make. Of 60
-# made surfaces areas, angles and time are the same in the mean with 0.6 and 0.95: more are chosen, and move longer.
+# The chosen vertices are the fewest that together have this share of the gains that single vertices could make: more
+# are chosen, and move longer, for the same areas, angles and time in the mean.
 GAIN_SHARE = 0.8
 # No vertex counts for more than this share of what the last step of the whole map was expected to gain. Beside a
 # triangle that was flipped a moment ago the gain expected from moving one vertex alone is far too large, and noise in

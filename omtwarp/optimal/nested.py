@@ -126,15 +126,15 @@ def coarse_surface(surface: Surface, start: Floats) -> tuple[Surface, Callable[[
     a, b, c = (points[faces[:, k]] for k in range(3))
     inwards = np.einsum("ij,ij->i", a, np.cross(b, c)) < 0.0
     faces[inwards] = faces[inwards][:, ::-1]
-    found = Locator(points, faces, device="cpu").find(start)
+    place = Locator(points, faces, device="cpu").find(start)
     mass = np.zeros(len(points))
-    np.add.at(mass, faces[found.faces].ravel(), (surface.vertex_areas[:, None] * found.coordinates).ravel())
+    np.add.at(mass, faces[place.faces].ravel(), (surface.vertex_areas[:, None] * place.coordinates).ravel())
     areas = triangle_areas(points, faces)
     ring = np.bincount(faces.ravel(), np.repeat(areas, 3), len(points))
     density = 3.0 * mass / ring
     coarse = Surface(points, faces, areas=areas * density[faces].mean(axis=1))
 
-    return coarse, partial(found.on_sphere, faces)
+    return coarse, partial(place.on_sphere, faces)
 
 
 def nested_start(surface: Surface, start: Floats, *, device: str | None = "auto") -> Floats:
@@ -152,10 +152,10 @@ def nested_start(surface: Surface, start: Floats, *, device: str | None = "auto"
     points = coarse.vertices
     first = untangled(coarse, moser_map(coarse, points, device=device).sphere, device=device)
     term = shape_term(coarse, first, points, device)
-    found = optimal_map(
+    optimal = optimal_map(
         coarse, first, start=points, shape_weight=term.weight, area_weight=term.area, iterations=STEPS, device=device
     )
-    return untangled(surface, carried(found.sphere), device=device)
+    return untangled(surface, carried(optimal.sphere), device=device)
 
 
 def embedded_start(
@@ -193,19 +193,19 @@ def untangled(surface: Surface, sphere: Floats, *, device: str | None = "auto") 
     """
     if is_bijective(sphere, surface.faces, device=device):
         return sphere
-    found = untangle(surface, sphere, device=device)
-    if not found.bijective:
-        raise OmtwarpError(f"{found.flips_after} flipped triangles could not be repaired")
-    return found.sphere
+    repaired = untangle(surface, sphere, device=device)
+    if not repaired.bijective:
+        raise OmtwarpError(f"{repaired.flips_after} flipped triangles could not be repaired")
+    return repaired.sphere
 
 
 def smoothed(surface: Surface, sphere: Floats, *, device: str | None = "auto") -> Floats:
     """Return a map without the slivers of an embedding, turned onto the one given; as found where turning flips."""
-    found = least_distortion(
+    refined = least_distortion(
         surface, sphere, SMOOTHING_WEIGHT, iterations=SMOOTHING_STEPS, tolerance=SMOOTHING_TOLERANCE, device=device
     ).sphere
-    turned = normalised(turned_towards(found, sphere, surface.vertex_areas))
-    return turned if is_bijective(turned, surface.faces, device=device) else found
+    turned = normalised(turned_towards(refined, sphere, surface.vertex_areas))
+    return turned if is_bijective(turned, surface.faces, device=device) else refined
 
 
 def minimised(

@@ -368,9 +368,9 @@ class Plane:
     def __init__(self, surface: Surface, shift: Floats, device: wp.Device):
         self.surface, self.device = surface, device
         self.mesh = surface.on(device)
-        self.shift = self.kept(shift, wp.vec2d)
+        self.shift = self.copied(shift, wp.vec2d)
 
-    def kept(self, values: Floats, dtype: type) -> wp.array:
+    def copied(self, values: Floats, dtype: type) -> wp.array:
         """Return a copy of numbers on the device."""
         return wp.array(np.ascontiguousarray(values, dtype=np.float64), dtype=dtype, device=self.device)
 
@@ -389,7 +389,7 @@ class Plane:
 
     def sent(self, values: Floats) -> wp.array:
         """Return points or vectors, shape [V, 2], as vec2d."""
-        return self.kept(values, wp.vec2d)
+        return self.copied(values, wp.vec2d)
 
     def flipped(self, points: Floats) -> NDArray[np.bool_]:
         """Return a mask of the triangles that are turned over, shape [F]."""
@@ -446,7 +446,7 @@ class PlaneCost:
     """
 
     def __init__(self, plane: Plane, start: Floats):
-        self._plane, self._start = plane, plane.kept(start, wp.vec2d)
+        self._plane, self._start = plane, plane.copied(start, wp.vec2d)
 
     def values(self, points: wp.array) -> wp.array:
         """Return |y_v - x_v|², shape [V]."""
@@ -500,8 +500,8 @@ class PlaneShape:
 
     def __init__(self, plane: Plane):
         self._plane, surface = plane, plane.surface
-        self._frames = plane.kept(triangle_frames(surface), wp.vec3d)
-        self._weights = plane.kept(surface.face_areas / SPHERE_AREA, wp.float64)
+        self._frames = plane.copied(triangle_frames(surface), wp.vec3d)
+        self._weights = plane.copied(surface.face_areas / SPHERE_AREA, wp.float64)
 
     def begin(self, points: wp.array, reading: Reading) -> Callable[[Floats], PlaneTerms]:
         """Begin to measure the distortion of a map."""

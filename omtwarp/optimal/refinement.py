@@ -7,7 +7,7 @@ buckles. The part of λ above 10 is therefore the weight of the areas around ver
     angle + min(λ, 10) · area + max(λ - 10, 0) · Σ_v m_v (a_v / 3m_v - 1)² / 4π.
 
 On limbs of few vertices a weight of 10 can leave the areas of triangles worse than the optimal map has them. The named
-weight ``area``, whose promise is area, then gives them more: 30, 100 or 300 in place of 10. A weight whose map has a
+weight ``area``, whose promise is area, then gives them more: 30, 100 or 300. A weight whose map has a
 wanted area distortion is found by bisection.
 """
 
@@ -74,17 +74,17 @@ def match_area(
         >>> 2.0099 <= found <= 2.01, 100.0 <= weight <= 101.0
         (True, True)
     """
-    best = found = first
+    best = current = first
     reached, weight = area_of(first), MOST_WEIGHT
     low, high = np.log(least), np.log(MOST_WEIGHT)
     for _ in range(trials):
         if not area - tolerance > reached:
             break
         middle = 0.5 * (low + high)
-        found = refine(found, float(np.exp(middle)))
-        here = area_of(found)
+        current = refine(current, float(np.exp(middle)))
+        here = area_of(current)
         if here <= area:
-            best, reached, weight, high = found, here, float(np.exp(middle)), middle
+            best, reached, weight, high = current, here, float(np.exp(middle)), middle
         else:
             low = middle
     return best, weight
@@ -248,8 +248,8 @@ def least_distortion(
     energy = ShapeEnergy(surface, where, weight, most_strain=most_strain, vertex_term=vertex_term, cells=cells)
     # Σ m (a / 3m - 1)² / 4π equals Σ (a - 3m)² / 3m over 12π; the penalty is half of that.
     penalty = 2.0 * of_rings
-    found = minimise(energy, sphere, gain=tolerance, iterations=iterations, progress=progress, penalty=penalty)
-    return RefineResult(found.sphere, weight + of_rings, list(found.history), found.converged, found.factorisations)
+    least = minimise(energy, sphere, gain=tolerance, iterations=iterations, progress=progress, penalty=penalty)
+    return RefineResult(least.sphere, weight + of_rings, list(least.history), least.converged, least.factorisations)
 
 
 class _Refinement:
@@ -279,12 +279,12 @@ class _Refinement:
     def towards_area(self, sphere: NDArray[np.float64]) -> RefineResult:
         """Refine at the weight of ``area``, with more of it on triangles where their areas would become worse."""
         largest = LOST_AREA * self.excess(sphere)
-        found = self.run(sphere, WEIGHTS[Refinement.AREA])
+        refined = self.run(sphere, WEIGHTS[Refinement.AREA])
         for of_triangles in RAISED_WEIGHTS:
-            if self.excess(found.sphere) <= largest:
+            if self.excess(refined.sphere) <= largest:
                 break
-            found = self.run(found.sphere, WEIGHTS[Refinement.AREA], of_triangles)
-        return found
+            refined = self.run(refined.sphere, WEIGHTS[Refinement.AREA], of_triangles)
+        return refined
 
     def match(self, sphere: NDArray[np.float64], area: float) -> RefineResult:
         """Find the weight whose refined map has the wanted area distortion, or the nearest map where none has.
@@ -302,7 +302,7 @@ class _Refinement:
         best = match_area(
             best,
             area,
-            lambda found, weight: refine(found.sphere, weight),
+            lambda before, weight: refine(before.sphere, weight),
             self.area,
             tolerance=MATCH_TOLERANCE,
             trials=MATCH_TRIALS,

@@ -145,10 +145,10 @@ class StrainBarrier:
         """Return the barrier at a map, vec3d [V]."""
         strains = wp.empty(self._count, dtype=wp.float64, device=self._device)
         launch_parts(strain_terms, self._count, [points, *each(*self._mesh[:2])], each(strains), self._device)
-        found = strains.numpy()
-        if not found.max() < self._limit:
+        worst = strains.numpy()
+        if not worst.max() < self._limit:
             return float("inf")
-        return float(self._mesh[2].numpy() @ (found**2 / (self._limit - found))) / SPHERE_AREA
+        return float(self._mesh[2].numpy() @ (worst**2 / (self._limit - worst))) / SPHERE_AREA
 
     def gradient(self, points: wp.array) -> NDArray[np.float64]:
         """Return the gradient by the vertices, tangent to the sphere, shape [V, 3]."""

@@ -31,8 +31,8 @@ class FeatureField:
 
     def at(self, points: Floats) -> tuple[Floats, Floats]:
         """Return features, shape [P, K], and their gradients, [P, 3, K], at unit vectors, [P, 3]."""
-        found = self._locator.find(points)
-        corners, shares = self._faces[found.faces], found.coordinates
+        place = self._locator.find(points)
+        corners, shares = self._faces[place.faces], place.coordinates
         places, slopes = self._points[corners], self._gradients[corners]
         flat = np.einsum("pk,pkd->pd", shares, places)
         halves = 0.5 * np.einsum("pkd,pkdc->pkc", flat[:, None] - places, slopes)

@@ -153,10 +153,10 @@ class Kept:
             known = read_arrays(stream, ["key", "made", *names])
             if str(known.pop("key")) == key and str(known.pop("made")) == (digest_of(made) if made else ""):
                 return known
-        found = {what: np.asarray(values) for what, values in make().items()}
-        words = {"key": np.array(key), "names": np.array([*found]), "made": np.array(digest_of(made) if made else "")}
-        write_arrays(file, {**found, **words})
-        return found
+        arrays = {what: np.asarray(values) for what, values in make().items()}
+        words = {"key": np.array(key), "names": np.array([*arrays]), "made": np.array(digest_of(made) if made else "")}
+        write_arrays(file, {**arrays, **words})
+        return arrays
 
     def remove(self) -> None:
         """Remove the files of all steps, and their folder where nothing else is in it."""
@@ -249,8 +249,8 @@ def register_group(
             total: dict[str, Floats] = {}
             for name, one in files.items():
                 key = key_of(number, digests[name], options, template)
-                found = kept.result(f"{number}_{name}", key, partial(_step, one, template, options))
-                for what, values in found.items():
+                step = kept.result(f"{number}_{name}", key, partial(_step, one, template, options))
+                for what, values in step.items():
                     total[what] = total.get(what, 0.0) + values
                 done += 1
                 tell(progress, "group", done, steps, {})
@@ -303,19 +303,19 @@ def _most_usual(files: Mapping[str, Member]) -> Template:
 def _registered(one: Member, template: Template, options: Options) -> tuple[Side, Registration]:
     """Return a map with its features, and its registration to a template."""
     here = one.side()
-    found = register(here.points, template, features=here.own, feature_weights=one.weights, **options)  # type: ignore[arg-type]
-    return here, found
+    registration = register(here.points, template, features=here.own, feature_weights=one.weights, **options)  # type: ignore[arg-type]
+    return here, registration
 
 
 def _step(one: Member, template: Template, options: Options) -> dict[str, Floats]:
     """Register a map to a template; return its features there, and where that one's points are on its own sphere."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", OmtwarpWarning)  # those of the last round are said
-        here, found = _registered(one, template, options)
-    values, known = here.moved(found.closed_sphere).on_grid
+        here, registration = _registered(one, template, options)
+    values, known = here.moved(registration.closed_sphere).on_grid
     # Where the points of the feature grid, on the template, are on the sphere of the map turned to it
-    turned, faces = here.points.grid.points @ found.start.rotation.T, here.points.grid.triangles
-    places = Locator(found.closed_sphere, faces, device="cpu").find(feature_grid().vertices)
+    turned, faces = here.points.grid.points @ registration.start.rotation.T, here.points.grid.triangles
+    places = Locator(registration.closed_sphere, faces, device="cpu").find(feature_grid().vertices)
     return {"values": known[:, None] * values, "known": known, "back": places.on_sphere(faces, turned)}
 
 
@@ -325,13 +325,13 @@ def _mean_template(total: Mapping[str, Floats], names: tuple[str, ...], max_stra
     mean = total["values"] / np.maximum(total["known"], 1.0)[:, None]
     # Where the ways lead on average, there the points go that they lead from.
     moved = kept_within(grid, normalised(total["back"]), max_strain)
-    found = Locator(moved, grid.faces, device="cpu").find(grid.vertices)
-    values = np.einsum("pk,pkc->pc", found.coordinates, mean[grid.faces[found.faces]])
+    place = Locator(moved, grid.faces, device="cpu").find(grid.vertices)
+    values = np.einsum("pk,pkc->pc", place.coordinates, mean[grid.faces[place.faces]])
     return Template(grid.vertices, grid.faces, values, names)
 
 
 def _finish(one: Member, template: Template, options: Options, output: Path) -> dict[str, float]:
     """Register a map to the template and write it; return the facts."""
-    found = _registered(one, template, options)[1]
-    found.registered(MapResult.load(one.path)).save(output)
-    return found.facts()
+    registration = _registered(one, template, options)[1]
+    registration.registered(MapResult.load(one.path)).save(output)
+    return registration.facts()

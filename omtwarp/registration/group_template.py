@@ -71,17 +71,17 @@ class Template:
         """
         with open_input(path, LARGEST_MESH_FILE, "template") as stream:
             try:
-                found = read_arrays(stream, (*ARRAYS, "origin"))
-                missing = next((name for name in ARRAYS if name not in found), None)
+                arrays = read_arrays(stream, (*ARRAYS, "origin"))
+                missing = next((name for name in ARRAYS if name not in arrays), None)
                 if missing is not None:
                     raise OmtwarpError(f"it has no '{missing}'")
-                points = real_numbers(found[ARRAYS[0]], "its points", (None, 3))
-                faces = whole_numbers(found[ARRAYS[1]], "its faces", (None, 3), below=len(points))
-                names = tuple(str(name) for name in np.atleast_1d(found[ARRAYS[3]]))
-                features = real_numbers(found[ARRAYS[2]], "its features", (len(points), len(names)))
+                points = real_numbers(arrays[ARRAYS[0]], "its points", (None, 3))
+                faces = whole_numbers(arrays[ARRAYS[1]], "its faces", (None, 3), below=len(points))
+                names = tuple(str(name) for name in np.atleast_1d(arrays[ARRAYS[3]]))
+                features = real_numbers(arrays[ARRAYS[2]], "its features", (len(points), len(names)))
             except OmtwarpError as error:
                 raise OmtwarpError(f"'{path}' is not a template: {error}") from None
-        return cls(points, faces.astype(np.int32), features, names, str(found.get("origin", "")))
+        return cls(points, faces.astype(np.int32), features, names, str(arrays.get("origin", "")))
 
 
 def is_template(path: str | os.PathLike[str]) -> bool:

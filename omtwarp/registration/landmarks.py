@@ -120,14 +120,14 @@ def _on_sphere(given: ArrayLike, sphere: Floats, count: int, name: str) -> Float
     """
     array = np.asarray(given)
     if array.ndim < 2:
-        found = sphere[whole_numbers(np.atleast_1d(array), name, (None,), below=count)]
+        points = sphere[whole_numbers(np.atleast_1d(array), name, (None,), below=count)]
     else:
-        found = real_numbers(array, name, (None, 3))
-    if len(found) == 0:
+        points = real_numbers(array, name, (None, 3))
+    if len(points) == 0:
         raise OmtwarpError(f"{name} has no points")
-    if np.linalg.norm(found, axis=1).min() < TINY:
+    if np.linalg.norm(points, axis=1).min() < TINY:
         raise OmtwarpError(f"{name} has a point at the centre of the sphere")
-    return normalised(found)
+    return normalised(points)
 
 
 def _even(curve: Floats, count: int) -> Floats:
@@ -154,8 +154,8 @@ class LandmarkTerm:
 
     def __init__(self, pairs: Pairs, grid: Surface, scale: float):
         stiff = 30.0  # of exact landmarks, of the mean distortion: a round leaves about a third of the distance
-        found = Locator(grid.vertices, grid.faces, device="cpu").find(pairs.points)
-        self._corners, self._shares = grid.faces[found.faces], found.coordinates
+        place = Locator(grid.vertices, grid.faces, device="cpu").find(pairs.points)
+        self._corners, self._shares = grid.faces[place.faces], place.coordinates
         self._places, self._exact, self._pull = pairs.places, pairs.exact, pairs.places
         self._weights = np.where(pairs.exact, stiff, scale * np.where(pairs.exact, 0.0, pairs.weights))
         self._rounds, self._last = 0, np.inf
@@ -201,9 +201,9 @@ class TermSum:
 
     def at(self, points: Floats) -> VertexDerivatives:
         """Return the sum and its derivatives at a map, unit vectors, shape [V, 3]."""
-        found = [term.at(points) for term in self._terms]
-        gradient, hessian = sum(one.gradient for one in found), sum(one.hessian for one in found)
-        return VertexDerivatives(sum(one.value for one in found), np.asarray(gradient), np.asarray(hessian))
+        derivatives = [term.at(points) for term in self._terms]
+        gradient, hessian = sum(one.gradient for one in derivatives), sum(one.hessian for one in derivatives)
+        return VertexDerivatives(sum(one.value for one in derivatives), np.asarray(gradient), np.asarray(hessian))
 
 
 def _table(path: str | os.PathLike[str]) -> list[dict[str, str]]:

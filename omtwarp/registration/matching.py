@@ -115,8 +115,8 @@ class Matching:
 
     def _add_landmarks(self, costs: Singles, pairs: Pairs, scale: float) -> None:
         """Add the squared distances that landmarks are left from their places by the rotations of the points around."""
-        found = Locator(self.points.vertices, self.points.faces, device="cpu").find(pairs.points)
-        corners, shares = self.points.faces[found.faces], found.coordinates
+        place = Locator(self.points.vertices, self.points.faces, device="cpu").find(pairs.points)
+        corners, shares = self.points.faces[place.faces], place.coordinates
         weights = scale * np.where(pairs.exact, EXACT, pairs.weights)[:, None] * shares
         for point in np.unique(corners):
             weight = np.where(corners == point, weights, 0.0).sum(axis=1)
@@ -154,20 +154,20 @@ class Matching:
         # Of a message to the end of an edge: by the choice there, and by that at the start
         forth, back = np.ascontiguousarray(gaps.transpose(0, 2, 1)), gaps
         messages = np.zeros((2 * half, costs.shape[1]), dtype=np.float32)
-        found: tuple[float, Singles, Whole] | None = None
+        nearest: tuple[float, Singles, Whole] | None = None
         for _ in range(PASSES + 1):
             beliefs = costs + np.add.reduceat(messages[self._order], self._first, axis=0)
             best = beliefs.argmin(axis=1)
             total = costs[count, best].sum() + gaps[np.arange(half), best[first], best[last]].sum()
-            if found is None or total < found[0]:
-                found = float(total), beliefs, best
+            if nearest is None or total < nearest[0]:
+                nearest = float(total), beliefs, best
             # Without what came along the same edge from the other side
             sent = beliefs[start] - np.concatenate([messages[half:], messages[:half]])
             both = (forth, sent[:half]), (back, sent[half:])
             new = np.concatenate([(gap + one[:, None]).min(axis=2) for gap, one in both])
             messages = 0.5 * (messages + new - new.min(axis=1, keepdims=True))
-        assert found is not None
-        return found[1:]
+        assert nearest is not None
+        return nearest[1:]
 
     def _renewed(self, costs: Singles, choice: Whole, rotations: Singles, beliefs: Singles, most: float) -> Whole:
         """Return new choices, [N, CHOICES]: of each point's own and of its neighbours' best and those near, the best.
@@ -236,5 +236,5 @@ def _samples(grid: Surface, frames: Floats) -> csr_matrix:
     across, up = np.sin(rings), np.broadcast_to(np.cos(rings), (len(rings), TURNS))
     around = np.stack([across * np.cos(angles), across * np.sin(angles), up], axis=2)
     places = np.einsum("pij,raj->prai", frames, around).reshape(-1, 3)
-    found = Locator(grid.vertices, grid.faces, device="cpu").find(places)
-    return combined(grid.faces[found.faces], found.coordinates, grid.vertex_count)
+    place = Locator(grid.vertices, grid.faces, device="cpu").find(places)
+    return combined(grid.faces[place.faces], place.coordinates, grid.vertex_count)

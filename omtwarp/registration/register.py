@@ -117,7 +117,7 @@ class Registration:
         ends = [np.percentile(np.abs(strain), 95) for strain in self._strains.values()]
         of_map = start.score, start.score - start.runner_up, self.doubtful, certificate.flips, certificate.degree
         values = (*of_map, *ends, self.largest_strain)
-        agreement = {name: found["after"] for name, found in self.correlations.items()}
+        agreement = {name: agreement_of["after"] for name, agreement_of in self.correlations.items()}
         facts = {**dict(zip(FACTS, values, strict=True)), **agreement}
         return {f"registration_{name}": float(value) for name, value in facts.items()}
 
@@ -264,17 +264,17 @@ def _arrived(
 ) -> tuple[Floats, dict[str, dict[str, float]]]:
     """Carry a warp to a map's own vertices, and return their places, [V, 3], and how far landmarks are from theirs."""
     if marks is None:
-        return settled(surface, warp.carry(surface.vertices), max_strain, penalty), {}
-    found = Locator(surface.vertices, surface.faces, device="cpu").find(marks.points)
-    held = surface.faces[found.faces[marks.exact]]
-    sphere = settled(surface, warp.carry(surface.vertices), max_strain, penalty, held)
-    ends = [marks.distances(found.on_sphere(surface.faces, points)) for points in (surface.vertices, sphere)]
+        return within_bounds(surface, warp.carry(surface.vertices), max_strain, penalty), {}
+    place = Locator(surface.vertices, surface.faces, device="cpu").find(marks.points)
+    held = surface.faces[place.faces[marks.exact]]
+    sphere = within_bounds(surface, warp.carry(surface.vertices), max_strain, penalty, held)
+    ends = [marks.distances(place.on_sphere(surface.faces, points)) for points in (surface.vertices, sphere)]
     distances = {label: {"before": ends[0][label], "after": ends[1][label]} for label in marks.labels}
     _warn_of_distant(marks, distances, max_strain)
     return sphere, distances
 
 
-def settled(
+def within_bounds(
     surface: Surface, warp: Floats, max_strain: float, penalty: float, held: NDArray[np.integer] | None = None
 ) -> Floats:
     """Return the warp of a map's sphere, [V, 3], without flips, within the bound, and with its areas if need be.

@@ -24,7 +24,7 @@ from omtwarp.metrics.certificate import certify_triangles
 from omtwarp.options import Progress, tell
 from omtwarp.registration.folding import LEAST_AREA, vertex_areas
 from omtwarp.registration.group import STEPS, Files, Kept, Member, Options, key_of, members, write_facts
-from omtwarp.registration.register import Registration, area_penalty, register, settled
+from omtwarp.registration.register import Registration, area_penalty, register, within_bounds
 from omtwarp.registration.sides import Side
 from omtwarp.registration.strain import area_changes, octaves, strain_at_vertices
 from omtwarp.resampling import SpherePoints, as_points
@@ -110,10 +110,10 @@ def register_sequence(
             before = replace(one, path=output)
             tell(progress, "sequence", done, len(others), {})
         area, stretch = (np.stack([one[measure] for one in strains]) for measure in MEASURES)
-        found = SequenceRegistration(tuple(files), area, stretch, table)
-        _write(found, target, first)
+        sequence = SequenceRegistration(tuple(files), area, stretch, table)
+        _write(sequence, target, first)
         kept.remove()
-    return found
+    return sequence
 
 
 def _step(one: Member, before: Member, first: Member, options: Options, output: Path) -> dict[str, float | Floats]:
@@ -126,10 +126,10 @@ def _step(one: Member, before: Member, first: Member, options: Options, output: 
         return register(points, to.points, **given, **options)  # type: ignore[arg-type]
 
     chained = registered(here, before.side())
-    found = registered(here.moved(chained.closed_sphere), start)
-    joined = _joined(here, chained, found, options["keep_areas"])
+    registration = registered(here.moved(chained.closed_sphere), start)
+    joined = _joined(here, chained, registration, options["keep_areas"])
     joined.registered(MapResult.load(one.path)).save(output)
-    turned = chained.sphere @ found.start.rotation.T
+    turned = chained.sphere @ registration.start.rotation.T
     ends = here.grid.points[here.grid.own_triangles]
     edges = np.linalg.norm(ends - np.roll(ends, 1, axis=1), axis=2)
     way = np.linalg.norm(joined.sphere - turned, axis=1)
@@ -137,16 +137,16 @@ def _step(one: Member, before: Member, first: Member, options: Options, output: 
     return {**joined.facts(), **facts, **growth(start.points, here.moved(joined.closed_sphere))}
 
 
-def _joined(here: SpherePoints, chained: Registration, found: Registration, keep_areas: object) -> Registration:
+def _joined(here: SpherePoints, chained: Registration, registration: Registration, keep_areas: object) -> Registration:
     """Return two registrations, one after the other, as one within the bound of strain."""
-    rotation = found.start.rotation @ chained.start.rotation
+    rotation = registration.start.rotation @ chained.start.rotation
     turned, faces, own = here.grid.points @ rotation.T, here.grid.own_triangles, here.grid.own_points
     surface = Surface(turned, here.grid.triangles)
-    sphere = settled(surface, found.closed_sphere, found.most_strain, area_penalty(keep_areas))
+    sphere = within_bounds(surface, registration.closed_sphere, registration.most_strain, area_penalty(keep_areas))
     by_area, by_stretch = octaves(turned, sphere, faces)
     start = replace(chained.start, rotation=rotation, sphere=turned[:own])
     return replace(
-        found, sphere=sphere[:own], closed_sphere=sphere, start=start,
+        registration, sphere=sphere[:own], closed_sphere=sphere, start=start,
         doubtful=chained.doubtful, starts=chained.starts, area_strain=by_area, stretch_strain=by_stretch,
         area_changes=area_changes(turned, sphere, surface.faces),
         certificate=certify_triangles(here.grid.triangles, sphere, device="cpu"),
@@ -191,11 +191,11 @@ def _warn_of_drift(name: str, facts: Mapping[str, float]) -> None:
         warnings.warn(f"{words}: give surfaces in between, or less stiffness", OmtwarpWarning, stacklevel=3)
 
 
-def _write(found: SequenceRegistration, folder: Path, first: MapResult) -> None:
+def _write(sequence: SequenceRegistration, folder: Path, first: MapResult) -> None:
     """Write the strains and the table."""
-    strains = {"area": found.area, "stretch": found.stretch}
-    write_arrays(folder / "strain.npz", {**strains, "names": np.array(found.names)})
+    strains = {"area": sequence.area, "stretch": sequence.stretch}
+    write_arrays(folder / "strain.npz", {**strains, "names": np.array(sequence.names)})
     structure = first.report.get("structure")
     for name, values in strains.items() if find_spec("nibabel") is not None else ():
-        write_data(folder / f"{name}.shape.gii", VertexData(values.T, found.names, structure=structure))
-    write_facts(folder / "table.csv", found.table)
+        write_data(folder / f"{name}.shape.gii", VertexData(values.T, sequence.names, structure=structure))
+    write_facts(folder / "table.csv", sequence.table)

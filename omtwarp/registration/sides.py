@@ -47,9 +47,9 @@ class Side:
 
     def at(self, places: SphereGrid) -> tuple[Floats, NDArray[np.bool_]]:
         """Return the features at points, shape [P, K], 0 in filled holes, and which of the points are in none, [P]."""
-        found = resample(self.points, places, device="cpu")
+        values = resample(self.points, places, device="cpu")
         columns = np.column_stack(list(self.features.values()))
-        return np.asarray(found.matrix @ columns[: found.matrix.shape[1]]), ~found.empty
+        return np.asarray(values.matrix @ columns[: values.matrix.shape[1]]), ~values.empty
 
     @functools.cached_property
     def on_grid(self) -> tuple[Floats, Floats]:
@@ -72,14 +72,14 @@ class Side:
             values = np.where(known[:, None] > 0.0, values, known @ values / max(known.sum(), 1.0))
             columns.append(dict(zip(self.features, values.T, strict=True)))
         ours, theirs = columns
-        found = feature_rotations(grid, grid, ours, theirs, most=STARTS)
+        best = feature_rotations(grid, grid, ours, theirs, most=STARTS)
         # A best rotation whose correlation is not this much above the next best one's may be the wrong one.
-        if found[0].score - found[0].runner_up >= 0.1:
-            return found[:1], False
+        if best[0].score - best[0].runner_up >= 0.1:
+            return best[:1], False
         # Then the best rotations of the lower degree are tried too: features that a warp moves by up to 30 degrees
         # still agree in their longest waves. Of two made cortices at 20 and 40 degrees degree 6 has the nearest
         # rotation among its two best each time, degree 16 once.
-        return found + feature_rotations(grid, grid, ours, theirs, 6, most=STARTS), True
+        return best + feature_rotations(grid, grid, ours, theirs, 6, most=STARTS), True
 
     def agreement(self, target: "Side") -> dict[str, float]:
         """Return the correlation of every feature at the points of a target, weighted by their cells."""
@@ -88,11 +88,11 @@ class Side:
         count = there.grid.own_points
         weights = np.where(known, sphere_weights(there), 0.0)[:count]
         weights /= weights.sum()
-        found = {}
+        correlations = {}
         for name, one in zip(self.features, values[:count].T, strict=True):
             a, b = (column - weights @ column for column in (one, target.features[name][:count]))
-            found[name] = float((weights * a) @ b / np.sqrt(((weights * a) @ a) * ((weights * b) @ b)))
-        return found
+            correlations[name] = float((weights * a) @ b / np.sqrt(((weights * a) @ a) * ((weights * b) @ b)))
+        return correlations
 
 
 def _grid() -> SphereGrid:

@@ -57,7 +57,7 @@ def strain_at_vertices(before: Floats, faces: NDArray[np.int32], strain: Floats)
 
 
 def kept_within(
-    surface: Surface, sphere: Floats, bound: float, held: NDArray[np.integer] | None = None, *, with_room: bool = False
+    surface: Surface, sphere: Floats, bound: float, held: NDArray[np.integer] | None = None, *, leave_room: bool = False
 ) -> Floats:
     """Return a warp without flips and within the bound of strain, moved only around triangles that are not.
 
@@ -69,8 +69,8 @@ def kept_within(
         sphere: the warp, unit vectors, shape [V, 3].
         bound: of both numbers of :func:`octaves`, in size.
         held: vertices that are not to move where nothing is flipped; by default all may.
-        with_room: whether both numbers together are to leave a minimisation with the barrier of the bound room to begin
-            (:mod:`omtwarp.refine.further`), which is more than that each is within the bound.
+        leave_room: whether both numbers together are to leave a minimisation with the barrier of the bound room to
+            begin (:mod:`omtwarp.refine.further`), which is more than that each is within the bound.
 
     Returns:
         Unit vectors, shape [V, 3]; where no more is gained some triangles may stay over the bound.
@@ -83,7 +83,7 @@ def kept_within(
         near_held[held] = True
         near_held = grow(surface.faces, near_held, FREED_RINGS)
     for done in range(ROUNDS):
-        over = _beyond(surface, sphere, bound, with_room)
+        over = _beyond(surface, sphere, bound, leave_room)
         if not over.any():
             break
         energy = energy or ShapeEnergy(surface, resolve_device("cpu"), 1.0)
@@ -103,11 +103,11 @@ def has_room(surface: Surface, sphere: Floats, bound: float) -> bool:
     return not (flipped_faces(sphere, surface.faces) | _beyond(surface, sphere, bound, True)).any()
 
 
-def _beyond(surface: Surface, sphere: Floats, bound: float, with_room: bool) -> NDArray[np.bool_]:
+def _beyond(surface: Surface, sphere: Floats, bound: float, leave_room: bool) -> NDArray[np.bool_]:
     """Return which triangles are strained more than they may be, shape [F]; arguments as of :func:`kept_within`."""
     by_area, by_stretch = octaves(surface.vertices, sphere, surface.faces)
     over = np.maximum(np.abs(by_area), by_stretch) > bound
-    if with_room:
+    if leave_room:
         over |= strain_limit(by_area) + strain_limit(by_stretch) > NEAR_LIMIT * strain_limit(bound)
     return np.asarray(over)
 

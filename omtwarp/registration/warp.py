@@ -64,8 +64,8 @@ class Warp:
 
     def carry(self, points: Floats) -> Floats:
         """Return where the warp moves points of the sphere, unit vectors, shape [P, 3]."""
-        found = Locator(self.grid.vertices, self.grid.faces, device="cpu").find(points)
-        return found.on_sphere(self.grid.faces, self.points)
+        place = Locator(self.grid.vertices, self.grid.faces, device="cpu").find(points)
+        return place.on_sphere(self.grid.faces, self.points)
 
 
 class Warping:
@@ -131,14 +131,14 @@ class Warping:
             if pulls is not None:
                 term = TermSum([term, pulls])
             minimised = self._minimiser(grid, term, scale)
-            found = minimised(points)
+            moved = minimised(points)
             if pulls is not None and last and number == len(kept):
-                while pulls.pulled_on(found.sphere):
-                    found = minimised(found.sphere)
-            energy = float(found.history[-1]["energy"]) / scale
+                while pulls.pulled_on(moved.sphere):
+                    moved = minimised(moved.sphere)
+            energy = float(moved.history[-1]["energy"]) / scale
             record: Record = {"vertices": grid.vertex_count, "width": width, "stiffness": stiffer * self._stiffness}
-            record |= {"energy": energy, "iterations": len(found.history) - 1, "converged": found.converged}
-            warp = Warp(grid, found.sphere, energy, [*(warp.levels if warp else []), record])
+            record |= {"energy": energy, "iterations": len(moved.history) - 1, "converged": moved.converged}
+            warp = Warp(grid, moved.sphere, energy, [*(warp.levels if warp else []), record])
         assert warp is not None
         return warp
 
@@ -151,7 +151,7 @@ class Warping:
         points = warp.carry(grid.vertices)
         rigid = grid.vertices @ fitted_rotation(grid.vertices.T @ points)[0].T
         for _ in range(halvings):
-            begun = kept_within(grid, points, self._bound, with_room=True)
+            begun = kept_within(grid, points, self._bound, leave_room=True)
             if has_room(grid, begun, self._bound):
                 return begun
             points = normalised(points + rigid)

@@ -184,14 +184,14 @@ class _Studio:
             whole = max(round(seconds * self.fps), 2)
             rest = min(rest, whole // 6)
             moving = max(whole - (len(parts) + 1) * rest, 1)
-        found = [parts[0][0]] * max(rest, 1)
+        chosen = [parts[0][0]] * max(rest, 1)
         for moments, swept in curves:
             count = max(round(moving * swept[-1] / total), 1)
             way = _eased(np.arange(1, count + 1) / count) * swept[-1]
-            found += [float(time) for time in np.interp(way, swept, moments)]
-            found[-1] = moments[-1]
-            found += [moments[-1]] * rest
-        return found
+            chosen += [float(time) for time in np.interp(way, swept, moments)]
+            chosen[-1] = moments[-1]
+            chosen += [moments[-1]] * rest
+        return chosen
 
     def _motion(
         self, first: float, last: float, aspect: float, most: int, progress: Progress | None

@@ -137,9 +137,9 @@ def _ffmpeg() -> str:
     Raises:
         OmtwarpError: neither is installed.
     """
-    found = shutil.which("ffmpeg")
-    if found is not None:
-        return found
+    program = shutil.which("ffmpeg")
+    if program is not None:
+        return program
     try:
         import imageio_ffmpeg
 

@@ -66,9 +66,9 @@ def average_sphere(name: str) -> SphereGrid:
     base = name.split("-", maxsplit=1)[0]
     if base != "fsLR32k":
         return named_grid(base)
-    found = _first(name, _TABLES["spheres"]["on_fsaverage"])
-    if found is not None:
-        mesh = read_mesh(found)
+    file = _first(name, _TABLES["spheres"]["on_fsaverage"])
+    if file is not None:
+        mesh = read_mesh(file)
         return mesh_grid(mesh.vertices, mesh.faces, name)
     spheres = (_TABLES["spheres"][which] for which in ("own", "of_fsaverage"))
     own, theirs = (read_mesh(_require(name, names, "sphere")) for names in spheres)
@@ -79,14 +79,14 @@ def average_sphere(name: str) -> SphereGrid:
 
 
 def _require(name: str, names: Sequence[str], what: str) -> Path:
-    found = _first(name, names)
-    if found is None:
+    file = _first(name, names)
+    if file is None:
         ways = _TABLES["brought_by"][name.split("-", maxsplit=1)[0]]
         raise OmtwarpError(
             f"the {what} of '{name}' is not installed: {ways}, or let {FOLDER} name the folder of "
             f"'{_filled(name, names[0])}'"
         )
-    return found
+    return file
 
 
 def _first(name: str, names: Sequence[str]) -> Path | None:

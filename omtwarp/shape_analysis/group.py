@@ -67,7 +67,7 @@ def columns_of(
     Raises:
         OmtwarpError: a value is missing, or all are equal.
     """
-    found = {}
+    columns = {}
     for name, values in table.items():
         texts = ["" if value is None else str(value).strip() for value in values]
         for k, text in enumerate(texts):
@@ -79,14 +79,14 @@ def columns_of(
         try:
             numbers = np.array([float(text if name not in factors else "word") for text in texts])
         except ValueError:
-            found[name] = np.array([[float(text == level) for level in levels[1:]] for text in texts]), levels
+            columns[name] = np.array([[float(text == level) for level in levels[1:]] for text in texts]), levels
             continue
         if not np.isfinite(numbers).all():
             raise OmtwarpError(f"column '{name}' has a number that is not finite")
         if np.ptp(numbers) == 0.0:
             raise OmtwarpError(f"column '{name}' is {numbers[0]:g} in all rows: it explains no difference")
-        found[name] = numbers[:, None], ()
-    return found
+        columns[name] = numbers[:, None], ()
+    return columns
 
 
 def linear_effects(
@@ -135,7 +135,7 @@ def linear_effects(
     if permutations < 1:
         raise OmtwarpError(f"{permutations} permutations: give at least 1")
     columns = check_table(table, len(given), factors, given.shape[2])
-    found = {}
+    effects = {}
     for name, (tested, levels) in columns.items():
         others = [numbers for other, (numbers, _) in columns.items() if other != name]
         nuisance = np.column_stack([np.ones(len(given)), *others])
@@ -143,8 +143,8 @@ def linear_effects(
         shown = None if size is None else size if size.shape[1] > 1 else size[:, 0]
         signed = shown is not None and shown.ndim == 1
         statistic = np.sign(shown) * np.sqrt(squares) if signed and shown is not None else squares
-        found[name] = Effect(name, levels, shown, statistic, signed, p_values, fdr)
-    return found
+        effects[name] = Effect(name, levels, shown, statistic, signed, p_values, fdr)
+    return effects
 
 
 def check_table(

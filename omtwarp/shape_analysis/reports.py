@@ -143,10 +143,10 @@ def _body(study: GroupStudy, columns: Sequence[str], rows: Sequence[Sequence[str
 
 def _effect(study: GroupStudy, effect: Effect) -> list[Markup]:
     area = study.mean.vertex_areas
-    found = [float(area[values <= SIGNIFICANT].sum() / area.sum()) for values in (effect.p_values, effect.fdr)]
+    shares = [float(area[values <= SIGNIFICANT].sum() / area.sum()) for values in (effect.p_values, effect.fdr)]
     words = (
-        f"Smallest corrected p {effect.p_values.min():.3g}; p is at most {SIGNIFICANT} on {100 * found[0]:.1f} %, "
-        f"the rate of false discoveries on {100 * found[1]:.1f} %."
+        f"Smallest corrected p {effect.p_values.min():.3g}; p is at most {SIGNIFICANT} on {100 * shares[0]:.1f} %, "
+        f"the rate of false discoveries on {100 * shares[1]:.1f} %."
     )
     drawn: list[tuple[str, Floats | ScalarField]] = []
     if effect.size is not None:
@@ -177,68 +177,70 @@ def _picture(surface: Surface, name: str, values: Floats | ScalarField | None = 
 VIEWS = ("left", "right")
 
 
-def write_registration_page(path: Path, found: Registration, moving: SpherePoints, target: SpherePoints) -> Path:
+def write_registration_page(path: Path, registration: Registration, moving: SpherePoints, target: SpherePoints) -> Path:
     """Write a page that needs no other file.
 
     Args:
         path: the file.
-        found: the registration.
+        registration: the registration.
         moving: the map that was registered, with its surface where strain is to be drawn on that.
         target: what it was registered to.
     """
-    ours, theirs = found.features
+    ours, theirs = registration.features
     grid = target.grid
     ball = grid.points[: grid.own_points], grid.own_triangles
-    places = (found.start.sphere, moving.grid.own_triangles), (found.sphere, moving.grid.own_triangles)
+    places = (registration.start.sphere, moving.grid.own_triangles), (registration.sphere, moving.grid.own_triangles)
     carried = [resample(place, target, device="cpu") for place in places] if moving.grid.own is None else []
-    body = [_facts(found)]
+    body = [_facts(registration)]
     for name, values in theirs.items():
         known = values[: grid.own_points]
         ends = float(np.quantile(known, 0.02)), float(np.quantile(known, 0.98))
         drawn = [_sides(ball, known, "the target", f": {name}", ends)]
         for one, when in zip(carried, ("before", "after"), strict=False):
-            agreement = f": {name}, correlation {found.correlations[name][when]:.3f}"
+            agreement = f": {name}, correlation {registration.correlations[name][when]:.3f}"
             drawn.append(_sides(ball, one.apply(ours[name]), when, agreement, ends))
         body += [element("h2", name), pictures(drawn)]
-    surface = found.start.sphere if moving.vertices is None else moving.vertices[: moving.grid.own_points]
+    surface = registration.start.sphere if moving.vertices is None else moving.vertices[: moving.grid.own_points]
     shown = surface, moving.grid.own_triangles
-    strains = {"ratios of areas": found.area_strain, "ratios of stretches": found.stretch_strain}
+    strains = {"ratios of areas": registration.area_strain, "ratios of stretches": registration.stretch_strain}
     drawn = []
     for name, strain in strains.items():
-        values, bound = strain_at_vertices(found.start.sphere, shown[1], strain), found.most_strain
+        values, bound = strain_at_vertices(registration.start.sphere, shown[1], strain), registration.most_strain
         words = f": log2, {np.percentile(np.abs(strain), 95):.2f} at the 95th percentile of triangles"
         drawn.append(_sides(shown, values, name, words, (-bound, bound)))
     return write_plain_page(path, "Registration", [*body, element("h2", "Strain"), pictures(drawn)])
 
 
-def film_warp(path: Path, found: Registration, result: MapResult) -> Path:
+def film_warp(path: Path, registration: Registration, result: MapResult) -> Path:
     """Film a map from the rotation that its warp started from to where it is registered, and on to the sphere.
 
     Args:
         path: as of :func:`omtwarp.film`.
-        found: the registration.
+        registration: the registration.
         result: the map that was registered.
     """
-    return film(replace(found.registered(result), conformal=found.start.sphere), path, captions=False)
+    return film(replace(registration.registered(result), conformal=registration.start.sphere), path, captions=False)
 
 
-def _facts(found: Registration) -> Markup:
+def _facts(registration: Registration) -> Markup:
     """Return the table of agreement and strain, and what is to be known of the start."""
-    certificate = found.certificate
+    certificate = registration.certificate
     lines: list[tuple[str, str]] = [
         (f"correlation of {name}", f"{values['before']:.3f} before, {values['after']:.3f} after")
-        for name, values in found.correlations.items()
+        for name, values in registration.correlations.items()
     ]
     lines += [
         (f"{label}: degrees from its place", f"{apart['before']:.2f} before, {apart['after']:.2f} after")
-        for label, apart in found.landmarks.items()
+        for label, apart in registration.landmarks.items()
     ]
-    start = f"score {found.start.score:.3f}, the next best rotation {found.start.runner_up:.3f}"
+    start = f"score {registration.start.score:.3f}, the next best rotation {registration.start.runner_up:.3f}"
+    if registration.doubtful:
+        start += f"; doubtful, the best of {len(registration.starts)} was taken"
     lines += [
-        ("largest strain, log2", f"{found.largest_strain:.2f} of {found.most_strain:g} allowed"),
+        ("largest strain, log2", f"{registration.largest_strain:.2f} of {registration.most_strain:g} allowed"),
         ("triangles turned over", str(certificate.flips)),
         ("degree", str(certificate.degree)),
-        ("start", start + (f"; doubtful, the best of {len(found.starts)} was taken" if found.doubtful else "")),
+        ("start", start),
     ]
     return table(("measure", "value"), lines)
 

@@ -217,10 +217,10 @@ def changing(texels: NDArray[np.generic], most: float | np.generic) -> NDArray[n
         return reduce(np.logical_or, np.moveaxis(apart, 2, 0))  # twice as fast as np.any for few channels
 
     beside, below = differ(np.roll(texels, -1, axis=1), texels), differ(texels[1:], texels[:-1])
-    found = beside | np.roll(beside, 1, axis=1)
-    found[:-1] |= below
-    found[1:] |= below
-    return found
+    edges = beside | np.roll(beside, 1, axis=1)
+    edges[:-1] |= below
+    edges[1:] |= below
+    return edges
 
 
 def sample(

@@ -44,8 +44,8 @@ _OPTIONS = {
 def _statements(data: bytes) -> tuple[NDArray[np.bytes_], list[bytes]]:
     """Return the kinds of an OBJ file's statements, shape [N], and what stands behind each."""
     joined = utf8(data).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").replace(b"\r", b"\n")
-    found = [(match[1] or match[3], match[2] or b"") for match in _STATEMENT.finditer(joined)]
-    return np.array([kind for kind, _ in found], dtype="S6"), [rest for _, rest in found]
+    statements = [(match[1] or match[3], match[2] or b"") for match in _STATEMENT.finditer(joined)]
+    return np.array([kind for kind, _ in statements], dtype="S6"), [rest for _, rest in statements]
 
 
 def _named(kinds: NDArray[np.bytes_], rests: list[bytes], *names: bytes) -> tuple[list[tuple[str, ...]], Ints]:

@@ -194,10 +194,10 @@ class CutMesh:
         met = np.flatnonzero(ended[self.faces] @ np.ones(3, dtype=np.int8) >= 2)
         tails = self.faces[met].astype(np.int64)
         heads = np.roll(tails, -1, axis=1)
-        found = np.minimum(tails, heads) * count + np.maximum(tails, heads)
-        position = np.minimum(np.searchsorted(keys, found), len(keys) - 1)
+        wanted = np.minimum(tails, heads) * count + np.maximum(tails, heads)
+        position = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
         middle = np.full(self.faces.shape, -1, dtype=np.int32)
-        middle[met] = np.where(keys[position] == found, start + position, -1)
+        middle[met] = np.where(keys[position] == wanted, start + position, -1)
         return self._replace(middle)
 
     def _replace(self, middle: Ints) -> NDArray[np.bool_]:
@@ -261,10 +261,10 @@ class CutMesh:
             share = np.stack([n @ d for n in normals], axis=1)
             share *= np.sign(np.einsum("ij,ij->i", p0, normals[0]))[:, None]
             total = share.sum(axis=1)
-            found = (total > 0) & np.all(share >= -ROUND_OFF * np.abs(total)[:, None], axis=1)
-            bary[which[found]] = share[found] / total[found, None]
-            inside[which[found]] = True
-            if found.any():
+            holds = (total > 0) & np.all(share >= -ROUND_OFF * np.abs(total)[:, None], axis=1)
+            bary[which[holds]] = share[holds] / total[holds, None]
+            inside[which[holds]] = True
+            if holds.any():
                 break
         # Barycentric: a point nearer to an edge divides the edge, as parts of a triangle beside it would have no area.
         on_edge = inside & (bary.min(axis=1) < 1e-10)

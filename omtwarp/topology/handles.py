@@ -380,10 +380,10 @@ def loops_through_holes(cut: CutSurface) -> list[NDArray[np.int64] | None]:
     closed = np.isin(np.arange(len(cut.vertices)), np.concatenate(boundary_loops(cut.faces, len(cut.vertices))))
     loops: list[NDArray[np.int64] | None] = []
     for sides in cut.sides:
-        found = list(loops_across(cut, sides, closed))
-        if found:
-            closed |= np.isin(cut.vertex_origin, found[-1])
-        loops.append(found[-1] if found else None)
+        chosen = list(loops_across(cut, sides, closed))
+        if chosen:
+            closed |= np.isin(cut.vertex_origin, chosen[-1])
+        loops.append(chosen[-1] if chosen else None)
     return loops
 
 

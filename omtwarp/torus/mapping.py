@@ -50,7 +50,7 @@ def map_to_torus(
     Raises:
         OmtwarpError: the mesh is too coarse, or no map without flips was found.
     """
-    run = _Run(surface, progress, device)
+    run = _TorusComputation(surface, progress, device)
     run.optimal(optimality)
     if exact:
         run.keep_every_area()
@@ -59,7 +59,7 @@ def map_to_torus(
     return run.result(strict)
 
 
-class _Run:
+class _TorusComputation:
     """The maps of one surface, stage by stage."""
 
     def __init__(self, surface: Surface, progress: Progress | None, device: str | None):
@@ -91,14 +91,14 @@ class _Run:
         lattice = self.conformal.lattice
         eased = eased_on_torus(self.surface, self.conformal, self.torus, device=self.device) @ np.linalg.inv(lattice)
         start = replace(self.torus, coordinates=eased)
-        found, self.shape_weight = transport_on_torus(
+        optimum, self.shape_weight = transport_on_torus(
             self.surface, self.conformal, start, progress=self.notify("omt"), device=self.device
         )
-        self.largest_ring_error = found.history[-1]["ring_largest"]
-        self.take("omt", found, {"largest_ring_error": self.largest_ring_error})
+        self.largest_ring_error = optimum.history[-1]["ring_largest"]
+        self.take("omt", optimum, {"largest_ring_error": self.largest_ring_error})
         if measure:
             x, shift = self.conformal.coordinates @ lattice, self.conformal.wraps @ lattice
-            self.measured = torus_optimality(self.surface, x, found.points, shift, lattice).to_dict()
+            self.measured = torus_optimality(self.surface, x, optimum.points, shift, lattice).to_dict()
 
     def keep_every_area(self) -> None:
         """Find the optimal map of the quartered mesh, in which every triangle of the mesh keeps its area."""
@@ -109,35 +109,35 @@ class _Run:
         self.surface = quartered.surface
         self.origins = quartered
         self.conformal, self.torus = FlatTorus(x, wraps, lattice), FlatTorus(y, wraps, lattice)
-        found = exact_on_torus(
+        exact = exact_on_torus(
             quartered, self.conformal, y @ lattice, self.shape_weight, progress=self.notify("exact"), device=self.device
         )
         self.measured = None  # that was of the map before
-        self.take("exact", found, {"largest_area_error": found.history[-1]["ring_largest"]})
+        self.take("exact", exact, {"largest_area_error": exact.history[-1]["ring_largest"]})
 
     def refine(self, weight: AreaMatch | str | float) -> None:
         """Reduce the distortion of shape, at a higher cost."""
         points = self.torus.coordinates @ self.torus.lattice
-        found, used = refine_on_torus(
+        refined, used = refine_on_torus(
             self.surface, self.conformal, points, weight, progress=self.notify("refine"), device=self.device
         )
         self.measured, self.shape_weight = None, 1.0
-        self.take("refine", found, {"weight": used})
+        self.take("refine", refined, {"weight": used})
         wanted = parse_refinement(weight)
-        if isinstance(wanted, AreaMatch) and (missed := not_matched(wanted.area, found.history[-1]["area"])):
+        if isinstance(wanted, AreaMatch) and (missed := not_matched(wanted.area, refined.history[-1]["area"])):
             self.warnings.append("; ".join(missed))
 
-    def take(self, name: str, found: OptimalMap, details: StageReport) -> None:
+    def take(self, name: str, result: OptimalMap, details: StageReport) -> None:
         """Continue with a map that was found."""
-        self.history = continued(self.history, found.history)
+        self.history = continued(self.history, result.history)
         lattice = self.conformal.lattice
-        self.torus = FlatTorus(quantised(found.points @ np.linalg.inv(lattice)), self.conformal.wraps, lattice)
-        last = found.history[-1]
+        self.torus = FlatTorus(quantised(result.points @ np.linalg.inv(lattice)), self.conformal.wraps, lattice)
+        last = result.history[-1]
         whole: StageReport = {
             **details,
-            "iterations": len(found.history) - 1,
-            "converged": found.converged,
-            "ended": found.ended,
+            "iterations": len(result.history) - 1,
+            "converged": result.converged,
+            "ended": result.ended,
             "transport_cost": last["cost"],
             "area_error": last["ring_rms"],
             "shape_weight": self.shape_weight,
@@ -222,8 +222,8 @@ def quartered_torus(
     for k in range(3):
         parts[:, k] = np.stack([wraps[:, k], own[:, k], own[:, k - 1]], axis=1)
     parts[:, 3] = own
-    found = []
+    points = []
     for places in maps:
         one, other = places[ends[:, 0]], places[ends[:, 1]]
-        found.append(np.concatenate([places, quantised(0.5 * (one + other + step))]))
-    return parts.reshape(-1, 3, 2), found
+        points.append(np.concatenate([places, quantised(0.5 * (one + other + step))]))
+    return parts.reshape(-1, 3, 2), points

@@ -97,13 +97,13 @@ def transport_on_torus(
     terms = energy.terms(energy.domain.sent(y))
     term = shape_term_by_law(energy.cost(terms) / SPHERE_AREA, terms.shape.angle + 2.0)
     energy.shape_weight, energy.area_weight = term.weight, term.area
-    found = minimise(energy, y, gain=GAIN, iterations=STEPS, progress=_shown(progress))
-    points, _ = restore_areas(energy, found.points)
+    optimal = minimise(energy, y, gain=GAIN, iterations=STEPS, progress=_shown(progress))
+    points, _ = restore_areas(energy, optimal.points)
     after = energy.terms(energy.domain.sent(points))
     rms, largest = energy.area_errors(after)
-    last = {**found.history[-1], "cost": energy.cost(after), "ring_rms": rms, "ring_largest": largest}
+    last = {**optimal.history[-1], "cost": energy.cost(after), "ring_rms": rms, "ring_largest": largest}
     last |= {"area": after.shape.area + 2.0, "angle": after.shape.angle + 2.0}
-    return replace(found, points=points, history=(*found.history, last)), term.weight
+    return replace(optimal, points=points, history=(*optimal.history, last)), term.weight
 
 
 def eased_on_torus(surface: Surface, torus: FlatTorus, start: FlatTorus, *, device: str | None = "auto") -> Floats:
@@ -195,8 +195,8 @@ def refine_on_torus(
     return match_area(
         run(points, MOST_WEIGHT),
         parsed.area,
-        lambda found, value: run(found.points, value),
-        lambda found: found.history[-1]["area"],
+        lambda before, value: run(before.points, value),
+        lambda before: before.history[-1]["area"],
         tolerance=MATCH_TOLERANCE,
         trials=MATCH_TRIALS,
     )

@@ -33,26 +33,23 @@ from omtwarp.solvers.newton import PatchMatrix, search_patches
 from omtwarp.solvers.triangle import AREA_WEIGHT, triangle_frames
 from omtwarp.untangling.kernels import move_in_tangent, solid_angles, untangle_newton, untangle_value
 
-# Rings of vertices that attempts free around every flipped triangle, the last the whole sphere. Fewer move fewer
-# vertices, and tangle limbs more: areas and angles of 40 made surfaces are the same in the mean with 2 and 4 in the
-# first; a person's area distortion is 2.034 with 2 and 3, and 2.029 with 4 and 5.
+# Rings of vertices that attempts free around every flipped triangle, the last the whole sphere: fewer move fewer
+# vertices, and tangle limbs more (a person's area distortion is 2.034 with 2 and 3 first, 2.029 with 4 and 5).
 RINGS = (4, 8, 16, 10**9)
 # What ε is multiplied by from one round to the next, from LARGEST_EPSILON on, at which triangles are free to pass
-# through one another, and Newton steps in a round, at most. 60 made surfaces end with the same areas and angles with
-# 0.5, 0.7 and 0.85; the smaller, the more of their conformal maps are repaired (50, 48 and 45). With 2 and 8 steps they
-# are the same.
+# through one another, and Newton steps in a round, at most: the smaller, the more conformal maps are repaired (of 60,
+# 50 with 0.5, 48 with 0.7 and 45 with 0.85), for fewer small steps.
 LOWERED, ROUND_STEPS = 0.7, 4
 LARGEST_EPSILON = 1.0
 FATTENED = 0.1  # see :func:`omtwarp.solvers.triangle.triangle_frames`: needles of the mesh stop no attempt
 SMALLEST_EPSILON = 1e-4  # of the area ratio D: with an ε this small the energy is a barrier, and remaining flips stay
 # A Newton step of few vertices takes as long as one over this many more: its fixed cost.
 STEP_WORK = 1000
-# Repairs of thirteen scans and made shapes took up to 16 steps over all vertices; long caps, sharp boxes and tangled
-# limbs took 60 to 1,900, up to a minute for a thousand triangles, for areas better by 0.25 at most. So much takes about
-# twice as long as a whole map of an ordinary shape.
+# Ordinary repairs take up to 16 steps over all vertices, tangled limbs up to 1,900 for areas better by 0.25 at most. So
+# much takes about twice as long as a whole map of an ordinary shape.
 WORK_PER_VERTEX = 40.0
-# Relative growth of the diagonal of the semidefinite Hessian. With 1e-9, steps along directions of little curvature
-# turn a change of 1e-12 in a map into one of 5e-4 (a scan with 230 flips), with 1e-5 into 8e-6, with 1e-3 into 1e-8.
+# Relative growth of the diagonal of the semidefinite Hessian: with less, steps along directions of little curvature let
+# noise of 1e-12 grow (in a scan with 230 flips to 5e-4 with 1e-9, to 1e-8 with this).
 DAMPING = 1e-3
 MAX_HALVINGS = 20  # of a patch's step before the patch stays where it is
 # With half and twice the first, and 0.5 and 0.9 for the second, the area distortion of a creature of 2,000 vertices
