@@ -10,7 +10,6 @@ kept: z towards the viewer where y is upwards, -y where z is.
 from __future__ import annotations
 
 import os
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeAlias, TypeGuard, cast, runtime_checkable
@@ -21,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.colors import to_srgb
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import Bytes, Floats, HasTriangles, Ints
+from omtwarp.options import Domain
 from omtwarp.render.camera import axis_vector
 from omtwarp.render.scene import SurfaceMaterial, SurfaceView
 from omtwarp.texturing.export import WHITE
@@ -58,12 +58,7 @@ Subject: TypeAlias = "str | os.PathLike[str] | HasTriangles | SurfaceView | tupl
 
 def is_torus_map(subject: object) -> TypeGuard[TorusMap]:
     """Return whether a subject is a map to a torus."""
-    return _is_a(subject, "omtwarp.maps.torus_map", "TorusMap")
-
-
-def _is_a(subject: object, module: str, name: str) -> bool:
-    """Return whether a subject is of a class, of which one exists only where its module is loaded."""
-    return module in sys.modules and isinstance(subject, getattr(sys.modules[module], name))
+    return getattr(subject, "domain", None) == Domain.TORUS
 
 
 def as_surface_view(subject: Subject, image: Picture | None = None) -> SurfaceView:
@@ -91,7 +86,7 @@ def as_surface_view(subject: Subject, image: Picture | None = None) -> SurfaceVi
         return map_view(subject, image)
     elif hasattr(subject, "visual") and hasattr(subject, "faces"):
         view = _from_trimesh(cast("trimesh.Trimesh", subject))
-    elif _is_a(subject, "omtwarp.texturing.painted", "PaintedMesh"):
+    elif hasattr(subject, "face_material"):
         view = painted_view(cast("PaintedMesh", subject))
     elif isinstance(subject, (tuple, list)) and len(subject) == 2:
         view = SurfaceView(*subject)
