@@ -358,8 +358,7 @@ class MapComputation:
             measure=surface.face_areas if surface.weighted else None,
             target=None if self.target is None else self.target.at(self.sphere),
         )
-        vars(result)["certificate"] = certificate  # established of these very arrays
-        return result
+        return result.certified(certificate)
 
     def conformal(self) -> None:
         """Compute the conformal map, or the start that replaces it."""
@@ -857,8 +856,7 @@ def _in_order_of(surface: Surface, ordered: OrderedSurface, result: MapResult) -
     if origins is not None and origins.given is not None:
         result.report["mesh"]["input_vertices"] = origins.given
     certificate = replace(result.certificate, smallest_face=int(faces[result.certificate.smallest_face]))
-    result = renumbered(result, {"V": vertices, "F": faces}, arrays)
-    vars(result)["certificate"] = certificate
+    result = renumbered(result, {"V": vertices, "F": faces}, arrays).certified(certificate)
     result.report["certificate"] = certificate.to_dict()
     return result
 

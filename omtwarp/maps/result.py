@@ -483,6 +483,11 @@ class MapResult(StoredMap):
         once = all(one.degree == 1 and one.ray_degree == 1 for one in certificates)
         return replace(certificates[0], **numbers, degree=int(once), ray_degree=int(once))
 
+    def certified(self, certificate: Certificate) -> Self:
+        """Give the map the certificate that was established of these very arrays, and return it."""
+        object.__setattr__(self, "certificate", certificate)
+        return self
+
     @property
     def bijective(self) -> bool:
         """Whether the final map is one to one and onto: see :attr:`certificate`."""
