@@ -23,8 +23,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError, brief
 from omtwarp.files import limits
-from omtwarp.files.limits import LARGEST_ARRAYS, LARGEST_MESH_FILE, LARGEST_REPORT, MOST_TEXELS, amount
-from omtwarp.files.output import as_path, note_input, staged
+from omtwarp.files.limits import LARGEST_ARRAYS, LARGEST_MESH_FILE, LARGEST_REPORT, MOST_KEPT, MOST_TEXELS, amount
+from omtwarp.files.output import as_path, contents, note_input, staged
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -56,9 +56,15 @@ def reading(file: Path, kind: str, size: int | None) -> Iterator[None]:
         raise OmtwarpError(f"{file}: cannot be read as {kind}: {brief(error)}") from None
 
 
+def _identity(file: str | os.PathLike[str] | int) -> tuple[int, ...]:
+    """Return numbers that tell a file, and whether it was written in between."""
+    status = os.stat(file)
+    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
+
+
 @contextlib.contextmanager
 def open_input(path: str | os.PathLike[str], most: int, kind: str = "file") -> Iterator[BinaryIO]:
-    """Open a regular file that is neither empty nor too large, for reading.
+    """Open a regular file that is neither empty nor too large, for reading; inside of a command only once.
 
     Args:
         path: the file.
@@ -70,6 +76,12 @@ def open_input(path: str | os.PathLike[str], most: int, kind: str = "file") -> I
     """
     if "\0" in str(path):
         raise OmtwarpError(f"{path}: no such file")
+    content = None
+    with contextlib.suppress(OSError):
+        content = contents and contents.get(_identity(path))
+    if content and len(content) <= most:
+        yield io.BytesIO(content)
+        return
     try:
         # Non-blocking: a pipe without a writer is opened at once, and distinguished from a file.
         flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0)
@@ -90,9 +102,13 @@ def open_input(path: str | os.PathLike[str], most: int, kind: str = "file") -> I
             raise OmtwarpError(f"{path}: {amount(status.st_size)}, and a {kind} may have {amount(most)} at most")
         if not status.st_size:
             raise OmtwarpError(f"{path}: an empty file, not a {kind}")
-        note_input(path)
+        keep = note_input(path) and status.st_size <= MOST_KEPT
         with open(descriptor, "rb", closefd=False) as stream:
-            yield stream
+            if keep:
+                contents[_identity(descriptor)] = content = _all_of(stream, path, most)
+                while sum(map(len, contents.values())) > MOST_KEPT:
+                    del contents[next(iter(contents))]
+            yield io.BytesIO(content) if content else stream
     finally:
         os.close(descriptor)
 
@@ -104,11 +120,15 @@ def read_bytes(path: str | os.PathLike[str], most: int, kind: str = "file") -> b
         OmtwarpError: the file cannot be read.
     """
     with open_input(path, most, kind) as stream:
-        try:
-            # Room is made for as much as is asked for; a file may have grown since it was opened.
-            return stream.read(min(os.fstat(stream.fileno()).st_size, most))
-        except OSError as error:
-            raise OmtwarpError(f"{path}: cannot be read: {error.strerror or error}") from None
+        return stream.getvalue() if isinstance(stream, io.BytesIO) else _all_of(stream, path, most)
+
+
+def _all_of(stream: BinaryIO, path: str | os.PathLike[str], most: int) -> bytes:
+    try:
+        # Room is made for as much as is asked for; a file may have grown since it was opened.
+        return stream.read(min(os.fstat(stream.fileno()).st_size, most))
+    except OSError as error:
+        raise OmtwarpError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
 def read_up_to(read: Callable[[int], bytes], most: int) -> bytes:
@@ -204,11 +224,10 @@ def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, ArrayLike]) 
 
 def holds_array(path: str | os.PathLike[str], *names: str) -> bool:
     """Return whether a file is an ``.npz`` with an array of one of these names; False for what cannot be read."""
-    with contextlib.suppress(OmtwarpError, OSError, ValueError, zipfile.BadZipFile):
-        with open_input(path, LARGEST_MESH_FILE) as stream:
-            _check_directory(stream)
-            with zipfile.ZipFile(stream) as archive:
-                return not {f"{name}.npy" for name in names}.isdisjoint(archive.namelist())
+    errors = OmtwarpError, OSError, ValueError, zipfile.BadZipFile
+    with contextlib.suppress(*errors), open_input(path, LARGEST_MESH_FILE) as stream:
+        _check_directory(stream)
+        return not {f"{name}.npy" for name in names}.isdisjoint(zipfile.ZipFile(stream).namelist())
     return False
 
 

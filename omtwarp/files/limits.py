@@ -15,6 +15,7 @@ from omtwarp.errors import OmtwarpError
 LARGEST_MESH_FILE = 4 * 2**30  # bytes: 80 million triangles as binary PLY, 30 million as OBJ
 LARGEST_ARRAYS = 4 * 2**30  # bytes that an .npz may inflate to: a map of 20 million triangles with every stage has 2e9
 LARGEST_DIRECTORY = 2**20  # bytes of an .npz's list of arrays, which takes ten times as many: maps have 2e3
+MOST_KEPT = 2**29  # bytes of inputs that a command keeps for all who read them: maps of 300,000 triangles have 2e8
 LARGEST_REPORT = 256 * 2**20  # bytes of a report's text in an .npz: those of long flows have 1e6
 MOST_FACES = 2**25  # triangles: maps of 2 million were measured, and each takes about 1.3 kB of memory
 LARGEST_PICTURE_FILE = 2 * 2**30  # bytes: the largest pictures below, uncompressed

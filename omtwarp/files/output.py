@@ -40,6 +40,7 @@ _places: dict[Path, Path] = {}  # staging directories of this process, and the f
 _kept: list[Path] = []  # inputs of the command, which nothing replaces
 _noting = False  # whether files that are read become such inputs
 _forced = False  # whether files of others are replaced too
+contents: dict[tuple[int, ...], bytes] = {}  # of inputs of the command, by what tells them, see files.inputs
 _results: list[Path] = []  # folders of results, all of whose files are the package's own
 
 
@@ -154,6 +155,8 @@ def _require_no_input(given: Path, target: Path, inputs: Iterable[Path | None] =
 def keeping(inputs: Iterable[Path], *, force: bool = False) -> Iterator[None]:
     """Keep files, and all that are read in the meantime, from being replaced by what is written in the meantime.
 
+    What is read of files is kept too, so that each is opened once, and is the same for all who read it.
+
     Args:
         inputs: the files.
         force: whether companions and results replace files that the package did not write, except those kept.
@@ -166,12 +169,18 @@ def keeping(inputs: Iterable[Path], *, force: bool = False) -> Iterator[None]:
         yield
     finally:
         _kept[:], _noting, _forced = before
+        contents.clear()
 
 
-def note_input(path: str | os.PathLike[str]) -> None:
-    """Keep a file that is read from being replaced, inside of :func:`keeping`: also one that another file names."""
+def note_input(path: str | os.PathLike[str]) -> bool:
+    """Keep a file that is read from being replaced, inside of :func:`keeping`: also one that another file names.
+
+    Returns:
+        Whether this is inside of it.
+    """
     if _noting:
         _kept.append(Path(path))
+    return _noting
 
 
 @contextlib.contextmanager

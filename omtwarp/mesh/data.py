@@ -18,6 +18,7 @@ A number may be NaN, where there is none.
 
 import io
 import re
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import BinaryIO
@@ -30,7 +31,7 @@ from omtwarp.files.inputs import array_of, read_bytes, reading
 from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.files.output import staged
 from omtwarp.mesh.arrays import Floats, Ints, single_precision
-from omtwarp.mesh.neuro import load_gifti, nibabel_module, structure_of
+from omtwarp.mesh.neuro import copied, load_gifti, nibabel_module, structure_of
 from omtwarp.mesh.ply import ply_columns
 from omtwarp.mesh.write import ply_bytes
 
@@ -85,7 +86,8 @@ def read_data(path: Path, structure: str | None = None) -> VertexData:
     """
     data = read_bytes(path, LARGEST_MESH_FILE, "data file")
     name = path.name.lower()
-    with reading(path, "data", len(data)):
+    by_nibabel = name.endswith((".annot", ".nii", *MGH_SUFFIXES, *CURV_SUFFIXES)) or data[:3] == b"\xff\xff\xff"
+    with reading(path, "data", len(data)), copied(data, path.name) if by_nibabel else nullcontext(path) as file:
         if name.endswith(".npy"):
             content = from_npy(io.BytesIO(data), path.stem)
         elif name.endswith(TEXT_SUFFIXES):
@@ -93,15 +95,15 @@ def read_data(path: Path, structure: str | None = None) -> VertexData:
         elif name.endswith((".gii", ".gii.gz")):
             content = _read_gifti(path)
         elif name.endswith(".annot"):
-            content = _read_annot(path)
+            content = _read_annot(file)
         elif name.endswith(".ply"):
             content = _read_ply(data)
         elif name.endswith(MGH_SUFFIXES):
-            content = _read_mgh(path)
+            content = _read_mgh(file)
         elif name.endswith(".nii"):
-            content = _read_cifti(path, structure or structure_of(path))
-        elif name.endswith(CURV_SUFFIXES) or data[:3] == b"\xff\xff\xff":
-            values = nibabel_module().freesurfer.read_morph_data(path)
+            content = _read_cifti(file, structure or structure_of(path))
+        elif by_nibabel:
+            values = nibabel_module().freesurfer.read_morph_data(file)
             content = VertexData(np.asarray(values, np.float64)[:, None], (path.suffix.lstrip("."),))
         else:
             known = ", ".join((*DATA_SUFFIXES, *MGH_SUFFIXES, *CIFTI_SUFFIXES))

@@ -3,9 +3,12 @@
 nibabel (``pip install 'omtwarp[neuro]'``) reads and writes GIFTI and FreeSurfer's files.
 """
 
+import contextlib
 import json
 import re
 import zlib
+from collections.abc import Iterator
+from io import BytesIO
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
@@ -16,6 +19,7 @@ import numpy as np
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import file_beside, open_input, read_arrays, read_bytes, reading
 from omtwarp.files.limits import LARGEST_MESH_FILE
+from omtwarp.files.output import scratch
 from omtwarp.mesh.arrays import Floats, Ints, single_precision
 
 if TYPE_CHECKING:
@@ -39,6 +43,14 @@ def nibabel_module() -> ModuleType:
     return nibabel
 
 
+@contextlib.contextmanager
+def copied(data: bytes, name: str) -> Iterator[Path]:
+    """Yield a copy of a file that was read, for readers of nibabel's that take a file alone."""
+    with scratch() as folder:
+        (folder / name).write_bytes(data)
+        yield folder / name
+
+
 def structure_of(path: Path | None) -> str | None:
     """Return the part of the brain that a file names as its content: ``CortexLeft``, ``CortexRight`` and so on.
 
@@ -53,10 +65,10 @@ def structure_of(path: Path | None) -> str | None:
     if path.suffix.lower() == ".npz" and path.is_file() and (known := _structure_of_map(path)):
         return known
     if name.lower().endswith((".gii", ".gii.gz")) and path.is_file():
-        image = gifti_image(path)
-        for meta in [image.meta, *(array.meta for array in image.darrays)]:
-            if meta.get("AnatomicalStructurePrimary"):
-                return str(meta["AnatomicalStructurePrimary"])
+        with reading(path, "GIFTI", path.stat().st_size):
+            named = re.search(rb"StructurePrimary\W*Name>\s*<Value>(?:<!\[CDATA\[)?\s*(\w+)", _gifti_text(path))
+        if named:
+            return named[1].decode()
     match = re.search(r"(?:^|[._-])(?:(l|r)h(?=[._])|hemi-([LR])(?=[._])|([LR])(?=[.]))", name)
     return STRUCTURES[next(word for word in match.groups() if word).upper()] if match else None
 
@@ -71,41 +83,16 @@ def _structure_of_map(path: Path) -> str | None:
     return known if isinstance(known, str) and re.fullmatch(r"[\w .-]{1,80}", known) else None
 
 
-def gifti_image(path: Path) -> "GiftiImage":
+def load_gifti(path: Path) -> "GiftiImage":
     """Read a GIFTI file, as nibabel's image.
 
-    Raises:
-        OmtwarpError: the file cannot be read, or is no GIFTI file.
-    """
-    with reading(path, "GIFTI", path.stat().st_size if path.exists() else 0):
-        return load_gifti(path)
-
-
-def load_gifti(path: Path) -> "GiftiImage":
-    """Read a GIFTI file as :func:`gifti_image` does, whose errors name the file.
+    It names no other file than regular ones in its folder, where arrays may be stored.
 
     Raises:
-        OmtwarpError: the file cannot be read, or is no GIFTI file.
+        OmtwarpError: the file cannot be read, or is no GIFTI file, or names another one.
         Exception: what nibabel, expat or zlib raise on a damaged file.
     """
-    nibabel = nibabel_module()
-    require_files_beside(path)
-    image = nibabel.load(path)
-    if not isinstance(image, nibabel.gifti.GiftiImage):
-        raise OmtwarpError("damaged, or no GIFTI file: XML of another kind")
-    return image
-
-
-def require_files_beside(path: Path) -> None:
-    """Make sure that a GIFTI file names no other file than regular ones in its folder, where arrays may be stored.
-
-    Raises:
-        OmtwarpError: it names another one, or inflates to more than a mesh file may have.
-        Exception: what expat or zlib raise on a damaged file.
-    """
-    data = read_bytes(path, LARGEST_MESH_FILE, "mesh file")
-    if data.startswith(b"\x1f\x8b"):
-        data = zlib.decompressobj(31).decompress(data, LARGEST_MESH_FILE)
+    nibabel, text = nibabel_module(), _gifti_text(path)
 
     def begun(name: str, attributes: dict[str, str]) -> None:
         named = attributes.get("ExternalFileName")
@@ -114,7 +101,19 @@ def require_files_beside(path: Path) -> None:
 
     parser = ParserCreate()
     parser.StartElementHandler = begun
-    parser.Parse(data, True)
+    parser.Parse(text, True)
+    stream, whole = BytesIO(text), nibabel.gifti.GiftiImage.parser()
+    stream.name = str(path)  # where nibabel looks for the files that it names
+    whole.parse(fptr=stream)
+    if not isinstance(whole.img, nibabel.gifti.GiftiImage):
+        raise OmtwarpError("damaged, or no GIFTI file: XML of another kind")
+    return whole.img
+
+
+def _gifti_text(path: Path) -> bytes:
+    """Read a GIFTI file, and inflate it where it is compressed, to no more than a mesh file may have."""
+    data = read_bytes(path, LARGEST_MESH_FILE, "mesh file")
+    return zlib.decompressobj(31).decompress(data, LARGEST_MESH_FILE) if data.startswith(b"\x1f\x8b") else data
 
 
 def require_same_structure(one: Path | None, other: Path | None) -> None:
@@ -138,7 +137,8 @@ def write_gifti_surface(file: Path, points: Floats, faces: Ints, spherical: bool
     gifti = nibabel.gifti
     whole, own, corners, system = {}, {}, {}, None
     if like is not None and like.name.lower().endswith((".gii", ".gii.gz")):
-        given = gifti_image(like)
+        with reading(like, "GIFTI", None):
+            given = load_gifti(like)
         whole = dict(given.meta)
         for array in given.darrays:
             if array.intent == nibabel.nifti1.intent_codes["NIFTI_INTENT_POINTSET"]:
@@ -167,7 +167,8 @@ def write_freesurfer_surface(file: Path, points: Floats, faces: Ints, like: Path
     volume = None
     if like is not None and not like.name.lower().endswith((".gii", ".gii.gz", ".npz")):
         try:
-            volume = io.read_geometry(like, read_metadata=True)[2] or None
+            with copied(read_bytes(like, LARGEST_MESH_FILE), like.name) as copy:
+                volume = io.read_geometry(copy, read_metadata=True)[2] or None
         except (ValueError, OSError):
             volume = None  # of another format, which has none
     rounded = single_precision(points, "vertices")

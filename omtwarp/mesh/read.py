@@ -27,10 +27,10 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import read_arrays, read_bytes, read_up_to, reading
 from omtwarp.files.limits import LARGEST_MESH_FILE, MOST_FACES, amount
-from omtwarp.files.output import as_path, scratch
+from omtwarp.files.output import as_path
 from omtwarp.mesh import other_formats
 from omtwarp.mesh.arrays import InOneLine, whole_number, whole_numbers
-from omtwarp.mesh.neuro import load_gifti, nibabel_module
+from omtwarp.mesh.neuro import copied, load_gifti, nibabel_module
 from omtwarp.mesh.origins import Derived
 from omtwarp.mesh.other_formats import MESHIO_FORMATS, WAYS_ROUND
 from omtwarp.mesh.ply import read_ply
@@ -282,9 +282,8 @@ def _read_gifti(file: Path) -> Triangles:
 
 def _read_freesurfer(data: bytes) -> Triangles:
     nibabel = nibabel_module()
-    with scratch() as folder:  # nibabel reads it from a file
-        (folder / "surface").write_bytes(data)
-        vertices, faces = nibabel.freesurfer.read_geometry(folder / "surface")[:2]
+    with copied(data, "surface") as file:
+        vertices, faces = nibabel.freesurfer.read_geometry(file)[:2]
     return vertices, faces, []
 
 
@@ -354,6 +353,10 @@ class JoinedMesh(Derived):
     file: MeshFile
     vertex_of_file: Ints | None
     notes: tuple[str, ...]
+
+    def places(self) -> Ints:
+        """Return the vertex that each of the file's is, copies too, and -1 at the end, shape [N + 1]."""
+        return super().places() if self.vertex_of_file is None else np.append(self.vertex_of_file, -1)
 
 
 def seam_copies(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> Ints | None:
