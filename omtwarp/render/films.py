@@ -26,7 +26,7 @@ from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.limits import MOST_FILM_PIXELS, MOST_FRAMES
 from omtwarp.location import combined
 from omtwarp.mesh.arrays import Bytes, Floats, Ints
-from omtwarp.mesh.surface import SPHERE_AREA, sums_around, triangle_areas
+from omtwarp.mesh.surface import SPHERE_AREA, as_unit_vectors, sums_around, triangle_areas
 from omtwarp.options import Backend, BackendLike, PatternLike, Progress, tell
 from omtwarp.render import annotate, output
 from omtwarp.render.camera import Camera, Shot, as_light, as_view, camera_axes, frame
@@ -403,7 +403,8 @@ def _on_domains(
     shown = posed(map_view(result, image), up, front)
     surface = _centred(shown)
     faces = np.asarray(result.faces, dtype=np.int32)
-    first, last, parts, weights = np.asarray(result.conformal), np.asarray(result.sphere), faces, None
+    first, last = as_unit_vectors(np.asarray(result.conformal)), as_unit_vectors(result.sphere)
+    parts, weights = faces, None
     divisions = smooth_parts(len(faces))
     if divisions > 1:
         divided = smooth_map(surface, faces, last, divisions)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.colors import colormap_table, parse_color
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import TINY, Bytes, Floats, Ints, real_numbers, summed, whole_numbers
+from omtwarp.mesh.arrays import TINY, Bytes, Floats, Ints, real_numbers, require_unit_length, summed, whole_numbers
 from omtwarp.render.camera import Light, Shot
 from omtwarp.texturing.atlas import normalised
 from omtwarp.texturing.image import PictureLike, as_bytes, read_image
@@ -190,6 +190,7 @@ class SurfaceView:
             self.face_material = which
         if self.sphere is not None:
             self.sphere = _checked("sphere", self.sphere, [(count, 3)])
+            require_unit_length(self.sphere, "the sphere")
         if self.uv is not None:
             self.uv = _checked("uv", self.uv, [(count, 2), (triangles, 3, 2)])
         if self.colors is not None:

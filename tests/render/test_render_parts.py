@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,8 +23,11 @@ from omtwarp.render import Camera, Light, ScalarField, SurfaceView, gl_client, o
 from omtwarp.render.annotate import ticks
 from omtwarp.render.camera import VIEWS, camera_axes, frame, turntable
 from omtwarp.render.scene import build_parts, weld, welded_normals
+from omtwarp.render.subject import map_view
 
 TRIANGLE = (np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]]))
+OF_RADIUS_2 = SimpleNamespace(vertices=TRIANGLE[0], faces=TRIANGLE[1], sphere=2.0 * np.eye(3), conformal=np.eye(3))
+CONFORMAL_OF_RADIUS_2 = SimpleNamespace(**vars(OF_RADIUS_2) | {"sphere": np.eye(3), "conformal": 2.0 * np.eye(3)})
 
 
 def projected(points: np.ndarray, shot) -> np.ndarray:
@@ -173,6 +177,10 @@ def test_scalar_limits() -> None:
         (lambda: SurfaceView([[0, 0, 0], [1, 0, 0], [np.nan, 0, 0]], [[0, 1, 2]]), "not finite, first in row 2"),
         (lambda: SurfaceView(*TRIANGLE, colors=np.ones((3, 3)), scalar=[1, 2, 3]), "colors and scalar were given"),
         (lambda: SurfaceView(*TRIANGLE, image=np.zeros((2, 2, 3))), "either points on the sphere"),
+        (lambda: SurfaceView(*TRIANGLE, sphere=2.0 * np.eye(3)), "3 points of the sphere are not on the unit sphere"),
+        (lambda: preview(OF_RADIUS_2, backend="warp"), "3 points of the sphere are not on the unit sphere"),
+        (lambda: map_view(OF_RADIUS_2), "3 points of the sphere are not on the unit sphere"),
+        (lambda: omtwarp.film(CONFORMAL_OF_RADIUS_2, "a.gif", backend="warp"), "of the map are not on the unit sphere"),
         (lambda: SurfaceView(*TRIANGLE, uv=np.ones((2, 2))), "uv needs the shape"),
         (lambda: Camera(zoom=-1.0), "zoom > 0"),
         (lambda: Camera(projection="fisheye"), "unknown projection 'fisheye'"),

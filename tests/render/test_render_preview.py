@@ -192,7 +192,9 @@ def test_both_renderers_draw_the_same_picture(kind: str, both: tuple[str, str]) 
     view = SurfaceView(points, mesh.faces, up="z")
     options: dict = {}
     if kind == "image":
-        view = SurfaceView(points, mesh.faces, image=checker(), sphere=points, up="z")
+        view = SurfaceView(
+            points, mesh.faces, image=checker(), sphere=points / np.linalg.norm(points, axis=1)[:, None], up="z"
+        )
     if kind == "wireframe":
         options["wireframe"] = True
     if kind == "arrows":
