@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from omtwarp.maps.result import MapReport
+    from omtwarp.mesh.read import JoinedMesh
     from omtwarp.mesh.repair import Repaired
 
 
@@ -127,18 +128,13 @@ class Input:
 
     Attributes:
         surface: the mesh, examined; its origins are those in the file, after repair or after copies were joined.
-        sizes: how many vertices and faces the file had.
+        mesh: what was read; the origins of the surface where copies were joined and nothing was repaired.
         notes: what reading and repair did, in words.
-        vertex_of_file: the vertex that each of the file's is, shape [N], where copies were joined and nothing was
-            repaired.
-        file_faces: the file's faces, in its own vertices, shape [F, 3], in that case.
     """
 
     surface: omtwarp.Surface
-    sizes: tuple[int, int] = (0, 0)
-    notes: list[str] = field(default_factory=list)
-    vertex_of_file: NDArray | None = None
-    file_faces: NDArray | None = None
+    mesh: JoinedMesh
+    notes: list[str]
 
 
 def show_facts(facts: Mapping[str, object], line: str, printing: Printing) -> None:
@@ -200,12 +196,13 @@ def read_sound_mesh(
     from omtwarp.mesh.read import read_joined_mesh
 
     mesh = read_joined_mesh(path, together=repair or any_surface, smoothing=smoothing)
-    notes, of_file = [*of_a_map(path), *mesh.notes], mesh.vertex_of_file
+    notes = [*of_a_map(path), *mesh.notes]
     surface, repaired = sound_surface(path, mesh.vertices, mesh.faces, notes, repair, any_surface=any_surface)
-    surface.origins = None if of_file is None else mesh
     if repaired is not None:
-        surface.origins, of_file = mesh.compose(repaired), None
-    return Input(surface, (len(mesh.file.vertices), len(mesh.faces)), notes, of_file, mesh.file.faces)
+        surface.origins = mesh.compose(repaired)
+    elif mesh.vertex_of_file is not None:
+        surface.origins = mesh
+    return Input(surface, mesh, notes)
 
 
 def of_a_map(path: Path) -> list[str]:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from omtwarp.commands._work import Input
+    from omtwarp.mesh.read import JoinedMesh
 
 
 @dataclass(frozen=True)
@@ -182,12 +183,11 @@ def run_map(
             result = standing(result, None, up, front)
         if structure is not None:
             result.report["structure"] = structure
-        file_faces = None  # where vertices that are doubled along seams are to be written as in the file
-        joined = sound.vertex_of_file is not None and kind is None
-        if joined and isinstance(result, omtwarp.MapResult) and len(result.vertices) == sound.surface.vertex_count:
-            result, file_faces = replace(result, vertex_of_file=sound.vertex_of_file), sound.file_faces
+        joined = sound.mesh if sound.surface.origins is sound.mesh and kind is None and not mapping.exact else None
+        if joined is not None and isinstance(result, omtwarp.MapResult):
+            result = replace(result, vertex_of_file=joined.vertex_of_file)
         with staged(target) as file:
-            save(result, file, like=mesh, radius=radius, beside=beside, file_faces=file_faces)
+            save(result, file, like=mesh, radius=radius, beside=beside, joined=joined)
         if report_target is not None:
             read = {"path": str(mesh), "notes": sound.notes}
             write_text(report_target, _work.report_text({"input": read, **result.report, "history": result.history}))
@@ -222,8 +222,8 @@ def weights_of(mass: Mass, sound: Input, structure: str | None) -> tuple[NDArray
     columns = read_data(mass.weights, structure).values
     if columns.shape[1] != 1:
         raise OmtwarpError(f"{mass.weights}: {columns.shape[1]} numbers for every vertex or face, not one")
-    weights = columns[:, 0].astype(float)
-    belong = weights_belong_to(weights.shape, *sound.sizes, mass.weights_at)
+    weights, file = columns[:, 0].astype(float), sound.mesh.file
+    belong = weights_belong_to(weights.shape, len(file.vertices), len(file.faces), mass.weights_at)
     origins = sound.surface.origins
     if origins is None:
         return weights, belong
@@ -235,7 +235,7 @@ def weights_of(mass: Mass, sound: Input, structure: str | None) -> tuple[NDArray
 
 
 def save(
-    result: AnyMap, file: Path, *, like: Path, radius: float, beside: bool = False, file_faces: NDArray | None = None
+    result: AnyMap, file: Path, *, like: Path, radius: float, beside: bool = False, joined: JoinedMesh | None = None
 ) -> None:
     """Write a map as .npz, or its sphere as a mesh; of a map to a torus the textured surface, or a ring torus.
 
@@ -245,14 +245,13 @@ def save(
         like: the mesh that was mapped.
         radius: of the sphere, as a mesh.
         beside: write the surface, with the sphere at its vertices.
-        file_faces: the faces of ``like`` where copies of its vertices were joined: a mesh is written with the copies.
+        joined: ``like`` where copies of its vertices along seams were joined: a mesh is written with the copies.
     """
+    import numpy as np
+
     from omtwarp.mesh.write import write_mesh
 
-    of_file: NDArray | slice = slice(None)
-    faces = result.faces
-    if file_faces is not None:
-        faces, of_file = file_faces, getattr(result, "vertex_of_file", of_file)
+    faces, back = (result.faces, np.asarray) if joined is None else (joined.file.faces, joined.restrict)
     if file.suffix.lower() == ".npz":
         result.save(file)
     elif not isinstance(result, omtwarp.MapResult) and file.suffix.lower() == ".glb":
@@ -260,10 +259,10 @@ def save(
     elif not isinstance(result, omtwarp.MapResult):
         write_mesh(file, radius * result.ring(), result.faces, like=like)
     elif beside:
-        places = dict(zip(("px", "py", "pz"), radius * image_of(result)[of_file].T, strict=True))
-        write_mesh(file, result.vertices[of_file], faces, beside=places)
+        places = dict(zip(("px", "py", "pz"), radius * back(image_of(result)).T, strict=True))
+        write_mesh(file, back(result.vertices), faces, beside=places)
     else:
-        write_mesh(file, radius * image_of(result)[of_file], faces, spherical=True, like=like)
+        write_mesh(file, radius * back(image_of(result)), faces, spherical=True, like=like)
 
 
 def image_of(result: omtwarp.MapResult) -> NDArray:

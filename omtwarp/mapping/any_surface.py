@@ -471,13 +471,13 @@ def _quartered(opened: _Opened, closed: MapResult, surface: Surface) -> tuple[_O
         after = np.roll(loop, -1)
         edge = np.searchsorted(keys, np.minimum(loop, after) * whole + np.maximum(loop, after), sorter=sorted_keys)
         loops.append(np.stack([loop, place[whole + sorted_keys[edge]]], axis=1).ravel())
+    number, parents = np.where(used < whole, used, -1), np.arange(own) // PARTS
+    of_parts = Origins(number, parents, split_edges=ends[middles - whole], given=len(opened.vertices))
     cut = replace(
         opened,
         vertices=points[: len(used)],
         faces=faces[:own],
-        vertex_origin=np.concatenate([opened.vertex_origin, np.full(len(middles), -1)]),
-        face_origin=np.repeat(opened.face_origin, PARTS),
-        split_edges=np.concatenate([opened.split_edges, ends[middles - whole]]),
+        **vars(opened.compose(of_parts)),
         loops=loops,
         filled=replace(opened.filled, vertices=points, faces=faces, patch=np.repeat(opened.filled.patch, PARTS)),
     )
@@ -486,11 +486,8 @@ def _quartered(opened: _Opened, closed: MapResult, surface: Surface) -> tuple[_O
 
 def _own_half(closed: MapResult, glued: Double) -> MapResult:
     """Return the surface's own half of the map of a double."""
-    half, count = glued.half, len(glued.half)
-    number = np.full(len(glued.mirror), -1, dtype=np.int64)
-    number[half] = np.arange(count)
-    own = slice(0, len(closed.faces) // 2)
-    arrays = closed.rows({"V": half, "F": own}) | {"faces": number[closed.faces[own]].astype(np.int32)}
+    own, number = slice(0, len(closed.faces) // 2), np.cumsum(~glued.copied) - 1
+    arrays = closed.rows({"V": glued.half, "F": own}) | {"faces": number[closed.faces[own]].astype(np.int32)}
     return closed.with_arrays(arrays | {"vertex_origin": None, "face_origin": None})
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,20 +92,19 @@ def _filling(
     """Join the arrays about filled loops; there are none where no loop was filled."""
     if all(part.loops is None for part in maps):
         return {}
-    loops, ends, pairs, points, images, starts, faces, marks = [], [], [], [], [], [], [], []
+    loops, ends, pairs, faces, marks = [], [], [], [], []
+    added: dict[str, list[NDArray]] = {"vertices": [], "sphere": [], "conformal": []}
     entries = numbered = 0
     for part, number in zip(maps, numbers, strict=True):
-        own = len(part.vertices)
         if part.loops is None or part.filled_faces is None:
             faces.append(number[part.faces])
             marks.append(np.full(len(part.faces), -1))
             continue
-        new = len(_known(part.filled_vertices)) - own
+        for name, rows in added.items():
+            rows.append(_known(getattr(part, f"filled_{name}"))[len(number) :])
+        new = len(added["vertices"][-1])
         place = np.concatenate([number, count + np.arange(new)])
         count += new
-        points.append(_known(part.filled_vertices)[own:])
-        images.append(_known(part.filled_sphere)[own:])
-        starts.append(_known(part.filled_conformal)[own:])
         faces.append(place[part.filled_faces])
         marks.append(np.where(_known(part.filled_loop) >= 0, _known(part.filled_loop) + numbered, -1))
         loops.append(number[part.loops])
@@ -115,13 +115,14 @@ def _filling(
         numbered += len(_known(part.loop_ends))
     filled = np.concatenate(marks)
     order = np.argsort(filled >= 0, kind="stable")
-    return {
+    arrays: dict[str, NDArray | None] = {
+        f"filled_{name}": np.concatenate([at_vertices([getattr(part, name) for part in maps]), *rows])
+        for name, rows in added.items()
+    }
+    return arrays | {
         "loops": np.concatenate(loops),
         "loop_ends": np.concatenate(ends),
         "loop_pairs": np.concatenate(pairs) if pairs else None,
-        "filled_vertices": np.concatenate([at_vertices([part.vertices for part in maps]), *points]),
-        "filled_sphere": np.concatenate([at_vertices([part.sphere for part in maps]), *images]),
-        "filled_conformal": np.concatenate([at_vertices([part.conformal for part in maps]), *starts]),
         "filled_faces": np.concatenate(faces)[order],
         "filled_loop": filled[order],
     }
@@ -129,24 +130,17 @@ def _filling(
 
 def _report(maps: list[MapResult]) -> MapReport:
     """Join the reports of the parts to one with a certificate for all."""
-    first = maps[0].report
+    first: Mapping[str, object] = maps[0].report
     seconds = sum(part.report["seconds"] for part in maps)
-    return {
-        "versions": first["versions"],
-        "device": first["device"],
-        "method": first["method"],
-        "cost": first["cost"],
-        "scheme": first["scheme"],
-        "refine": first["refine"],
-        "mesh": {
-            "vertices": sum(part.report["mesh"]["vertices"] for part in maps),
-            "faces": sum(part.report["mesh"]["faces"] for part in maps),
-        },
+    alike = ("versions", "device", "method", "cost", "scheme", "refine")
+    of_all = {
+        "mesh": {name: sum(part.report["mesh"][name] for part in maps) for name in ("vertices", "faces")},
         "seconds": seconds,
         "stages": [{"name": "parts", "seconds": seconds, "iterations": 0}],
         "warnings": [finding | {"part": k} for k, part in enumerate(maps) for finding in part.report["warnings"]],
         "parts": [part.report for part in maps],
     }
+    return cast(MapReport, {name: first[name] for name in alike} | of_all)
 
 
 Places = NDArray[np.int64]

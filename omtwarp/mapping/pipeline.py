@@ -25,7 +25,7 @@ from omtwarp.flips.guard import hold_back
 from omtwarp.geometry.axes import principal_axes, rotation_onto_axes, towards_coordinates, turned_towards
 from omtwarp.geometry.space_order import OrderedSurface, in_space_order
 from omtwarp.mapping.verdict import judge, refusal
-from omtwarp.maps.result import MapReport, MapResult, StageReport, origin_arrays, renumbered
+from omtwarp.maps.result import MapReport, MapResult, StageReport, origin_arrays
 from omtwarp.measures import TargetDensity, mass_distortion, weighted_surface
 from omtwarp.mesh.arrays import TINY, Floats, normalised
 from omtwarp.mesh.quarter import quarter
@@ -603,15 +603,9 @@ class MapComputation:
 
     def keep_every_area(self) -> None:
         """Compute the optimal map of the quartered mesh, in which every triangle of the mesh keeps its area."""
-
-        def notify(stage: str, done: int, total: int, details: Record) -> None:
-            self.notify(EXACT, done, total, details)
-
         give_back()
         assert self.source is not None
         quartered = quarter(self.surface)
-        given = self.surface.origins
-        quartered.surface.origins = quartered if given is None else given.compose(quartered)
         self.surface = quartered.surface
         if self.mirror is not None:
             self.mirror = quartered_double(self.mirror, quartered)
@@ -632,7 +626,7 @@ class MapComputation:
             cost=self.options.cost,
             domain=self.mirrored(before),
             device=self.device,
-            progress=notify,
+            progress=lambda _stage, done, total, details: self.notify(EXACT, done, total, details),
         )
         self.remember(exact.history)
         largest = float(exact.history[-1]["ring_largest"])
@@ -847,16 +841,16 @@ def _begun(start: ArrayLike | MapResult, surface: Surface, ordered: OrderedSurfa
 def _in_order_of(surface: Surface, ordered: OrderedSurface, result: MapResult) -> MapResult:
     """Return the map of a surface, quartered or with edges split, from that of the surface in another order."""
     vertices, faces, made = ordered.vertex_origin, ordered.face_origin, surface
-    origins = surface.origins
     if result.report.get("exact"):
         quartered = quarter(surface)
         vertices, faces = ordered.of_parts(quartered)
-        made, origins = quartered.surface, quartered if origins is None else origins.compose(quartered)
-    arrays = {"vertices": made.vertices, "faces": made.faces, **origin_arrays(origins)}
-    if origins is not None and origins.given is not None:
-        result.report["mesh"]["input_vertices"] = origins.given
+        made = quartered.surface
+    arrays: dict[str, object] = {"vertices": made.vertices, "faces": made.faces, **origin_arrays(made.origins)}
+    if made.origins is not None and made.origins.given is not None:
+        result.report["mesh"]["input_vertices"] = made.origins.given
     certificate = replace(result.certificate, smallest_face=int(faces[result.certificate.smallest_face]))
-    result = renumbered(result, {"V": vertices, "F": faces}, arrays).certified(certificate)
+    rows = result.rows({"V": np.argsort(vertices), "F": np.argsort(faces)})
+    result = result.with_arrays(rows | arrays).certified(certificate)
     result.report["certificate"] = certificate.to_dict()
     return result
 

@@ -13,7 +13,7 @@ from omtwarp.geometry.sphere_hierarchy import triangle_solid_angles
 from omtwarp.maps.result import StageReport, Warned
 from omtwarp.measures import mass_distortion
 from omtwarp.mesh.arrays import TINY, Floats
-from omtwarp.mesh.origins import named_face, named_vertex
+from omtwarp.mesh.origins import named
 from omtwarp.mesh.quarter import PARTS
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.optimal.refinement import not_matched
@@ -73,7 +73,7 @@ def foretell(surface: Surface) -> list[Finding]:
     # An equilateral triangle with its corners on the sphere has the largest area, 3 sqrt(3) / 4: this share of 4π. With
     # a share of 0.086 the map of a small sphere is at 2.16.
     if share[worst] > 0.05:
-        number, name = named_face(surface.origins, worst)
+        number, name = named(surface.origins, "face", worst)
         text = f"{name} {_place_of_face(surface, worst)} has {share[worst]:.1%} of the area"
         findings.append(Finding("large-face", number, text, "split large triangles"))
     ring = thinnest_ring(surface)
@@ -82,7 +82,7 @@ def foretell(surface: Surface) -> list[Finding]:
         # Vertices around a limb for those needed. Tubes whose edges were flipped at random reach 2.04 at 1.3, 2.12 at
         # 1.2.
         if ring.around < 1.3 * needed:
-            number, name = named_vertex(surface.origins, ring.vertex)
+            number, name = named(surface.origins, "vertex", ring.vertex)
             text = (
                 f"about {ring.around:.0f} vertices around a limb with {ring.share:.1%} of the area, at "
                 f"{name} {_place(surface.vertices[ring.vertex])}, where {needed:.1f} are needed"
@@ -96,7 +96,7 @@ def foretell(surface: Surface) -> list[Finding]:
         if not share_long > most:
             continue
         worst = int(np.argmax(np.where(long > limit, share, 0.0)))
-        number, name = named_face(surface.origins, worst)
+        number, name = named(surface.origins, "face", worst)
         text = (
             f"triangles {limit:.0f} times as long as high have {share_long:.0%} of the area, the largest is "
             f"{name} {_place_of_face(surface, worst)}"
@@ -121,7 +121,7 @@ def _coarse_findings(surface: Surface, long: Floats) -> list[Finding]:
     folded = bend < np.cos(np.radians(fold))
     if share[folded].sum() > folded_share:
         worst = int(np.argmax(np.where(folded, share, 0.0)))
-        number, name = named_face(surface.origins, worst)
+        number, name = named(surface.origins, "face", worst)
         text = (
             f"triangles folded by more than {fold:.0f} degrees against a neighbour have {share[folded].sum():.0%} of "
             f"the area, the largest is {name} {_place_of_face(surface, worst)}"
@@ -132,7 +132,7 @@ def _coarse_findings(surface: Surface, long: Floats) -> list[Finding]:
     # did.
     if surface.face_count <= FEW_FACES and long.max() > 1e3:
         worst = int(np.argmax(long))
-        number, name = named_face(surface.origins, worst)
+        number, name = named(surface.origins, "face", worst)
         text = f"{name} {_place_of_face(surface, worst)} is {long[worst]:.0e} times as long as high"
         findings.append(Finding(NEEDLES, number, text, "flip an edge of the needle, or collapse it"))
     mean_long = float(share @ long)
@@ -229,7 +229,7 @@ def _area_findings(goal: Surface, sphere: Floats, uniform: bool, parts: int = 1)
         worst = int(np.argmax(error))
         off = int((error > max_vertex_area_error).sum())
         if off:
-            number, name = named_vertex(goal.origins, worst)
+            number, name = named(goal.origins, "vertex", worst)
             text = (
                 f"areas around vertices are off by up to {error[worst]:.0%}, the most at {name} "
                 f"{_place(goal.vertices[worst])}, and by more than {max_vertex_area_error:.0%} at {off} of {len(error)}"
@@ -243,7 +243,7 @@ def _area_findings(goal: Surface, sphere: Floats, uniform: bool, parts: int = 1)
     mean = float(distortion.sum())
     if not mean < MAX_AREA_DISTORTION:
         worst = int(np.argmax(distortion - 2.0 * wanted / SPHERE_AREA))
-        number, name = named_face(goal.origins, parts * worst)
+        number, name = named(goal.origins, "face", parts * worst)
         text = (
             f"area distortion {mean:.4g}, where 2 is perfect, most of it in {name} "
             f"{_place_of_face(goal, parts * worst)}, whose image has {ratio[worst]:.3g} times its area"

@@ -523,17 +523,6 @@ def origin_arrays(origins: Origins | None) -> dict[str, NDArray[np.int64] | None
     return {"vertex_origin": origins.vertex_origin, "face_origin": origins.face_origin, "split_edges": edges}
 
 
-def renumbered(result: MapResult, numbers: Mapping[str, NDArray[np.int64]], arrays: Mapping[str, object]) -> MapResult:
-    """Return the same map for vertices and faces that are numbered in another way.
-
-    Args:
-        result: a map of V vertices and F faces.
-        numbers: the new numbers of vertices and faces, under ``V`` and ``F``, of those lengths.
-        arrays: arrays of the new map, by name, that hold numbers of vertices or faces: at least ``faces``.
-    """
-    return result.with_arrays(result.rows({k: np.argsort(new) for k, new in numbers.items()}) | dict(arrays))
-
-
 def _certified(faces: Ints, points: Floats) -> Certificate:
     """Return the certificate of one part, its vertices numbered anew and its boundary closed."""
     used, own = np.unique(faces, return_inverse=True)

@@ -1,6 +1,7 @@
 """Where the vertices and faces of a surface come from that was made from another, and data that follow them."""
 
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,6 +9,7 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError
 
 Ints = NDArray[np.int64]
+Numbers = TypeVar("Numbers", bound=np.generic)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +78,7 @@ class Origins:
             left = left & ~ready
         return carried
 
-    def restrict(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
+    def restrict(self, values: NDArray[Numbers]) -> NDArray[Numbers]:
         """Carry data at the vertices of this surface back to those of the one that it was made from.
 
         Of several copies of a vertex, the first counts. Where a vertex is gone, there is no number: NaN.
@@ -114,13 +116,7 @@ class Derived(Origins):
     faces: NDArray[np.integer]
 
 
-def named_face(names: Origins | None, face: int) -> tuple[int, str]:
-    """Return a face's number in the input (-1 for a new one) and its name for messages."""
-    number = face if names is None else int(names.face_origin[face])
-    return number, f"face {number}" if number >= 0 else "an added face"
-
-
-def named_vertex(names: Origins | None, vertex: int) -> tuple[int, str]:
-    """Return a vertex's number in the input (-1 for a new one) and its name for messages."""
-    number = vertex if names is None else int(names.vertex_origin[vertex])
-    return number, f"vertex {number}" if number >= 0 else "an added vertex"
+def named(origins: Origins | None, kind: str, number: int) -> tuple[int, str]:
+    """Return the number in the input, -1 for a new one, of a ``face`` or ``vertex``, and its name for messages."""
+    given = number if origins is None else int(vars(origins)[f"{kind}_origin"][number])
+    return given, f"{kind} {given}" if given >= 0 else f"an added {kind}"

@@ -23,7 +23,8 @@ class QuarteredSurface(Origins):
     the next, middle of the edge from the one before to corner k); part 4 f + 3 has the three middles for corners.
 
     Attributes:
-        surface: V + E vertices, those of the mesh first, then the middles of its edges; 4 F triangles.
+        surface: V + E vertices, those of the mesh first, then the middles of its edges; 4 F triangles. Its origins are
+            those in the input that the mesh was made from.
         middles: of the edges from corner k to the next of every triangle of the mesh, int32, shape [F, 3].
     """
 
@@ -90,4 +91,6 @@ def quarter(surface: Surface) -> QuarteredSurface:
     cut.checked = surface.checked
     vertices, parents = np.r_[np.arange(len(points)), np.full(len(edges), -1)], np.arange(4 * len(faces)) // PARTS
     ends, middles = edges.astype(np.int64), middles.astype(np.int32)
-    return QuarteredSurface(vertices, parents, cut, middles, split_edges=ends, given=len(points))
+    quartered = QuarteredSurface(vertices, parents, cut, middles, split_edges=ends, given=len(points))
+    cut.origins = quartered if surface.origins is None else surface.origins.compose(quartered)
+    return quartered

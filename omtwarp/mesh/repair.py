@@ -82,9 +82,8 @@ def repair(mesh: MeshLike | ArrayLike, faces: ArrayLike | None = None, *, whole:
                 step()
         work.drop_unused_vertices()
         work.measure_loss(points, triangles)
-    return Repaired(
-        work.vertex_origin, work.face_origin, work.points, work.faces, work.actions, work.loss, given=len(points)
-    )
+    origins = work.vertex_origin, work.face_origin
+    return Repaired(*origins, work.points, work.faces, work.actions, work.loss, given=len(points))
 
 
 def _require_counted_from_zero(faces: NDArray[np.int64], count: int) -> None:

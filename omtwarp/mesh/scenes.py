@@ -72,12 +72,7 @@ class GltfInput:
 
     def encoded(self) -> bytes:
         """Return the file with its JSON as it is now."""
-        text = json.dumps(self.document).encode("utf-8")
-        if not self.binary:
-            return text
-        text += b" " * (-len(text) % 4)
-        length = 20 + len(text) + len(self.chunks)
-        return struct.pack("<4sIII4s", b"glTF", 2, length, len(text), b"JSON") + text + self.chunks
+        return binary_gltf(self.document, self.chunks) if self.binary else json.dumps(self.document).encode()
 
     def write_out_arrays(self) -> None:
         """Write out sparse arrays, and as floats normalised whole numbers: positions, normals and texture coordinates.
@@ -213,6 +208,13 @@ class GltfInput:
             raise OmtwarpError("damaged: a negative number of rows in a sparse array")
         if self.left < 0:
             raise OmtwarpError(f"its sparse arrays take more than {amount(LARGEST_MESH_FILE)}, which is the most")
+
+
+def binary_gltf(document: Document, chunks: bytes) -> bytes:
+    """Return a binary glTF file (section 4.4) of its JSON and the chunks that follow it."""
+    text = json.dumps(document, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    return struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(chunks), len(text), b"JSON") + text + chunks
 
 
 def _unit_range(array: Numbers) -> NDArray[np.float32]:

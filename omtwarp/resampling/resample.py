@@ -246,9 +246,8 @@ def as_points(given: PointsLike, name: str = "the sphere") -> SpherePoints:
             return as_points(MapResult.load(path), str(path))
         mesh = read_mesh(path)
         beside = _sphere_beside(path)
-        if beside is not None:
-            return SpherePoints(mesh_grid(beside, mesh.faces, str(path)), mesh.vertices)
-        return SpherePoints(mesh_grid(mesh.vertices, mesh.faces, str(path)))
+        sphere, surface = (mesh.vertices, None) if beside is None else (beside, mesh.vertices)
+        return SpherePoints(mesh_grid(sphere, mesh.faces, str(path)), surface)
     if getattr(given, "domain", None) == Domain.TORUS:
         raise OmtwarpError(f"{name}: a map to a torus, where one to the sphere is needed, as cut=True makes")
     if isinstance(given, tuple | list) and len(given) == 2:

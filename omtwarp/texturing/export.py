@@ -3,7 +3,6 @@
 The files appear once all of them are complete, so that a failure, a full disk or Ctrl-C leaves the old ones or none.
 """
 
-import json
 import os
 import re
 import struct
@@ -18,6 +17,7 @@ from omtwarp.colors import to_linear
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.output import as_path, companion, staged
 from omtwarp.mesh.arrays import ROUND_OFF, TINY, Bytes, Floats, Ints, single_precision, summed
+from omtwarp.mesh.scenes import binary_gltf
 from omtwarp.mesh.write import Target
 from omtwarp.options import TextureFormat
 from omtwarp.texturing.image import png_bytes, webp_bytes
@@ -363,10 +363,7 @@ class GltfFile:
             document |= {"textures": textures, "samplers": [self._sampler], "images": self._images}
         blob = bytes(self._buffer) + b"\0" * (-len(self._buffer) % 4)
         document |= {"accessors": self._accessors, "bufferViews": self._views, "buffers": [{"byteLength": len(blob)}]}
-        text = json.dumps(document, separators=(",", ":")).encode()
-        text += b" " * (-len(text) % 4)
-        head = struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + len(blob))
-        return head + struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(blob), b"BIN\0") + blob
+        return binary_gltf(document, struct.pack("<I4s", len(blob), b"BIN\0") + blob)
 
 
 def glb_bytes(model: Model, texture_format: TextureFormat) -> bytes:

@@ -139,11 +139,10 @@ class PaintedMesh:
         corner = apart.argmin(axis=2)
         if len(kept) and apart.min(axis=2).max() > (SAME_PLACE if face_origin is None else WELD) * self._extent:
             raise OmtwarpError(ELSEWHERE)
-        materials = np.zeros(len(triangles), dtype=np.int32)
-        materials[kept] = self.material_of[origin[kept]]
-        objects = None if self.face_object is None else np.zeros(len(triangles), dtype=np.int32)
-        if objects is not None and self.face_object is not None:
-            objects[kept] = self.face_object[origin[kept]]
+        materials, objects = (
+            None if known is None else np.where(origin >= 0, known[origin], 0).astype(np.int32)
+            for known in (self.face_material, self.face_object)
+        )
         uv = None
         if self.uv is not None:
             uv = np.full((len(triangles), 3, 2), np.nan)

@@ -160,15 +160,13 @@ def quartered_double(whole: Double, quartered: QuarteredSurface) -> Double:
     image = order[np.searchsorted(keys, wanted, sorter=order)]
     own = np.zeros(len(ends), dtype=bool)
     own[quartered.middles[: len(quartered.middles) // 2] - count] = True
-    made = whole.compose(quartered)
     return Double(
-        made.vertex_origin,
-        made.face_origin,
-        quartered.surface.vertices,
-        quartered.surface.faces,
-        np.concatenate([whole.mirror, count + image]),
-        np.concatenate([whole.on_boundary, image == np.arange(len(ends))]),
-        np.concatenate([whole.copied, ~own]),
+        vertices=quartered.surface.vertices,
+        faces=quartered.surface.faces,
+        mirror=np.concatenate([whole.mirror, count + image]),
+        on_boundary=np.concatenate([whole.on_boundary, image == np.arange(len(ends))]),
+        copied=np.concatenate([whole.copied, ~own]),
+        **vars(whole.compose(quartered)),
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import warnings
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,13 +14,12 @@ from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.maps.result import StageReport, origin_arrays
 from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh.arrays import Floats
-from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.quarter import PARTS, QuarteredSurface, quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics.optimality import torus_optimality
 from omtwarp.optimal.refinement import not_matched
 from omtwarp.optimal.solver import OptimalMap
-from omtwarp.options import AreaMatch, Progress, Record, continued, parse_refinement
+from omtwarp.options import AreaMatch, Progress, Record, continued, parse_refinement, tell
 from omtwarp.torus.harmonic import QUANTUM, FlatTorus, conformal_torus, embedded_torus, quantised
 from omtwarp.torus.transport import Report, eased_on_torus, exact_on_torus, refine_on_torus, transport_on_torus
 
@@ -65,7 +65,6 @@ class _TorusComputation:
     def __init__(self, surface: Surface, progress: Progress | None, device: str | None):
         self.surface, self.progress, self.device = surface, progress, device
         self.clock = self.begin = time.perf_counter()
-        self.origins: Origins | None = None
         self.history: list[Record] = []
         self.stages: list[StageReport] = []
         self.shape_weight = 0.0  # of the last stage
@@ -78,13 +77,8 @@ class _TorusComputation:
         self.finish("conformal", {}, self.conformal)
 
     def notify(self, stage: str) -> Report:
-        """Report the progress of a stage."""
-
-        def report(done: int, total: int, details: Record) -> None:
-            if self.progress is not None:
-                self.progress(stage, done, total, details)
-
-        return report
+        """Return what reports the progress of a stage."""
+        return partial(tell, self.progress, stage)
 
     def optimal(self, measure: bool) -> None:
         """Find the discrete optimal map."""
@@ -107,7 +101,6 @@ class _TorusComputation:
         wraps, (x, y) = quartered_torus(quartered, self.surface.faces, self.conformal.wraps, *maps)
         lattice = self.conformal.lattice
         self.surface = quartered.surface
-        self.origins = quartered
         self.conformal, self.torus = FlatTorus(x, wraps, lattice), FlatTorus(y, wraps, lattice)
         exact = exact_on_torus(
             quartered, self.conformal, y @ lattice, self.shape_weight, progress=self.notify("exact"), device=self.device
@@ -163,7 +156,7 @@ class _TorusComputation:
             lattice=torus.lattice * np.sqrt(area / SPHERE_AREA),
             conformal=self.conformal.coordinates,
             history=self.history,
-        ).with_arrays(origin_arrays(self.origins))
+        ).with_arrays(origin_arrays(surface.origins))
 
     def result(self, strict: bool) -> TorusMap:
         """Return the finished map; with a warning, or an error if strict, where areas are wrong.

@@ -16,7 +16,7 @@ from omtwarp.mapping.any_surface import map_surface
 from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mapping.verdict import foretell
 from omtwarp.mesh import shapes
-from omtwarp.mesh.origins import Origins, named_face, named_vertex
+from omtwarp.mesh.origins import Origins, named
 from omtwarp.mesh.surface import Surface
 from omtwarp.mesh.validate import check
 
@@ -120,5 +120,5 @@ def test_names_are_kept_from_step_to_step():
     names = Origins(np.array([4, -1, 7]), np.array([5, 5, -1]))
     both = names.compose(Origins(np.array([0, 1, 2, 0, -1]), np.array([0, 1, 2, 0, 1, 2])))
     assert both.vertex_origin.tolist() == [4, -1, 7, 4, -1] and both.face_origin.tolist() == [5, 5, -1, 5, 5, -1]
-    assert named_face(both, 4) == (5, "face 5") and named_face(both, 2) == (-1, "an added face")
-    assert named_vertex(both, 3) == (4, "vertex 4") and named_vertex(None, 3) == (3, "vertex 3")
+    assert named(both, "face", 4) == (5, "face 5") and named(both, "face", 2) == (-1, "an added face")
+    assert named(both, "vertex", 3) == (4, "vertex 4") and named(None, "vertex", 3) == (3, "vertex 3")
