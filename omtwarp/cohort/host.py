@@ -28,7 +28,7 @@ from omtwarp.device.policy import asks_for_cuda
 from omtwarp.errors import OmtwarpError, OmtwarpWarning, choose, unexpected, with_options
 from omtwarp.files.limits import address_space
 from omtwarp.files.output import digest_of, staged
-from omtwarp.mapping.any_surface import map_surface
+from omtwarp.mapping.any_surface import in_file, map_surface
 from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.neuro import structure_of
@@ -89,13 +89,11 @@ def _map(job: Job) -> MapResult:
     """Read an item, repair it where asked, and map it."""
     repair_first = bool(job.options.get("repair"))
     mesh = read_joined_mesh(Path(job.path), together=repair_first)
-    vertices, faces = mesh.vertices, mesh.faces
-    if repair_first:
-        repaired = repair(vertices, faces, whole="fill_area" not in job.options)
-        vertices, faces = repaired.vertices, repaired.faces
-        if repaired.loss > NOTED_LOSS:
-            warnings.warn(f"{job.path}: {repaired.actions[-1]}", OmtwarpWarning, stacklevel=2)
-    result = mapped((vertices, faces), job.options)
+    repaired = repair(mesh, whole="fill_area" not in job.options) if repair_first else None
+    if repaired is not None and repaired.loss > NOTED_LOSS:
+        warnings.warn(f"{job.path}: {repaired.actions[-1]}", OmtwarpWarning, stacklevel=2)
+    given = mesh if repaired is None else repaired
+    result = in_file(mapped((given.vertices, given.faces), job.options), mesh.after(repaired), len(given.vertices))
     structure = structure_of(Path(job.path))
     if structure is not None:
         result.report["structure"] = structure

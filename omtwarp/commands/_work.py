@@ -198,10 +198,7 @@ def read_sound_mesh(
     mesh = read_joined_mesh(path, together=repair or any_surface, smoothing=smoothing)
     notes = [*of_a_map(path), *mesh.notes]
     surface, repaired = sound_surface(path, mesh.vertices, mesh.faces, notes, repair, any_surface=any_surface)
-    if repaired is not None:
-        surface.origins = mesh.compose(repaired)
-    elif mesh.vertex_of_file is not None:
-        surface.origins = mesh
+    surface.origins = mesh.after(repaired)
     return Input(surface, mesh, notes)
 
 

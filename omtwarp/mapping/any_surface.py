@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from math import fsum
 from time import perf_counter
-from typing import Unpack
+from typing import TypeVar, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -68,6 +68,8 @@ from omtwarp.topology.kind import (
     places_of,
 )
 from omtwarp.torus.mapping import map_to_torus
+
+Map = TypeVar("Map", MapResult, TorusMap)
 
 
 def map_surface(
@@ -149,7 +151,7 @@ def map_surface(
     if len(parts) == 1 and parts[0].is_torus and domain in (Domain.AUTO, Domain.TORUS):
         if weights is not None:
             raise OmtwarpError("weights are for the sphere, the hemisphere, the disk and the cap: not for the torus")
-        return _in_file(_on_torus(parts[0], progress, chosen), of_file, len(np.asarray(vertices)))
+        return in_file(_on_torus(parts[0], progress, chosen), of_file, len(np.asarray(vertices)))
     _check_domain(domain, parts, components, together, along)
     count, exact = len(np.asarray(vertices)), chosen.exact
     shares = None if weights is None else face_weights(weights, np.asarray(faces), count, weights_at)
@@ -161,14 +163,19 @@ def map_surface(
     if together:
         maps, caps = _packed(parts, maps, shares, exact)
     maps = _finished(maps, given, exact)
-    return _in_file(maps[0] if len(maps) == 1 else joined(maps, count, caps), of_file, count)
+    return in_file(maps[0] if len(maps) == 1 else joined(maps, count, caps), of_file, count)
 
 
-def _in_file(result: MapResult | TorusMap, of_file: Origins | None, count: int) -> MapResult | TorusMap:
-    """Return a map with origins in the file, where the surface that was mapped was made from that, and its size."""
+def in_file(result: Map, of_file: Origins | None, count: int) -> Map:
+    """Return a map with origins in the file that the surface was made from, and the number of the file's vertices.
+
+    Args:
+        result: the map of the surface.
+        of_file: what the surface's vertices and faces are in the file; None where they are its own.
+        count: of the surface's vertices, which is that of the file's where it is not in ``of_file``.
+    """
     if of_file is not None:
-        own = result.origins or Origins(np.arange(len(result.vertices)), np.arange(len(result.faces)))
-        made = of_file.compose(own)
+        made = of_file.compose(result.origins or Origins(np.arange(len(result.vertices)), np.arange(len(result.faces))))
         result = result.with_arrays({"vertex_origin": made.vertex_origin, "face_origin": made.face_origin})
         count = of_file.given or count
     result.report["mesh"]["input_vertices"] = count

@@ -31,7 +31,7 @@ from omtwarp.files.output import as_path
 from omtwarp.mesh import other_formats
 from omtwarp.mesh.arrays import InOneLine, whole_number, whole_numbers
 from omtwarp.mesh.neuro import copied, load_gifti, nibabel_module
-from omtwarp.mesh.origins import Derived
+from omtwarp.mesh.origins import Derived, Origins
 from omtwarp.mesh.other_formats import MESHIO_FORMATS, WAYS_ROUND
 from omtwarp.mesh.ply import read_ply
 from omtwarp.mesh.polygons import Triangles, fans, taken_together
@@ -42,6 +42,8 @@ from omtwarp.mesh.vtk import read_vtk, read_vtk_xml
 
 if TYPE_CHECKING:
     import trimesh
+
+    from omtwarp.mesh.repair import Repaired
 
 
 @dataclass(frozen=True, repr=False)
@@ -357,6 +359,12 @@ class JoinedMesh(Derived):
     def places(self) -> Ints:
         """Return the vertex that each of the file's is, copies too, and -1 at the end, shape [N + 1]."""
         return super().places() if self.vertex_of_file is None else np.append(self.vertex_of_file, -1)
+
+    def after(self, repaired: Repaired | None) -> Origins | None:
+        """Return what the mesh, or a repaired one made from it, has from the file; None where all is the file's own."""
+        if repaired is not None and repaired.actions:
+            return self.compose(repaired)
+        return None if self.vertex_of_file is None else self
 
 
 def seam_copies(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> Ints | None:

@@ -6,6 +6,9 @@ import trimesh
 
 import omtwarp
 from omtwarp import OmtwarpError, resample, shapes
+from omtwarp.cohort.executors import make_folders
+from omtwarp.cohort.host import run_item
+from omtwarp.cohort.item import Job
 from omtwarp.commands._cli import main
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.quarter import quarter
@@ -119,5 +122,10 @@ def test_data_of_the_file_follow_a_repaired_mesh(tmp_path, capsys):
     result = omtwarp.MapResult.load(tmp_path / "map.npz")
     assert result.report["mesh"]["input_vertices"] == len(vertices) > len(result.vertices)
     assert np.array_equal(result.origins.prolong(vertices), result.vertices)
+    make_folders(tmp_path)
+    options = {"repair": True, "device": "cpu", "until": "conformal"}
+    run_item(Job("broken", str(tmp_path / "broken.ply"), str(tmp_path), "key", options, 60.0))
+    of_cohort = omtwarp.MapResult.load(tmp_path / "maps" / "broken.npz")
+    assert np.array_equal(of_cohort.origins.prolong(vertices), of_cohort.vertices)
     moved = np.load(tmp_path / "out.npy")
     assert np.allclose(moved, resample(result, "ico2", device="cpu").apply(result.vertices[:, 0]))
