@@ -495,7 +495,7 @@ def _own_half(closed: MapResult, glued: Double) -> MapResult:
     """Return the surface's own half of the map of a double."""
     own, number = slice(0, len(closed.faces) // 2), np.cumsum(~glued.copied) - 1
     arrays = closed.rows({"V": glued.half, "F": own}) | {"faces": number[closed.faces[own]].astype(np.int32)}
-    return closed.with_arrays(arrays | {"vertex_origin": None, "face_origin": None})
+    return closed.with_arrays(arrays | {"vertex_origin": None, "face_origin": None, "split_edges": None})
 
 
 def _or(lines: list[str]) -> str:

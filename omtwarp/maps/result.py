@@ -162,10 +162,10 @@ class StoredMap(Displayable):
         fitting = fitting_arrays(arrays, self.layout, {"V": len(vertices), "F": len(faces)})
         for name, value in fitting.items():
             object.__setattr__(self, name, value)
-        for name in ("part", "loops", "loop_ends", "loop_pairs", "split_edges"):
-            numbers = fitting.get(name)
-            if numbers is not None and numbers.size and numbers.min() < 0:
-                raise OmtwarpError(f"'{name}': {int(numbers.min())} is out of range, at least 0")
+        below = dict.fromkeys(("part", "loop_ends", "loop_pairs"), len(vertices) + len(faces))
+        below |= {"loops": len(vertices), "split_edges": len(vertices)}
+        for name in below.keys() & fitting.keys():
+            whole_numbers(fitting[name], f"'{name}'", fitting[name].shape, below=below[name])
 
     @classmethod
     def _require(cls, arrays: Mapping[str, object]) -> None:
@@ -516,11 +516,9 @@ MapResult.layout = layout_of(MapResult)
 
 
 def origin_arrays(origins: Origins | None) -> dict[str, NDArray[np.int64] | None]:
-    """Return the arrays of a map, by name, that say what its vertices and faces are in the input."""
-    if origins is None:
-        return {"vertex_origin": None, "face_origin": None, "split_edges": None}
-    edges = origins.split_edges if len(origins.split_edges) else None
-    return {"vertex_origin": origins.vertex_origin, "face_origin": origins.face_origin, "split_edges": edges}
+    """Return the arrays of a map, by name, that say what its vertices and faces are in the input; None for none."""
+    arrays = {name: getattr(origins, name, None) for name in ("vertex_origin", "face_origin", "split_edges")}
+    return {name: values if values is not None and len(values) else None for name, values in arrays.items()}
 
 
 def _certified(faces: Ints, points: Floats) -> Certificate:

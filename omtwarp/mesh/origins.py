@@ -44,10 +44,13 @@ class Origins:
 
         It is -1 for those that are gone, and at the end, so that -1 leads to -1: shape [N + 1].
         """
-        place = np.full(max(self.given or 0, int(self.vertex_origin.max(initial=-1)) + 1) + 1, -1)
+        place = np.full(self._count() + 1, -1)
         place[self.vertex_origin[::-1]] = np.arange(len(self.vertex_origin))[::-1]
         place[-1] = -1
         return place
+
+    def _count(self) -> int:
+        return max(self.given or 0, int(self.vertex_origin.max(initial=-1)) + 1)
 
     def _ends(self) -> Ints:
         """Return the two vertices that each new one lies halfway between, -1 where none are known, shape [V, 2]."""
@@ -66,7 +69,7 @@ class Origins:
             values: shape [N] or [N, K].
         """
         left, ends = self.vertex_origin < 0, self._ends()
-        if values.ndim == 0 or len(values) != len(self.places()) - 1 or (ends[left] < 0).any():
+        if values.ndim == 0 or len(values) != self._count() or (ends[left] < 0).any():
             return values
         carried = values[self.vertex_origin]
         while left.any():  # an end can be the middle of another edge

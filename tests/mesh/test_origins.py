@@ -77,6 +77,12 @@ def test_data_of_the_input_are_resampled_through_a_quartered_map():
         found.apply(BALL.vertices[1:])
 
 
+def test_edges_of_vertices_that_are_not_there_are_refused():
+    result = omtwarp.map_to_sphere(BALL, until="conformal", device="cpu")
+    with pytest.raises(OmtwarpError, match="'split_edges': 162 in row 0 is out of range"):
+        result.with_arrays({"split_edges": [[0, 162]]})
+
+
 def test_data_of_the_file_follow_a_map_to_a_torus(tmp_path):
     ring = trimesh.creation.torus(1.0, 0.4, major_sections=12, minor_sections=6)
     write_mesh(tmp_path / "ring.ply", ring.vertices, ring.faces)
