@@ -843,8 +843,7 @@ def _in_order_of(surface: Surface, ordered: OrderedSurface, result: MapResult) -
     vertices, faces, made = ordered.vertex_origin, ordered.face_origin, surface
     if result.report.get("exact"):
         quartered = quarter(surface)
-        vertices, faces = ordered.of_parts(quartered)
-        made = quartered.surface
+        vertices, faces, made = *ordered.of_parts(quartered), quartered.surface
     arrays: dict[str, object] = {"vertices": made.vertices, "faces": made.faces, **origin_arrays(made.origins)}
     if made.origins is not None and made.origins.given is not None:
         result.report["mesh"]["input_vertices"] = made.origins.given
