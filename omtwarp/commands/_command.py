@@ -31,7 +31,7 @@ GROUPS = {
         "output report json_output as_json quiet verbose title beside radius sphere matrix reconstruction strain "
         "force before film"
     ),
-    "Map": "method until cost scheme refine exact weights weights_at density target_floor optimality",
+    "Map": "method until cost scheme refine exact weights weights_at target_picture target_floor optimality",
     "Holes, handles, parts": "hemisphere disk cap fill_area components together cut cut_along torus",
     "Method": (
         "to by aligned mirror grid degree scale fit permutations seed transport resample.method group.components "
