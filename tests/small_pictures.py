@@ -13,6 +13,17 @@ from functools import partial
 Put = Callable[[object, str, object], None]
 
 
+def put_everywhere(put: Put, module: object, name: str, made: Callable) -> None:
+    """Set a function of a module, and of the packages that find it there at first use and keep what they find."""
+    import omtwarp
+    from omtwarp import render, texturing
+
+    for package in (omtwarp, render, texturing):
+        if name in dir(package):
+            put(package, name, made)
+    put(module, name, made)
+
+
 def shrink(put: Put = setattr) -> None:
     """Draw less for pages, the demo and films of registrations.
 
@@ -37,12 +48,16 @@ def shrink(put: Put = setattr) -> None:
     put(page, "make_scene", partial(page.make_scene, texels=32))
     put(page, "rasterize", lambda pattern, width, **options: rasterize(pattern, min(width, 64), **options))
     put(atlas, "sharp_size", least)
-    put(textured, "texture", lambda *given, size=None, **options: texture(*given, size=size or 64, **options))
+
+    def small(*given: object, size: int | None = None, **options: object) -> object:
+        return texture(*given, size=size or 64, **options)
+
+    put_everywhere(put, textured, "texture", small)
     for module in (page, cohort_page, reports):
         sized(module, "preview", (48, 36))
     sized(reports, "film", (16, 16), seconds=0.2, fps=2, backend="warp")
     for name in ("preview", "comparison"):
-        put(pictures, name, partial(getattr(pictures, name), size=(48, 36)))
+        put_everywhere(put, pictures, name, partial(getattr(pictures, name), size=(48, 36)))
 
 
 def shrink_all(put: Put = setattr) -> None:
@@ -54,8 +69,8 @@ def shrink_all(put: Put = setattr) -> None:
 
     shrink(put)
     for name in ("sheet", "preview"):
-        put(pictures, name, sized(getattr(pictures, name), (48, 36)))
-    put(films, "film", sized(films.film, (48, 48)))
+        put_everywhere(put, pictures, name, sized(getattr(pictures, name), (48, 36)))
+    put_everywhere(put, films, "film", sized(films.film, (48, 48)))
 
 
 def shorten(put: Put = setattr) -> None:
