@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import Indices
 
-Ints = NDArray[np.int64]
 Numbers = TypeVar("Numbers", bound=np.generic)
 
 
@@ -24,9 +24,9 @@ class Origins:
         given: number of vertices of the surface that it was made from, where that is known.
     """
 
-    vertex_origin: Ints
-    face_origin: Ints
-    split_edges: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64), kw_only=True)
+    vertex_origin: Indices
+    face_origin: Indices
+    split_edges: Indices = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64), kw_only=True)
     given: int | None = field(default=None, kw_only=True)
 
     def compose(self, later: "Origins") -> "Origins":
@@ -39,7 +39,7 @@ class Origins:
         known = np.logical_and.accumulate((ends >= 0).all(axis=1))
         return Origins(vertices, faces, split_edges=ends[known], given=self.given)
 
-    def places(self) -> Ints:
+    def places(self) -> Indices:
         """Return the first vertex of this surface that is, or is a copy of, each of the one that it was made from.
 
         It is -1 for those that are gone, and at the end, so that -1 leads to -1: shape [N + 1].
@@ -52,7 +52,7 @@ class Origins:
     def _count(self) -> int:
         return max(self.given or 0, int(self.vertex_origin.max(initial=-1)) + 1)
 
-    def _ends(self) -> Ints:
+    def _ends(self) -> Indices:
         """Return the two vertices that each new one lies halfway between, -1 where none are known, shape [V, 2]."""
         new = np.flatnonzero(self.vertex_origin < 0)[: len(self.split_edges)]
         ends = np.full((len(self.vertex_origin), 2), -1)

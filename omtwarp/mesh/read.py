@@ -29,7 +29,7 @@ from omtwarp.files.inputs import read_arrays, read_bytes, read_up_to, reading
 from omtwarp.files.limits import LARGEST_MESH_FILE, MOST_FACES, amount
 from omtwarp.files.output import as_path
 from omtwarp.mesh import other_formats
-from omtwarp.mesh.arrays import InOneLine, whole_number, whole_numbers
+from omtwarp.mesh.arrays import Indices, InOneLine, whole_number, whole_numbers
 from omtwarp.mesh.neuro import copied, load_gifti, nibabel_module
 from omtwarp.mesh.origins import Derived, Origins
 from omtwarp.mesh.other_formats import MESHIO_FORMATS, WAYS_ROUND
@@ -333,8 +333,6 @@ def _single_geometry(scene: trimesh.Scene, together: bool) -> tuple[NDArray[np.f
     return *taken_together([one[2:] for one in meshes]), notes
 
 
-Ints = NDArray[np.int64]
-
 # Formats that double vertices along seams of a texture. In others equal positions that remain open when they are joined
 # may be intended.
 _DOUBLED = (".glb", ".gltf", ".dae", ".3mf", ".json")
@@ -353,10 +351,10 @@ class JoinedMesh(Derived):
     """
 
     file: MeshFile
-    vertex_of_file: Ints | None
+    vertex_of_file: Indices | None
     notes: tuple[str, ...]
 
-    def places(self) -> Ints:
+    def places(self) -> Indices:
         """Return the vertex that each of the file's is, copies too, and -1 at the end, shape [N + 1]."""
         return super().places() if self.vertex_of_file is None else np.append(self.vertex_of_file, -1)
 
@@ -367,7 +365,7 @@ class JoinedMesh(Derived):
         return None if self.vertex_of_file is None else self
 
 
-def seam_copies(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> Ints | None:
+def seam_copies(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> Indices | None:
     """Find vertices of boundaries that lie at the same place.
 
     Args:
@@ -388,7 +386,7 @@ def seam_copies(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> In
     return number
 
 
-def compressed(number: Ints) -> tuple[NDArray[np.bool_], Ints]:
+def compressed(number: Indices) -> tuple[NDArray[np.bool_], Indices]:
     """Return a mask of the vertices that stay when copies are joined, and every vertex's new number, shape [V] each."""
     stays = number == np.arange(len(number))
     return stays, (np.cumsum(stays) - 1)[number]
@@ -433,7 +431,7 @@ def read_joined_mesh(
     return JoinedMesh(first, np.arange(len(joined)), file.vertices[first], joined, file, of_file, notes, given=count)
 
 
-def _in_one_piece(faces: Ints) -> bool:
+def _in_one_piece(faces: Indices) -> bool:
     """Return whether all triangles are connected through their vertices."""
     count = int(faces.max()) + 1 if faces.size else 0
     labels = components_of(count, np.stack([faces.ravel(), np.roll(faces, -1, axis=1).ravel()], axis=1))[1]

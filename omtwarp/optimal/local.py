@@ -15,6 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from omtwarp.device.arrays import sent
 from omtwarp.device.start import wp
 from omtwarp.device.threads import core_count, load, run_all
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.patches import Patches, grow, sides_of
 from omtwarp.mesh.surface import SPHERE_AREA
 from omtwarp.optimal.energy import LEAST_EIGENVALUE, MapTerms, TransportEnergy
@@ -29,8 +30,6 @@ from omtwarp.optimal.patch_kernels import (
 from omtwarp.optimal.sphere import GeodesicCost
 from omtwarp.refine.energy import DistortionEnergy, Terms
 from omtwarp.solvers.cholesky.envelope import Envelopes
-
-Numbers = NDArray[np.float64]
 
 # The chosen vertices are the fewest that together have this share of the gains that single vertices could make: more
 # are chosen, and move longer, for the same areas, angles and time in the mean.
@@ -52,7 +51,7 @@ MAX_HALVINGS = 12  # of a patch's step before the patch stays where it is
 REGULARISATION = 1e-6  # added to the diagonal, relative to each entry, as the second derivative is only semidefinite
 
 
-def freed_vertices(faces: NDArray[np.int32], gains: Numbers, expected: float) -> NDArray[np.bool_] | None:
+def freed_vertices(faces: NDArray[np.int32], gains: Floats, expected: float) -> NDArray[np.bool_] | None:
     """Choose the vertices that local steps move, as a mask of shape [V], or None where none has anything to gain.
 
     Args:
@@ -83,7 +82,7 @@ class LocalSteps:
         constrained: whether steps change the multipliers; with a penalty in place of constraints they do not.
     """
 
-    def __init__(self, energy: TransportEnergy, patches: Patches, stiffness: Numbers, constrained: bool):
+    def __init__(self, energy: TransportEnergy, patches: Patches, stiffness: Floats, constrained: bool):
         assert isinstance(energy.vertex_cost, GeodesicCost) and isinstance(energy.shape, DistortionEnergy)
         self._energy, self._device, self._constrained = energy, energy.device, constrained
         self._cost, self._distortion = energy.vertex_cost, energy.shape

@@ -15,7 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
@@ -23,7 +23,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.sums import combine, scaled
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError, choose
-from omtwarp.mesh.arrays import real_number, real_numbers, whole_number
+from omtwarp.mesh.arrays import Floats, real_number, real_numbers, whole_number
 from omtwarp.mesh.patches import Patches
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, as_surface, as_unit_vectors
 from omtwarp.optimal.energy import SHAPE_WEIGHT, MapTerms, TransportEnergy
@@ -35,8 +35,6 @@ from omtwarp.options import Cost, CostLike, Progress, Record
 from omtwarp.solvers.cholesky.saddle import COORDINATES
 from omtwarp.solvers.newton import SUFFICIENT_DECREASE
 from omtwarp.solvers.triangle import AREA_WEIGHT
-
-Numbers = NDArray[np.float64]
 
 # μ: weight of the remaining area errors beside the cost. 60 made surfaces end with the same areas and angles with 300
 # and 3,000: less allows longer steps, and corrects areas later.
@@ -94,15 +92,15 @@ class OptimalMap:
         factorisations: number of sparse matrices that were factorised.
     """
 
-    points: Numbers
-    multipliers: Numbers
+    points: Floats
+    multipliers: Floats
     history: tuple[Record, ...]
     converged: bool
     ended: str
     factorisations: int
 
     @property
-    def sphere(self) -> Numbers:
+    def sphere(self) -> Floats:
         """The images of the vertices, of a map to the sphere: unit vectors, shape [V, 3]."""
         return self.points
 
@@ -172,7 +170,7 @@ def optimal_map(
     return minimise(energy, given, multipliers=multipliers, gain=gain, iterations=iterations, progress=progress)
 
 
-def softness(masses: Numbers, sphere: Numbers, start: Numbers, cost: str) -> float:
+def softness(masses: Floats, sphere: Floats, start: Floats, cost: str) -> float:
     """Return δ of the soft distance sqrt(d² + δ²) - δ that stands for a cost, in radians; 0 for the squared distance.
 
     Args:
@@ -193,7 +191,7 @@ def softness(masses: Numbers, sphere: Numbers, start: Numbers, cost: str) -> flo
 @blas_threads(1)
 def minimise(
     energy: TransportEnergy,
-    points: Numbers,
+    points: Floats,
     *,
     area_penalty: float = PENALTY,
     multipliers: ArrayLike | None = None,
@@ -264,8 +262,8 @@ class _Newton:
 
     def run(
         self,
-        given: Numbers,
-        multipliers: Numbers | None,
+        given: Floats,
+        multipliers: Floats | None,
         iterations: int,
         progress: Progress | None,
     ) -> OptimalMap:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from omtwarp.device.arrays import Workspace
 from omtwarp.device.policy import solves_with_cudss, solves_with_scipy
 from omtwarp.device.start import wp
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import Surface
 from omtwarp.solvers.cholesky import (
     Dissection,
@@ -30,17 +31,16 @@ from omtwarp.solvers.cudss import CudssFactor
 if TYPE_CHECKING:
     from scipy.sparse.linalg import SuperLU
 
-Numbers = NDArray[np.float64]
 SaddleOrder: TypeAlias = tuple[Dissection, NDArray[np.int32]]
 
 
 class MeshFactor(Protocol):
     """A factorisation of matrices with one or two unknowns per vertex, made again for every matrix."""
 
-    def factorise(self, diagonal: NDArray[np.float64], off_diagonal: NDArray[np.float64]) -> None:
+    def factorise(self, diagonal: Floats, off_diagonal: Floats) -> None:
         """Factorise the matrix with these blocks of vertices, [V, b, b], and edges, [E, b, b]."""
 
-    def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
+    def solve(self, right: Floats) -> Floats:
         """Solve for right-hand sides, shape [V, b] or [V, b, K]; [V] or [V, K] for one unknown per vertex."""
 
 
@@ -106,7 +106,7 @@ class SparseFactor:
         self._count, self._edges, self._block = count, edges, block
         self._lu: SuperLU | None = None
 
-    def factorise(self, diagonal: NDArray[np.float64], off_diagonal: NDArray[np.float64]) -> None:
+    def factorise(self, diagonal: Floats, off_diagonal: Floats) -> None:
         """Factorise a matrix; see :meth:`omtwarp.solvers.cholesky.MultifrontalCholesky.factorise`.
 
         Raises:
@@ -125,11 +125,11 @@ class SparseFactor:
         if not (in_place and np.isfinite(pivots).all() and pivots.min() > 0.0):
             raise NotPositiveDefinite(f"{int((~(pivots > 0.0)).sum())} pivots are not positive")
 
-    def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
+    def solve(self, right: Floats) -> Floats:
         """Solve for right-hand sides, shape [V, b] or [V, b, K]; [V] or [V, K] for one unknown per vertex."""
         flat = np.ascontiguousarray(right, dtype=np.float64).reshape(self._count * self._block, -1)
         assert self._lu is not None, "factorise first"
-        solved: NDArray[np.float64] = self._lu.solve(flat)
+        solved: Floats = self._lu.solve(flat)
         return solved.reshape(np.shape(right))
 
 
@@ -183,7 +183,7 @@ class SparseSaddleFactor:
         return wp.array(solved, dtype=wp.float64, device=right.device)
 
 
-def solve_parts(factor: SaddlePointFactor, first: Numbers, second: Numbers) -> tuple[Numbers, Numbers]:
+def solve_parts(factor: SaddlePointFactor, first: Floats, second: Floats) -> tuple[Floats, Floats]:
     """Solve on the host for coordinates, shape [V, 2], and multipliers, shape [N]."""
     right = np.concatenate([first.ravel(), second])
     solved = factor.solve(wp.array(right, dtype=wp.float64, device="cpu", copy=False)).numpy()
@@ -193,8 +193,8 @@ def solve_parts(factor: SaddlePointFactor, first: Numbers, second: Numbers) -> t
 def _block_matrix(
     count: int,
     edges: NDArray[np.int32],
-    diagonal: NDArray[np.float64],
-    off_diagonal: NDArray[np.float64],
+    diagonal: Floats,
+    off_diagonal: Floats,
     block: int,
 ) -> sparse.csc_matrix:
     """Assemble the symmetric matrix with these blocks of vertices and edges."""
@@ -288,9 +288,7 @@ def vertex_saddle_factor(
     return OrderedSaddleFactor(expand(dissection()))
 
 
-def cell_saddle_factor(
-    points: NDArray[np.float64], edges: NDArray[np.int32], cells: NDArray[np.int32]
-) -> SaddlePointFactor:
+def cell_saddle_factor(points: Floats, edges: NDArray[np.int32], cells: NDArray[np.int32]) -> SaddlePointFactor:
     """Create the chosen factorisation with a multiplier for every cell of any mesh.
 
     Args:

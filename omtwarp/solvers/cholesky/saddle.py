@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 
 from omtwarp.device.arrays import empty
 from omtwarp.device.start import wp
+from omtwarp.mesh.arrays import Floats
 from omtwarp.solvers.cholesky.dissection import Dissection, dissect, edge_blocks, of_unknowns
-
-Numbers = NDArray[np.float64]
 
 COORDINATES = 2  # unknowns of a vertex
 
@@ -57,7 +56,7 @@ class SaddleMatrix:
         self.points: wp.array | None = None
 
     @classmethod
-    def of(cls, own: Numbers, others: Numbers, slopes: Numbers, compliance: Numbers) -> SaddleMatrix:
+    def of(cls, own: Floats, others: Floats, slopes: Floats, compliance: Floats) -> SaddleMatrix:
         """Return a matrix on the host.
 
         Args:
@@ -71,7 +70,7 @@ class SaddleMatrix:
         np.concatenate([part.ravel() for part in numbers], out=matrix.entries.numpy())
         return matrix
 
-    def on_host(self) -> tuple[Numbers, Numbers, Numbers, Numbers]:
+    def on_host(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Return the numbers that :meth:`of` takes; of B flat."""
         diagonal, compliance, others, slopes, inner = np.split(self.entries.numpy(), self._ends[1:-1])
         own = np.empty((self.vertices, 2, 2))
@@ -116,7 +115,7 @@ def expand(d: Dissection, each: int = UNKNOWNS) -> tuple[Dissection, NDArray[np.
 
 
 def expand_with_cells(
-    points: NDArray[np.float64], edges: NDArray[np.int32], cells: NDArray[np.int32]
+    points: Floats, edges: NDArray[np.int32], cells: NDArray[np.int32]
 ) -> tuple[Dissection, NDArray[np.int32]]:
     """Return the order of elimination of the coordinates of vertices and of one multiplier for every cell.
 
