@@ -116,11 +116,10 @@ def statements(text: str, tree: ast.Module) -> list[Statement | None]:
     return listed
 
 
-def repeats(texts: list[str]) -> int:
-    """Return how many pairs of runs of statements repeat each other."""
+def repeats(files: list[list[Statement | None]]) -> int:
+    """Return how many pairs of runs of statements, of all files, repeat each other."""
     places: dict[tuple[tuple[int | str, ...], ...], list[tuple[int, int, int]]] = defaultdict(list)
-    for file, text in enumerate(texts):
-        listed = statements(text, ast.parse(text))
+    for file, listed in enumerate(files):
         for first in range(len(listed)):
             numbers: dict[str, int] = {}
             run: list[tuple[int | str, ...]] = []
@@ -175,11 +174,11 @@ def count(package: Path = PACKAGE) -> dict[str, int]:
     """Return the figures of a package, by name."""
     found = dict.fromkeys(("lines of code", "files", "numeric constants", "functions over 80 lines or 20 branches"), 0)
     needs: dict[str, set[str]] = {}
-    texts = []
+    listed = []
     for file in sorted(package.rglob("*.py")):
         text = file.read_text("utf-8")
         tree = ast.parse(text)
-        texts.append(text)
+        listed.append(statements(text, tree))
         found["lines of code"] += code_lines(text, tree)
         found["files"] += 1
         found["numeric constants"] += constants(tree)
@@ -188,7 +187,7 @@ def count(package: Path = PACKAGE) -> dict[str, int]:
         if own not in ENTRIES:
             needs.setdefault(own, set()).update(imported(tree))
     loose = {file.stem for file in package.glob("*.py")} - ENTRIES
-    found[f"repeats of {REPEATED_LINES} lines"] = repeats(texts)
+    found[f"repeats of {REPEATED_LINES} lines"] = repeats(listed)
     return found | {"floors": floors(needs), "loose modules": len(loose)}
 
 

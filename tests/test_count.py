@@ -73,6 +73,11 @@ def test_large_functions_are_counted(body, large):
     assert COUNT.too_large(ast.parse("@wp.kernel\n" + source)) == 0
 
 
+def repeats(*texts):
+    """How many repeats files of these texts have."""
+    return COUNT.repeats([COUNT.statements(text, ast.parse(text)) for text in texts])
+
+
 @pytest.mark.parametrize(
     ("other", "repeated"),
     [
@@ -85,12 +90,12 @@ def test_large_functions_are_counted(body, large):
 )
 def test_repeats_are_counted(other, repeated):
     one = "def f(x):\n    y = x + 1\n" + "    y = x * y\n" * 5
-    assert COUNT.repeats([one, other]) == COUNT.repeats([one + other]) == repeated
+    assert repeats(one, other) == repeats(one + other) == repeated
 
 
 def test_parameters_are_no_repeat():
     declared = "def f(\n" + "    x: int,\n" * 7 + "):\n    return x\n"
-    assert COUNT.repeats([declared, declared]) == 0
+    assert repeats(declared, declared) == 0
 
 
 def test_packages_that_import_each_other_have_no_floors():
