@@ -62,9 +62,8 @@ def test_new_vertices_of_both_steps_get_data():
     cut = Origins(np.array([3, 4, 0, 2, 1, 3, -1]), np.array([0]), split_edges=np.array([[5, 4]]), given=5)
     values = np.array([0.0, 8.0, 64.0])
     assert np.array_equal(split.compose(cut).prolong(values), [4.0, 36.0, 0.0, 64.0, 8.0, 4.0, 6.0])
-    without = Origins(
-        np.array([0, 1, 3]), np.array([0]), given=5
-    )  # an end of the second edge is gone, not of the first
+    # An end of the second edge is gone, not of the first.
+    without = Origins(np.array([0, 1, 3]), np.array([0]), given=5)
     assert np.array_equal(split.compose(without).prolong(values), [0.0, 8.0, 4.0])
 
 
