@@ -3,11 +3,13 @@
 The command line and Python take their options from here. Nothing heavy is imported, so that ``omtwarp --help`` is fast.
 """
 
-from collections.abc import Callable, Sequence
+import inspect
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
+from enum import EnumType, StrEnum
 from functools import partial
-from typing import Annotated, Literal, NamedTuple, TypeAlias, TypedDict, Unpack, cast, get_args, get_type_hints
+from typing import Annotated, Literal, NamedTuple, TypeAlias, TypedDict, TypeVar, Unpack, cast, get_args, get_type_hints
 
 from omtwarp.device import Solver, parse_device
 from omtwarp.errors import OmtwarpError, choose, shown
@@ -218,7 +220,7 @@ class ChosenOptions(TypedDict, total=False):
 
 
 class MapKeywords(TypedDict, total=False):
-    """The options of :class:`MapOptions` by name, as users write them, for functions that pass them on."""
+    """What :class:`MapOptions` takes for each option, for editors and type checkers."""
 
     method: MethodLike
     until: StageLike
@@ -230,17 +232,6 @@ class MapKeywords(TypedDict, total=False):
     device: str | None
     solver: SolverLike
     strict: bool
-
-
-class SurfaceKeywords(TypedDict, total=False):
-    """The options of :func:`omtwarp.map_surface` in addition to those of a map to the sphere."""
-
-    domain: DomainLike
-    fill_area: FillAreaLike
-    components: bool
-    together: bool
-    cut: bool
-    cut_along: CutAlongLike
 
 
 class Option(NamedTuple):
@@ -261,6 +252,12 @@ class Option(NamedTuple):
         choice = isinstance(kind, type) and issubclass(kind, StrEnum)
         return partial(choose, cast(type[StrEnum], kind)) if choice and self.parse is None else self.parse
 
+    def sentence(self, kind: object) -> str:
+        """Return what a docstring says of the option, with the forms of a value of a type."""
+        words = list(map(str, kind)) if isinstance(kind, EnumType) else self.metavar.split("|")
+        forms = ", ".join(f"``{word}``" for word in words if word)
+        return f"{self.help.removesuffix('.')} ({forms})." if forms else self.help
+
 
 Device: TypeAlias = Annotated[str, Option("Device to compute on.", "auto|cpu|cuda:N", parse_device)]
 
@@ -268,6 +265,8 @@ Device: TypeAlias = Annotated[str, Option("Device to compute on.", "auto|cpu|cud
 @dataclass(frozen=True)
 class MapOptions:
     """The options of :func:`omtwarp.map_to_sphere`, parsed; types, defaults, help and reading are declared here.
+
+    The command line and the functions that take these options have their documentation from here (:func:`takes`).
 
     Raises:
         OmtwarpError: options exclude each other.
@@ -288,10 +287,12 @@ class MapOptions:
     exact: Annotated[
         bool, Option("Cut every triangle into four and keep the area of each to 1e-6; the map is that of the parts.")
     ] = False
-    optimality: Annotated[bool, Option("Also bound the cost from below (column gap).")] = True
+    optimality: Annotated[bool, Option("Also bound the cost of every map from below (column gap).")] = True
     device: Device = "auto"
-    solver: Annotated[Solver, Option("How sparse systems are solved; scipy is the plain way.")] = Solver.AUTO
-    strict: Annotated[bool, Option("Refuse a map that would come with a warning: exit status 1, no output.")] = False
+    solver: Annotated[
+        Solver, Option("How sparse systems are solved; scipy is the plain way, cudss needs a GPU; maps agree to 1e-7.")
+    ] = Solver.AUTO
+    strict: Annotated[bool, Option("Refuse a map that would come with a warning: an error, no output.")] = False
 
     def __post_init__(self) -> None:
         optimal = self.method is Method.OMT and Stage.OMT in self.stages and self.refine is None
@@ -337,3 +338,42 @@ def options_of(declaration: type) -> dict[str, tuple[object, Option]]:
     """Return the type of every option that a class declares, and what is said about it."""
     hints = get_type_hints(declaration, include_extras=True)
     return {name: cast(tuple[object, Option], get_args(hint)) for name, hint in hints.items()}
+
+
+Function = TypeVar("Function", bound=Callable[..., object])
+
+
+def takes(kind: type, defaults: Mapping[str, object], said: str = "") -> Callable[[Function], Function]:
+    """Give a function that ends in ``**options`` the signature and the documentation of every option, for ``help``.
+
+    Args:
+        kind: the TypedDict of the options.
+        defaults: a value for each of them.
+        said: entries of a docstring's ``Args:`` in place of that of ``options``; none to leave the docstring.
+    """
+    types = {name: getattr(given, "__forward_arg__", given) for name, given in inspect.get_annotations(kind).items()}
+
+    def signed(function: Function) -> Function:
+        signature = inspect.signature(function)
+        own = [given for given in signature.parameters.values() if given.kind is not inspect.Parameter.VAR_KEYWORD]
+        known = {given.name for given in own}
+        options = [
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=value, annotation=types[name])
+            for name, value in defaults.items()
+            if name not in known
+        ]
+        function.__signature__ = signature.replace(parameters=[*own, *options])  # type: ignore[attr-defined]
+        if said and function.__doc__:
+            words = inspect.cleandoc(function.__doc__)
+            function.__doc__ = re.sub("^    options: .*\n", said, words, flags=re.MULTILINE)
+        return function
+
+    return signed
+
+
+takes_map_options = takes(
+    MapKeywords,
+    vars(MapOptions()),
+    "".join(f"    {name}: {option.sentence(kind)}\n" for name, (kind, option) in options_of(MapOptions).items()),
+)
+"""Decorates functions that pass options of a map on."""

@@ -9,6 +9,7 @@ from click.testing import CliRunner
 
 import omtwarp
 from omtwarp import options
+from omtwarp.cohort.run import run_cohort
 from omtwarp.commands._cli import main
 from omtwarp.commands._command import as_command
 from omtwarp.commands._options import Only, Typed
@@ -88,6 +89,16 @@ def test_what_a_report_says():
     assert options.to_dict() == {"method": "omt", "cost": "geodesic", "scheme": "default", "refine": "angle"}
     assert all(type(value) is str for value in options.to_dict().values())
     assert MapOptions(method=Method.TUTTE).to_dict() == {"method": "tutte", "cost": "", "scheme": "", "refine": None}
+
+
+@pytest.mark.parametrize("function", [omtwarp.map_to_sphere, omtwarp.map_surface, run_cohort])
+def test_functions_show_the_declared_options(function):
+    """Their signatures have the declared defaults, and their docstrings what the command line says."""
+    shown = inspect.signature(function).parameters
+    assert {name: shown[name].default for name in vars(MapOptions())} == vars(MapOptions())
+    for name, (_, option) in options.options_of(MapOptions).items():
+        assert f"    {name}: {option.help.removesuffix('.')}" in function.__doc__
+    assert "options" not in shown
 
 
 def test_editors_offer_every_value_of_an_option():

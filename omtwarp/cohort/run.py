@@ -16,7 +16,7 @@ from omtwarp.cohort.tables import GROUP, ORDER, REGISTERED, REGISTERED_MAPS, Ite
 from omtwarp.device import core_count
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.output import digest_of, folder_of_results, locked, require_own
-from omtwarp.options import AreaMatch, FillArea, MapKeywords, MapOptions, Progress, Record, tell
+from omtwarp.options import AreaMatch, FillArea, MapKeywords, MapOptions, Progress, Record, takes_map_options, tell
 
 RESULTS = ("table.parquet", "table.csv", "report.html")
 
@@ -39,6 +39,7 @@ class CohortResult:
     page: Path
 
 
+@takes_map_options
 def run_cohort(
     items: Sequence[Item],
     folder: str | os.PathLike[str],
@@ -79,7 +80,7 @@ def run_cohort(
             or a file; or ``group``: when all maps are there they are registered, in this process, to a template made
             from them (:func:`omtwarp.registration.register_group`), in the folder ``registered``. The table has the
             facts of the registrations.
-        options: of :func:`omtwarp.map_to_sphere`.
+        options: those of :class:`omtwarp.options.MapOptions`.
 
     Raises:
         OmtwarpError: an unknown option or executor, a folder that cannot be written to, or a file at the place of a

@@ -6,7 +6,6 @@ import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
@@ -15,7 +14,7 @@ from omtwarp.commands._options import Printing, Source
 from omtwarp.commands._streams import is_standard_output, progress_bar, say, warnings_as_lines
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output, make_folder
-from omtwarp.options import Domain, MapOptions, SurfaceKeywords, WeightsAt, parse_device
+from omtwarp.options import Domain, MapOptions, WeightsAt, parse_device
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -361,7 +360,7 @@ def make_map(
     mapping: MapOptions,
     *,
     quiet: bool,
-    any_surface: SurfaceKeywords | None = None,
+    any_surface: Mapping[str, object] | None = None,
     weights: ArrayLike | None = None,
     weights_at: WeightsAt = WeightsAt.AUTO,
     target: omtwarp.TargetDensity | None = None,
@@ -379,10 +378,9 @@ def make_map(
     """
 
     with warnings_as_lines(), progress_bar(quiet) as bar:
-        mapped: Callable[..., AnyMap] = omtwarp.map_to_sphere
-        if any_surface is not None:
-            mapped = partial(omtwarp.map_surface, **any_surface)
-        return mapped(surface, weights=weights, weights_at=weights_at, target=target, progress=bar, **vars(mapping))
+        mapped: Callable[..., AnyMap] = omtwarp.map_to_sphere if any_surface is None else omtwarp.map_surface
+        chosen = {**vars(mapping), **(any_surface or {})}
+        return mapped(surface, weights=weights, weights_at=weights_at, target=target, progress=bar, **chosen)
 
 
 def require_bijective(result: AnyMap, path: Path | None = None) -> None:

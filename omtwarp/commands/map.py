@@ -15,7 +15,7 @@ from omtwarp.commands._work import AnyMap, make_map, require_bijective
 from omtwarp.commands.texture import standing
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output, folder_of_results, make_folder, staged, write_text
-from omtwarp.options import CutAlong, Device, Domain, FillArea, MapOptions, SurfaceKeywords, WeightsAt
+from omtwarp.options import CutAlong, Device, Domain, FillArea, MapOptions, WeightsAt
 
 if TYPE_CHECKING:
     import numpy as np
@@ -52,7 +52,7 @@ class Topology:
     cut_along: CutAlong | None = None
     torus: bool = False
 
-    def keywords(self) -> SurfaceKeywords | None:
+    def keywords(self) -> dict[str, object] | None:
         """Return the options of :func:`omtwarp.map_surface`; None where the surface has to be a sphere.
 
         Raises:

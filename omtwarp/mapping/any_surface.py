@@ -52,6 +52,7 @@ from omtwarp.options import (
     WeightsAt,
     WeightsAtLike,
     choose,
+    takes_map_options,
 )
 from omtwarp.texturing.density import TargetLike
 from omtwarp.topology.closing import Double, FilledSurface, double, fill_holes, quartered_double, split_chords
@@ -72,6 +73,7 @@ from omtwarp.torus.mapping import map_to_torus
 Map = TypeVar("Map", MapResult, TorusMap)
 
 
+@takes_map_options
 def map_surface(
     mesh: MeshLike,
     *,
@@ -117,8 +119,7 @@ def map_surface(
         weights: of vertices or triangles, see :func:`omtwarp.map_to_sphere`; not for a torus.
         weights_at: what they belong to, as there.
         target: the density on the sphere, see :func:`omtwarp.map_to_sphere`; for closed, connected surfaces of genus 0.
-        options: those of :func:`omtwarp.map_to_sphere`: ``method``, ``until``, ``cost``, ``scheme``, ``refine``,
-            ``device``, ...
+        options: those of :class:`omtwarp.options.MapOptions`.
 
     Returns:
         The map: a :class:`omtwarp.TorusMap` for a surface that goes to a torus, and for all others a

@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import cast
+from typing import Unpack, cast
 
 import numpy as np
 import scipy
@@ -43,20 +43,17 @@ from omtwarp.optimal.refinement import refine_map, refinement_weight
 from omtwarp.options import (
     AreaMatch,
     Cost,
-    CostLike,
+    MapKeywords,
     MapOptions,
     Method,
-    MethodLike,
     Progress,
     Record,
     Scheme,
-    SchemeLike,
-    SolverLike,
     Stage,
-    StageLike,
     WeightsAt,
     WeightsAtLike,
     continued,
+    takes_map_options,
     tell,
 )
 from omtwarp.solvers.mesh_factor import saddle_order
@@ -84,40 +81,21 @@ GAP_ASCENT_STEPS = 3
 
 
 @blas_threads(1)
+@takes_map_options
 def map_to_sphere(
     mesh: MeshLike,
     *,
-    method: MethodLike = MapOptions.method,
-    until: StageLike = MapOptions.until,
-    cost: CostLike = MapOptions.cost,
-    scheme: SchemeLike = MapOptions.scheme,
-    refine: str | float | AreaMatch | None = MapOptions.refine,
-    exact: bool = MapOptions.exact,
-    optimality: bool = MapOptions.optimality,
     weights: ArrayLike | None = None,
     weights_at: WeightsAtLike = WeightsAt.AUTO,
     target: TargetLike | None = None,
     start: ArrayLike | MapResult | None = None,
-    device: str | None = MapOptions.device,
-    solver: SolverLike = MapOptions.solver,
-    strict: bool = MapOptions.strict,
     progress: Progress | None = None,
+    **options: Unpack[MapKeywords],
 ) -> MapResult:
     """Map a closed genus-0 surface to the unit sphere.
 
     Args:
         mesh: a ``trimesh.Trimesh``, ``(vertices, faces)`` or a :class:`Surface`; any unit, any position.
-        method: ``omt``, the whole pipeline; or a system the paper compares with: ``haker`` (the conformal map),
-            ``moser``, ``tutte`` or ``mean-value`` (spherical barycentric maps).
-        until: the last stage: ``conformal``, ``moser``, ``omt`` or ``refine``.
-        cost: ``squared`` geodesic distance, or the paper's ``geodesic`` distance.
-        scheme: how transport is optimised: ``default``, ``plain`` or ``paper`` (Algorithms 1 and 2 as written).
-        refine: ``none``, or go on from the optimal map towards less distortion: ``area``, ``balanced``, ``angle`` or
-            the weight of area against angle.
-        exact: keep the area of every triangle to 1e-6: the map of the mesh with its triangles cut into four, whose
-            parts add up to it. The result holds that mesh; ``face_origin`` and ``vertex_origin`` say what came from
-            where in the input (-1 for new vertices).
-        optimality: also measure how far the map is from optimal, by a lower bound on the cost of every map.
         weights: positive, per vertex [V] or per triangle [F]: parts of twice the weight cover twice as much of the
             sphere for their area, see :func:`omtwarp.measures.weighted_surface`.
         weights_at: what the weights belong to, ``vertices`` or ``triangles``; ``auto`` goes by their number.
@@ -127,14 +105,12 @@ def map_to_sphere(
         start: points x of your own, unit vectors [V, 3], that transport moves in place of the conformal map's;
             triangles may be flipped there, and nothing is turned onto the mesh's axes. Or a map of this mesh, from
             whose points the minimisation begins; transport is then measured from that map's own points x.
-        device: ``auto``, ``cpu``, ``cuda`` or ``cuda:N``.
-        solver: how sparse systems are solved: by ``scipy``, by the built-in ``cholesky``, which ``auto`` takes, or on
-            a GPU by ``cudss``. The maps agree to about 1e-7.
-        strict: raise an error for a map that would come with a warning.
         progress: called as ``progress(stage, done, total, details)``.
+        options: those of :class:`omtwarp.options.MapOptions`.
 
     Returns:
-        The map, in the order of the input's vertices.
+        The map, in the order of the input's vertices; with ``exact`` of the mesh with its triangles cut into four, of
+        which ``face_origin`` and ``vertex_origin`` say what came from where in the input.
 
     Raises:
         OmtwarpError: the mesh cannot be mapped, or an option is unknown; with ``strict`` also in place of a warning.
@@ -151,31 +127,20 @@ def map_to_sphere(
         >>> result.distortion().area["mean"] < 2.05
         True
     """
-    options = MapOptions.parse(
-        method=method,
-        until=until,
-        cost=cost,
-        scheme=scheme,
-        refine=refine,
-        exact=exact,
-        optimality=optimality,
-        device=device,
-        solver=solver,
-        strict=strict,
-    )
-    where = resolve_device(options.device)
+    chosen = MapOptions.parse(**options)
+    where = resolve_device(chosen.device)
     wanted = as_target(target, device=str(where))
-    if wanted is not None and (options.method not in (Method.OMT, Method.MOSER) or options.scheme is Scheme.PAPER):
+    if wanted is not None and (chosen.method not in (Method.OMT, Method.MOSER) or chosen.scheme is Scheme.PAPER):
         raise OmtwarpError("a target density needs the methods omt or moser, and the schemes default or plain")
-    if wanted is not None and options.exact:
+    if wanted is not None and chosen.exact:
         raise OmtwarpError("exact areas are for the uniform sphere: leave the target density out")
     surface = weighted_surface(as_surface(mesh), weights, weights_at)
-    if start is not None and options.method in (Method.TUTTE, Method.MEAN_VALUE):
+    if start is not None and chosen.method in (Method.TUTTE, Method.MEAN_VALUE):
         raise OmtwarpError("a barycentric map begins nowhere: leave start out, or take the method omt, moser or haker")
     ordered = in_space_order(surface)
     begun = None if start is None else _begun(start, surface, ordered)
-    with solving_with(options.solver, str(where)):
-        result = MapComputation(ordered.surface, options, str(where), progress, wanted, begun=begun).result()
+    with solving_with(chosen.solver, str(where)):
+        result = MapComputation(ordered.surface, chosen, str(where), progress, wanted, begun=begun).result()
     for finding in result.report["warnings"]:
         warnings.warn(finding["text"], OmtwarpWarning, stacklevel=3)
     return _in_order_of(surface, ordered, result)

@@ -9,10 +9,10 @@ from __future__ import annotations
 import inspect
 import logging
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal, TypeAlias, TypedDict, TypeVar, Unpack, cast
+from typing import Literal, TypeAlias, TypedDict, Unpack, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,13 +23,11 @@ from omtwarp.errors import DrawingFailed, OmtwarpError, choose
 from omtwarp.files.limits import FRAMES_PER_SECOND, LARGEST_VIEW, MOST_FILM_PIXELS, MOST_FRAMES
 from omtwarp.files.output import as_path
 from omtwarp.mesh.arrays import Bytes, real_number, whole_number
-from omtwarp.options import BACKGROUND, FILM_RATE, PICTURE_SIZE, Backend, BackendLike
+from omtwarp.options import BACKGROUND, FILM_RATE, PICTURE_SIZE, Backend, BackendLike, takes
 from omtwarp.render import annotate, gl_client, output, scene
 from omtwarp.render.camera import VIEWS, Camera, Light, as_light, as_views, frame, turntable
 from omtwarp.render.scene import Arrows, RenderJob, ScalarField, SurfaceView, Wireframe
 from omtwarp.render.subject import FinishedMap, Picture, Subject, as_surface_view, map_view, posed
-
-Function = TypeVar("Function", bound=Callable[..., object])
 
 logger = logging.getLogger("omtwarp.render")
 PANEL_SIZE = (512, 512)  # pixels of a panel of a sheet, so that four are as large as one preview
@@ -92,30 +90,6 @@ PANEL_DEFAULTS = cast(
 )
 """Values of the options that are not None."""
 PREVIEW_DEFAULTS: PreviewOptions = {**PANEL_DEFAULTS, "frames": None, "fps": FILM_RATE, "captions": True}
-
-
-def takes(kind: type, defaults: PanelOptions | PreviewOptions) -> Callable[[Function], Function]:
-    """Give a function that ends in ``**options`` the signature with every option and its default, for ``help``.
-
-    Args:
-        kind: the TypedDict of the options.
-        defaults: a value for each of them.
-    """
-    types = {name: getattr(given, "__forward_arg__", given) for name, given in inspect.get_annotations(kind).items()}
-
-    def signed(function: Function) -> Function:
-        signature = inspect.signature(function)
-        own = [given for given in signature.parameters.values() if given.kind is not inspect.Parameter.VAR_KEYWORD]
-        known = {given.name for given in own}
-        options = [
-            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=value, annotation=types[name])
-            for name, value in defaults.items()
-            if name not in known
-        ]
-        function.__signature__ = signature.replace(parameters=[*own, *options])  # type: ignore[attr-defined]
-        return function
-
-    return signed
 
 
 def complete(given: PreviewOptions, function: str) -> PreviewOptions:
