@@ -82,7 +82,7 @@ class HeldEnergy(TransportEnergy):
         return HeldFactor(super().saddle_factor(), self._held, self.surface.edges, self._of_cells)
 
 
-class HeldFactor:
+class HeldFactor(SaddlePointFactor):
     """Factorises matrices with a multiplier for every cell, or with none, without the coordinates of some vertices.
 
     Args:
@@ -100,7 +100,7 @@ class HeldFactor:
         self._in_cells = held[cells]
 
     def factorise(self, matrix: SaddleMatrix) -> None:
-        """Factorise one matrix; see :class:`omtwarp.solvers.mesh_factor.SaddlePointFactor`."""
+        """Factorise one matrix."""
         own, others, slopes, compliance = matrix.on_host()
         own[self._held] = 0.5 * np.trace(own, axis1=1, axis2=2).mean() * np.eye(2)
         others = np.where(self._touching[:, None, None], 0.0, others)

@@ -45,8 +45,8 @@ from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.cells import Cells
 from omtwarp.optimal.kernels import area_errors, raise_diagonal, vertex_entries
 from omtwarp.refine.energy import ShapeTerms
-from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.solvers.cholesky.saddle import COORDINATES, SaddleMatrix
+from omtwarp.solvers.factor import NotPositiveDefinite
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
 from omtwarp.solvers.newton import gather_edge_blocks
 from omtwarp.solvers.triangle import AREA_WEIGHT

@@ -13,6 +13,7 @@ from omtwarp.geometry.operators import cotangent_edge_weights
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import Surface, sums_around, triangle_areas, vertex_normals
 from omtwarp.solvers.cholesky.dissection import Dissection, dissect
+from omtwarp.solvers.factor import MeshMatrix
 from omtwarp.solvers.mesh_factor import mesh_factor
 from omtwarp.solvers.poisson import edge_laplacian
 
@@ -39,7 +40,7 @@ class HeatFlow:
         weights = np.clip(cotangent_edge_weights(surface, points), 0.0, LARGEST_COTANGENT)
         laplacian = edge_laplacian(surface.edges, weights, surface.vertex_count)
         self._factor = mesh_factor(surface.vertex_count, surface.edges, lambda: _order(surface))
-        self._factor.factorise(self._masses + time * laplacian.diagonal(), -time * weights)
+        self._factor.factorise(MeshMatrix(self._masses + time * laplacian.diagonal(), -time * weights))
 
     def step(self, values: Floats) -> Floats:
         """Return values at the vertices, shape [V] or [V, K], after one step."""

@@ -19,8 +19,9 @@ from omtwarp.device.arrays import Workspace
 from omtwarp.device.policy import solver_device
 from omtwarp.device.start import KERNEL_OPTIONS, wp
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import Floats
 from omtwarp.solvers.cholesky.dissection import Dissection
-from omtwarp.solvers.cholesky.multifrontal import NotPositiveDefinite
+from omtwarp.solvers.factor import Factor, MeshMatrix, NotPositiveDefinite
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -50,7 +51,7 @@ def load_library() -> ModuleType:
     return cudss
 
 
-class CudssFactor:
+class CudssFactor(Factor[MeshMatrix, Floats]):
     """Factorises matrices with ``block`` unknowns per vertex whose pattern is a mesh's edges, on a GPU.
 
     Args:
@@ -108,13 +109,13 @@ class CudssFactor:
         number = np.array([value], dtype=np.int32)
         self._library.config_set(self._config, name, number.ctypes.data, number.nbytes)
 
-    def factorise(self, diagonal: NDArray[np.float64], off_diagonal: NDArray[np.float64]) -> None:
-        """Factorise a matrix; see :meth:`omtwarp.solvers.cholesky.MultifrontalCholesky.factorise`.
+    def factorise(self, matrix: MeshMatrix) -> None:
+        """Factorise one matrix.
 
         Raises:
             NotPositiveDefinite: a pivot has the wrong sign, to round-off.
         """
-        flat = np.concatenate([np.ravel(diagonal), np.ravel(off_diagonal)])
+        flat = np.concatenate([np.ravel(part) for part in matrix])
         self.factorise_entries(wp.array(flat, dtype=wp.float64, device="cpu", copy=False))
 
     def factorise_entries(self, entries: wp.array) -> None:

@@ -7,7 +7,7 @@ an ordinary sparse matrix of them and passes it to SuperLU.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Protocol, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import scipy.sparse as sparse
@@ -21,12 +21,12 @@ from omtwarp.mesh.surface import Surface
 from omtwarp.solvers.cholesky import (
     Dissection,
     MultifrontalCholesky,
-    NotPositiveDefinite,
     part_dissection,
     surface_dissection,
 )
 from omtwarp.solvers.cholesky.saddle import COORDINATES, SaddleMatrix, expand, expand_with_cells
 from omtwarp.solvers.cudss import CudssFactor
+from omtwarp.solvers.factor import Factor, MeshFactor, MeshMatrix, NotPositiveDefinite
 
 if TYPE_CHECKING:
     from scipy.sparse.linalg import SuperLU
@@ -34,34 +34,13 @@ if TYPE_CHECKING:
 SaddleOrder: TypeAlias = tuple[Dissection, NDArray[np.int32]]
 
 
-class MeshFactor(Protocol):
-    """A factorisation of matrices with one or two unknowns per vertex, made again for every matrix."""
-
-    def factorise(self, diagonal: Floats, off_diagonal: Floats) -> None:
-        """Factorise the matrix with these blocks of vertices, [V, b, b], and edges, [E, b, b]."""
-
-    def solve(self, right: Floats) -> Floats:
-        """Solve for right-hand sides, shape [V, b] or [V, b, K]; [V] or [V, K] for one unknown per vertex."""
+SaddlePointFactor = Factor[SaddleMatrix, wp.array]
+"""Of matrices of Newton steps. Right-hand sides and solutions, on one device: coordinates, then multipliers, float64,
+shape [2 V + N]; the multipliers of a matrix that has none are 0.
+"""
 
 
-class SaddlePointFactor(Protocol):
-    """A factorisation of matrices of Newton steps, made again for every matrix."""
-
-    def factorise(self, matrix: SaddleMatrix) -> None:
-        """Factorise one matrix.
-
-        Raises:
-            NotPositiveDefinite: A is not positive definite, to round-off.
-        """
-
-    def solve(self, right: wp.array) -> wp.array:
-        """Solve for a right-hand side, on its device: coordinates, then multipliers, float64, shape [2 V + N].
-
-        The multipliers of a matrix that has none are 0.
-        """
-
-
-class OrderedSaddleFactor:
+class OrderedSaddleFactor(SaddlePointFactor):
     """A factorisation in the order of a dissection, by the built-in solver or by cuDSS.
 
     Args:
@@ -93,7 +72,7 @@ class OrderedSaddleFactor:
         return whole
 
 
-class SparseFactor:
+class SparseFactor(MeshFactor):
     """Factorises symmetric positive definite matrices on a mesh by SuperLU.
 
     Args:
@@ -106,18 +85,18 @@ class SparseFactor:
         self._count, self._edges, self._block = count, edges, block
         self._lu: SuperLU | None = None
 
-    def factorise(self, diagonal: Floats, off_diagonal: Floats) -> None:
-        """Factorise a matrix; see :meth:`omtwarp.solvers.cholesky.MultifrontalCholesky.factorise`.
+    def factorise(self, matrix: MeshMatrix) -> None:
+        """Factorise one matrix.
 
         Raises:
             NotPositiveDefinite: it is not positive definite, to round-off.
         """
         from scipy.sparse.linalg import splu  # takes a hundredth of a second to import
 
-        matrix = _block_matrix(self._count, self._edges, diagonal, off_diagonal, self._block)
+        whole = _block_matrix(self._count, self._edges, *matrix, self._block)
         try:
             # Without pivoting the signs of the pivots are those of the eigenvalues.
-            self._lu = splu(matrix, permc_spec="COLAMD", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+            self._lu = splu(whole, permc_spec="COLAMD", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
         except RuntimeError as error:
             raise NotPositiveDefinite("the matrix is singular") from error
         in_place = np.array_equal(self._lu.perm_r, self._lu.perm_c)
@@ -133,7 +112,7 @@ class SparseFactor:
         return solved.reshape(np.shape(right))
 
 
-class SparseSaddleFactor:
+class SparseSaddleFactor(SaddlePointFactor):
     """Factorises matrices [A, Bᵀ; B, -C] on a mesh by SuperLU, with its own pivoting.
 
     Args:

@@ -13,7 +13,8 @@ from omtwarp.device.threads import Each, each, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.patches import Patches
 from omtwarp.mesh.surface import Surface
-from omtwarp.solvers.cholesky import NotPositiveDefinite, part_dissection
+from omtwarp.solvers.cholesky import part_dissection
+from omtwarp.solvers.factor import MeshMatrix, NotPositiveDefinite
 from omtwarp.solvers.mesh_factor import mesh_factor
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -157,7 +158,7 @@ class PatchMatrix:
             self.diagonal = own + (self._growth + part) * of_vertices
             diagonal[:, [0, 1], [0, 1]] = self.diagonal
             try:
-                self._factor.factorise(diagonal, off_diagonal)
+                self._factor.factorise(MeshMatrix(diagonal, off_diagonal))
                 return
             except NotPositiveDefinite:
                 continue

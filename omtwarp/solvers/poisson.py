@@ -13,7 +13,7 @@ from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.operators import cotangent_edge_weights
 from omtwarp.mesh.surface import Surface
-from omtwarp.solvers.cholesky import NotPositiveDefinite
+from omtwarp.solvers.factor import MeshMatrix, NotPositiveDefinite
 from omtwarp.solvers.mesh_factor import surface_factor
 
 
@@ -132,9 +132,8 @@ class EdgeLaplacianSolver:
         self._factor = surface_factor(surface, edges=edges)
         try:
             typical = float(np.median(diagonal))
-            self._factor.factorise(
-                np.where(np.arange(count) == pinned, typical, diagonal), np.where(joined, -weights, 0.0)
-            )
+            own = np.where(np.arange(count) == pinned, typical, diagonal)
+            self._factor.factorise(MeshMatrix(own, np.where(joined, -weights, 0.0)))
         except NotPositiveDefinite:  # to round-off, on very thin triangles: without square roots it goes on
             self._fallback = LaplacianSolver(edge_laplacian(edges, weights, count), pinned)
 

@@ -23,8 +23,9 @@ from omtwarp.geometry.intrinsic import WeightedEdges, delaunay_edges
 from omtwarp.geometry.operators import corner_cotangents
 from omtwarp.mesh.arrays import ROUND_OFF, TINY, Floats, edge_keys
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, plane_areas
-from omtwarp.solvers.cholesky import NotPositiveDefinite, dissect
-from omtwarp.solvers.mesh_factor import MeshFactor, mesh_factor, surface_factor
+from omtwarp.solvers.cholesky import dissect
+from omtwarp.solvers.factor import MeshFactor, MeshMatrix, NotPositiveDefinite
+from omtwarp.solvers.mesh_factor import mesh_factor, surface_factor
 from omtwarp.topology.handles import cut_handles, loops_across
 
 # Coordinates are whole multiples of 2^-40, so that adding whole numbers to them is exact.
@@ -166,7 +167,7 @@ def _solved(factor: MeshFactor, ends: NDArray[np.int64], weights: Floats, steps:
         held = diagonal * (1.0 + stiffer) + stiffer * diagonal.mean()
         held[0] *= 2.0  # one vertex is fixed: the sum of all right-hand sides is zero
         try:
-            factor.factorise(held, -weights)
+            factor.factorise(MeshMatrix(held, -weights))
         except NotPositiveDefinite:
             continue
         values = factor.solve(right)

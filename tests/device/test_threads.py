@@ -112,7 +112,7 @@ surface = blob(seed=1, sphere=20_000)
 edges = surface.edges
 solver = MultifrontalCholesky(surface_dissection(surface), threads=2)
 assert len(solver._jobs) > 1
-solver.factorise(np.full(len(surface.vertices), 100.0), np.full(len(edges), -1.0))
+solver.factorise((np.full(len(surface.vertices), 100.0), np.full(len(edges), -1.0)))
 assert set(compiled) == {"MainThread"}, compiled
 """
     environment = os.environ | {"WARP_CACHE_PATH": str(tmp_path)}

@@ -16,8 +16,8 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.shapes import blob, icosphere
 from omtwarp.options import Solver
 from omtwarp.solvers import cudss
-from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.solvers.cholesky.saddle import SaddleMatrix
+from omtwarp.solvers.factor import MeshMatrix, NotPositiveDefinite
 from omtwarp.solvers.mesh_factor import cell_saddle_factor, solve_parts, surface_factor, surface_saddle_factor
 
 SURFACE = blob(seed=4, amplitude=0.3, sphere=500)
@@ -43,8 +43,8 @@ def test_definite_matrices(library, block, columns):
         there = surface_factor(SURFACE, block)
     for _ in range(2):
         matrix, right = definite(rng, block), rng.normal(size=shape)
-        host.factorise(*matrix)
-        there.factorise(*matrix)
+        host.factorise(MeshMatrix(*matrix))
+        there.factorise(MeshMatrix(*matrix))
         np.testing.assert_allclose(there.solve(right), host.solve(right), rtol=0.0, atol=1e-13)
     assert (library.analyses, library.factorisations, library.solves) == (1, 2, 2 * max(columns, 1))
 
@@ -89,7 +89,7 @@ def test_pivots_of_the_wrong_sign_are_seen(library):
     diagonal, off = definite(rng, 1)
     diagonal[7] = -30.0
     with pytest.raises(NotPositiveDefinite, match="1 negative, in place of"):
-        factor.factorise(diagonal, off)
+        factor.factorise(MeshMatrix(diagonal, off))
     own, off, gradients, compliance = saddle_arguments(rng, (2, len(SURFACE.edges), 2), SURFACE.vertex_count)
     own[3] = -60.0 * np.eye(2)
     with pytest.raises(NotPositiveDefinite):
@@ -99,7 +99,7 @@ def test_pivots_of_the_wrong_sign_are_seen(library):
 def test_what_the_library_holds_is_freed(library):
     with solving_with(Solver.CUDSS):
         factor = surface_factor(SURFACE)
-    factor.factorise(*definite(np.random.default_rng(0), 1))
+    factor.factorise(MeshMatrix(*definite(np.random.default_rng(0), 1)))
     factor.solve(np.ones(SURFACE.vertex_count))
     assert library.alive
     del factor

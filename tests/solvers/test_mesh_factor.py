@@ -10,8 +10,8 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.patches import Patches
 from omtwarp.mesh.shapes import blob
 from omtwarp.options import Solver
-from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.solvers.cholesky.saddle import SaddleMatrix
+from omtwarp.solvers.factor import MeshMatrix, NotPositiveDefinite
 from omtwarp.solvers.mesh_factor import (
     SparseFactor,
     cell_saddle_factor,
@@ -48,7 +48,9 @@ def test_solutions_are_those_of_dense_algebra(solver, block, columns):
     with solving_with(solver):
         factor = surface_factor(SURFACE, block)
         assert isinstance(factor, SparseFactor) is (solver is Solver.SCIPY)
-        factor.factorise(diagonal.reshape(-1) if block == 1 else diagonal, off.reshape(-1) if block == 1 else off)
+        factor.factorise(
+            MeshMatrix(diagonal.reshape(-1) if block == 1 else diagonal, off.reshape(-1) if block == 1 else off)
+        )
         solved = factor.solve(right)
     truth = np.linalg.solve(dense, right.reshape(len(dense), -1)).reshape(shape)
     np.testing.assert_allclose(solved, truth, rtol=0, atol=1e-14)
@@ -59,7 +61,7 @@ def test_what_is_not_positive_definite_is_refused(solver):
     diagonal, off, _ = random_blocks(2)
     diagonal[7] = -np.eye(2)
     with solving_with(solver), pytest.raises(NotPositiveDefinite):
-        surface_factor(SURFACE, 2).factorise(diagonal, off)
+        surface_factor(SURFACE, 2).factorise(MeshMatrix(diagonal, off))
 
 
 def test_saddle_points_are_solved_alike():

@@ -19,9 +19,10 @@ from scipy.linalg import cython_blas, cython_lapack
 from omtwarp.device.arrays import Workspace, sent
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads, core_count, load, run_all
-from omtwarp.mesh.arrays import TINY
+from omtwarp.mesh.arrays import TINY, Floats
 from omtwarp.solvers.cholesky.dissection import Dissection
 from omtwarp.solvers.cholesky.kernels import Fronts, factorise_fronts, solve_triangular, subtract_product
+from omtwarp.solvers.factor import Factor, MeshMatrix, NotPositiveDefinite
 
 SINGLE: np.dtype[np.floating] = np.dtype(np.float32)
 DOUBLE: np.dtype[np.floating] = np.dtype(np.float64)
@@ -56,11 +57,7 @@ ACCURACY = 1e-5
 REFINEMENTS = 4  # most corrections of a solution
 
 
-class NotPositiveDefinite(ArithmeticError):
-    """A matrix has a pivot of the wrong sign, to round-off."""
-
-
-class MultifrontalCholesky:
+class MultifrontalCholesky(Factor[MeshMatrix, Floats]):
     """Factorises matrices with ``block`` unknowns per vertex whose pattern is the mesh's edges.
 
     Args:
@@ -224,18 +221,13 @@ class MultifrontalCholesky:
         tree.turned = sent(d.edge_turned, wp.bool)
         self._tree, self._w_failed = tree, sent(self._failed, wp.int32)
 
-    def factorise(self, diagonal: NDArray[np.float64], off_diagonal: NDArray[np.float64]) -> None:
-        """Factorise a symmetric positive definite matrix.
-
-        Args:
-            diagonal: of every vertex, shape [V], or its block, shape [V, 2, 2].
-            off_diagonal: of every edge (i, j) of the dissection, shape [E], or its block with rows of i and columns
-                of j, shape [E, 2, 2].
+    def factorise(self, matrix: MeshMatrix) -> None:
+        """Factorise one matrix, with the edges of the dissection.
 
         Raises:
-            NotPositiveDefinite: it is not, to round-off.
+            NotPositiveDefinite: a pivot has the wrong sign, to round-off.
         """
-        values = [np.ascontiguousarray(array, dtype=np.float64).ravel() for array in (diagonal, off_diagonal)]
+        values = [np.ascontiguousarray(array, dtype=np.float64).ravel() for array in matrix]
         self._matrix = [wp.array(array, device="cpu", copy=False) for array in values]
         failed = self._failing_front()
         if failed >= 0 and self._kind == SINGLE:
@@ -269,7 +261,7 @@ class MultifrontalCholesky:
             NotPositiveDefinite: it is not, to round-off.
         """
         numbers, count = entries.numpy(), self.dissection.vertex_count
-        self.factorise(numbers[:count], numbers[count:])
+        self.factorise(MeshMatrix(numbers[:count], numbers[count:]))
 
     def solve_entries(self, right: wp.array) -> wp.array:
         """Solve for a right-hand side, shape [V], with one unknown per vertex, on its device."""

@@ -7,8 +7,8 @@ from scipy.sparse.linalg import spsolve
 
 from omtwarp.mesh.quarter import quarter
 from omtwarp.mesh.shapes import icosphere, random_sphere
-from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.solvers.cholesky.saddle import SaddleMatrix, expand_with_cells
+from omtwarp.solvers.factor import NotPositiveDefinite
 from omtwarp.solvers.mesh_factor import OrderedSaddleFactor, solve_parts
 
 

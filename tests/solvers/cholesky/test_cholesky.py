@@ -14,12 +14,12 @@ from omtwarp.mesh.shapes import blob, icosphere, random_sphere, uv_sphere
 from omtwarp.mesh.surface import Surface
 from omtwarp.solvers.cholesky import (
     MultifrontalCholesky,
-    NotPositiveDefinite,
     dissect,
     multifrontal,
     part_dissection,
     surface_dissection,
 )
+from omtwarp.solvers.factor import MeshMatrix, NotPositiveDefinite
 from omtwarp.solvers.poisson import LaplacianSolver, cotangent_solver
 
 
@@ -64,7 +64,7 @@ def test_solutions_are_those_of_a_general_solver(seed, count, block, leaf):
     surface = blob(seed=seed, sphere=random_sphere(count, seed))
     diagonal, off = dominant_blocks(surface, block, seed)
     factor = MultifrontalCholesky(dissect(surface.vertices, surface.edges, leaf), block)
-    factor.factorise(diagonal, off)
+    factor.factorise(MeshMatrix(diagonal, off))
     right = np.random.default_rng(seed + 1).normal(size=(surface.vertex_count, block, 3))
     truth = spsolve(block_matrix(surface, diagonal, off), right.reshape(-1, 3)).reshape(right.shape)
     np.testing.assert_allclose(factor.solve(right), truth, rtol=1e-9, atol=1e-11)
@@ -91,7 +91,7 @@ def test_pieces_that_do_not_touch(seed, counts, block, leaf, threads):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(multifrontal, "MIN_PARALLEL_OPERATIONS", 1.0)
         factor = MultifrontalCholesky(dissect(points, edges, leaf), block, threads)
-        factor.factorise(diagonal, off)
+        factor.factorise(MeshMatrix(diagonal, off))
     right = rng.normal(size=(union.vertex_count, block))
     truth = spsolve(block_matrix(union, diagonal, off), right.ravel()).reshape(right.shape)
     np.testing.assert_allclose(factor.solve(right), truth, rtol=1e-9, atol=1e-11)
@@ -117,7 +117,7 @@ def test_a_part_is_ordered_by_the_separators_of_the_whole(seed, chosen, threads)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(multifrontal, "MIN_PARALLEL_OPERATIONS", 1.0)
         factor = MultifrontalCholesky(part_dissection(surface, vertices, edges), 2, threads)
-        factor.factorise(diagonal, off)
+        factor.factorise(MeshMatrix(diagonal, off))
     right = rng.normal(size=(chosen, 2))
     truth = spsolve(block_matrix(part, diagonal, off), right.ravel()).reshape(right.shape)
     np.testing.assert_allclose(factor.solve(right), truth, rtol=1e-9, atol=1e-11)
@@ -136,9 +136,9 @@ def test_matrices_and_right_sides_may_change_place_and_number(threads):
         diagonal, off = dominant_blocks(surface, 2, round)
         if round % 2:
             kept[0][:], kept[1][:] = diagonal, off  # the same arrays as two rounds ago
-            factor.factorise(*kept)
+            factor.factorise(MeshMatrix(*kept))
         else:
-            factor.factorise(diagonal, off)
+            factor.factorise(MeshMatrix(diagonal, off))
         matrix = block_matrix(surface, diagonal, off)
         for columns in (1, 3, 1):
             right = rng.normal(size=(surface.vertex_count, 2, columns))
@@ -214,7 +214,7 @@ def test_the_number_of_threads_changes_no_bit(divisions):
     answers = []
     for threads in (1, 2, 8):
         factor = MultifrontalCholesky(surface_dissection(surface), 2, threads)
-        factor.factorise(diagonal, off)
+        factor.factorise(MeshMatrix(diagonal, off))
         answers.append(factor.solve(right))
     np.testing.assert_array_equal(answers[0], answers[1])
     np.testing.assert_array_equal(answers[0], answers[2])
@@ -225,11 +225,11 @@ def test_a_factor_can_be_made_again_in_its_place():
     factor = MultifrontalCholesky(surface_dissection(surface))
     right = np.ones(surface.vertex_count)
     first = dominant_blocks(surface, 1, 0)
-    factor.factorise(*first)
+    factor.factorise(MeshMatrix(*first))
     before = factor.solve(right)
-    factor.factorise(*dominant_blocks(surface, 1, 1))
+    factor.factorise(MeshMatrix(*dominant_blocks(surface, 1, 1)))
     assert np.abs(factor.solve(right) - before).max() > 1e-6
-    factor.factorise(*first)
+    factor.factorise(MeshMatrix(*first))
     np.testing.assert_array_equal(factor.solve(right), before)
 
 
@@ -238,7 +238,7 @@ def test_an_indefinite_matrix_is_refused():
     diagonal, off = dominant_blocks(surface, 1, 0)
     diagonal[100] = -1.0
     with pytest.raises(NotPositiveDefinite):
-        MultifrontalCholesky(surface_dissection(surface)).factorise(diagonal, off)
+        MultifrontalCholesky(surface_dissection(surface)).factorise(MeshMatrix(diagonal, off))
 
 
 @settings(max_examples=8)
@@ -261,7 +261,7 @@ def test_where_rounding_leaves_no_positive_pivot_the_general_solver_goes_on(monk
     right = np.random.default_rng(0).normal(size=surface.vertex_count)
     usual = cotangent_solver(surface, surface.scaled_vertices).solve(right)
 
-    def refuse(self, diagonal, off_diagonal):
+    def refuse(self, matrix):
         raise NotPositiveDefinite
 
     monkeypatch.setattr(MultifrontalCholesky, "factorise", refuse)

@@ -6,10 +6,10 @@ import scipy.sparse as sparse
 from scipy.sparse.linalg import spsolve
 
 from omtwarp.mesh.shapes import icosphere
-from omtwarp.solvers.cholesky import NotPositiveDefinite
 from omtwarp.solvers.cholesky.dissection import surface_dissection
 from omtwarp.solvers.cholesky.multifrontal import MultifrontalCholesky
 from omtwarp.solvers.cholesky.saddle import SaddleMatrix, expand
+from omtwarp.solvers.factor import NotPositiveDefinite
 from omtwarp.solvers.mesh_factor import OrderedSaddleFactor, solve_parts
 
 
