@@ -70,7 +70,7 @@ class MirroredSphere(Sphere):
         return MirrorFactor(self, self._double)
 
 
-class MirrorFactor:
+class MirrorFactor(SaddlePointFactor):
     """Solves symmetric saddle-point systems of a double for their symmetric solutions, on the half.
 
     Args:
