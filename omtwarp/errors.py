@@ -82,11 +82,7 @@ def unexpected(error: Exception, hint: str = "") -> str:
 
 
 class DrawingFailed(Exception):
-    """The drawing process gave no picture; the text says why. ``lasting``: the next attempt would fail too."""
-
-    def __init__(self, reason: str, lasting: bool = False):
-        super().__init__(reason)
-        self.lasting = lasting
+    """The drawing process gave no picture; the text says why."""
 
 
 class OmtwarpWarning(UserWarning):

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import atexit
 import importlib.util
-import math
 import os
 import pickle
 import signal
@@ -28,42 +27,36 @@ from omtwarp.mesh.arrays import Bytes
 if TYPE_CHECKING:  # commands start the drawing process before they import NumPy
     from omtwarp.render.scene import RenderJob
 
-# Long enough for a software driver on a busy machine: one that has not answered by then hangs.
+# For the start and for each picture, on a busy machine without a GPU: a process that takes longer hangs.
 START_SECONDS = 120.0
-IDLE_SECONDS = 60.0  # after which the drawing process gets no more jobs
+IDLE_SECONDS = 60.0  # after which the drawing process ends
 
 _COMMAND = "from omtwarp.render.gl_client import serve; serve()"
 
 
-def _send(stream: IO[bytes], message: object) -> None:
-    pickle.dump(message, stream, protocol=pickle.HIGHEST_PROTOCOL)
-    stream.flush()
-
-
 def serve() -> None:
-    """Write the device, and pictures for each job on standard input, to standard output, until a job or it fails."""
+    """Write pictures and the device's name for each job on standard input, or at last what failed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C and closes the pipe
     replies = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever a driver prints must not mix with the replies
-    failing = "OpenGL could not be started: "
-    try:
-        from omtwarp.render.pyrender_renderer import GLRenderer
+    from omtwarp.render.pyrender_renderer import GLRenderer
 
-        renderer = GLRenderer()
-        _send(replies, renderer.device)
-        failing = ""
+    renderer = GLRenderer()
+    try:
         while True:
-            _send(replies, renderer.draw(pickle.load(sys.stdin.buffer)))
-    except DrawingFailed as failure:
-        _send(replies, failure)
+            _send(replies, (renderer.draw(pickle.load(sys.stdin.buffer)), renderer.device))
     except EOFError:  # the caller has ended, or wants no more
         pass
     except Exception as error:
-        text = f"{failing}{type(error).__name__}: {error}".splitlines()[0]
-        _send(replies, DrawingFailed(text, lasting=bool(failing)))
+        _send(replies, f"{type(error).__name__}: {error}".splitlines()[0])
 
 
-class _DrawingProcess:
+def _send(stream: IO[bytes] | None, message: object) -> None:
+    pickle.dump(message, cast("IO[bytes]", stream), protocol=pickle.HIGHEST_PROTOCOL)
+    cast("IO[bytes]", stream).flush()
+
+
+class _DrawingProcess(subprocess.Popen[bytes]):
     """A child process with an OpenGL context.
 
     It starts in the background (importing pyrender, opening a context) while the caller reads its mesh, and is kept for
@@ -71,87 +64,61 @@ class _DrawingProcess:
     """
 
     def __init__(self) -> None:
-        self._log: IO[bytes] = tempfile.TemporaryFile()
-        self._lock = threading.Lock()
-        self._until = math.inf
-        self._idle = threading.Timer(0.0, self.close)
-        self.device = ""
-        self._process = subprocess.Popen(
-            interpreter(_COMMAND), stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._log
-        )
+        self.log = tempfile.TemporaryFile()
+        self._clock = threading.Timer(0.0, self.kill)
+        super().__init__(interpreter(_COMMAND), stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self.log)
 
-    @property
-    def usable(self) -> bool:
-        """Whether the process runs, and is not about to end."""
-        return time.monotonic() < self._until and self._process.poll() is None
+    def end_in(self, seconds: float) -> None:
+        """End the process after a time, in place of the one that was set before; pipes have no timeout."""
+        self._clock.cancel()
+        if self._clock.is_alive():
+            self._clock.join()  # it may be ending the process at this moment
+        self._clock = threading.Timer(seconds, self.kill)
+        self._clock.daemon = True
+        self._clock.start()
 
-    def draw(self, job: RenderJob) -> list[Bytes]:
-        """Draw a job.
+    def draw(self, job: RenderJob) -> tuple[list[Bytes], str]:
+        """Return the pictures of a job, and the device's name.
 
         Raises:
-            DrawingFailed: no OpenGL, or the process crashed, hung or reported an error.
+            DrawingFailed: the process crashed, hung or reported an error.
         """
-        picture_seconds = 180.0
-        with self._lock:
-            self._idle.cancel()
-            try:
-                self.device = self.device or cast(str, self._answer(None, START_SECONDS))
-                pictures = self._answer(job, picture_seconds * max(1, len(job.shots)))
-            except BaseException:
-                self.close()  # after a failure or Ctrl-C the pipe may hold half a message
-                raise
-            self._until = time.monotonic() + IDLE_SECONDS
-            self._idle = threading.Timer(IDLE_SECONDS + 5.0, self.close)  # never while a job arrives
-            self._idle.daemon = True
-            self._idle.start()
-        return cast("list[Bytes]", pictures)
-
-    def _answer(self, job: RenderJob | None, seconds: float) -> object:
-        """Send a job, if any, and wait for one message; pipes have no timeout, so that a late process is ended."""
-        end, late = time.monotonic() + seconds, threading.Timer(seconds, self._process.kill)
-        late.start()
+        global _no_use
+        seconds = START_SECONDS * (1 + len(job.shots))
+        begin = time.monotonic()
+        self.end_in(seconds)
         try:
-            if job is not None:
-                _send(cast("IO[bytes]", self._process.stdin), job)
-            answer = pickle.load(cast("IO[bytes]", self._process.stdout))
+            _send(self.stdin, job)
+            answer = pickle.load(cast("IO[bytes]", self.stdout))
         except (EOFError, OSError, pickle.UnpicklingError) as error:
-            reason = f"gave no picture within {seconds:.0f} s" if time.monotonic() >= end else self._last_words()
-            raise DrawingFailed(f"the OpenGL driver {reason}", lasting=True) from error
-        finally:
-            late.cancel()
-        if isinstance(answer, DrawingFailed):
-            raise answer
-        return answer
-
-    def _last_words(self) -> str:
-        code = self._process.wait(5)
-        self._log.seek(0)
-        lines = self._log.read().decode(errors="replace").strip().splitlines()
-        return f"ended its process (exit status {code}{''.join(f': {line.strip()}' for line in lines[-1:])})"
-
-    def close(self) -> None:
-        """End the child process; in a process forked from this one, only let go of it."""
-        self._process.kill()
-        self._process.wait()
-        for stream in (self._process.stdin, self._process.stdout, self._log):
-            with suppress(OSError):
-                cast("IO[bytes]", stream).close()
+            late = time.monotonic() >= begin + seconds
+            code = self.wait()
+            self.log.seek(0)
+            words = self.log.read().decode(errors="replace").strip().rpartition("\n")[2]
+            ended = f"gave no picture within {seconds:.0f} s" if late else f"ended its process (exit status {code})"
+            _no_use = f"the OpenGL driver {ended}{words and f': {words}'}"
+            raise DrawingFailed(_no_use) from error
+        if isinstance(answer, str):
+            raise DrawingFailed(answer)
+        self.end_in(IDLE_SECONDS)
+        return cast("tuple[list[Bytes], str]", answer)
 
 
+_lock = threading.Lock()
 _current: _DrawingProcess | None = None
-_no_use: str | None = None
+_no_use = ""  # why nothing can be drawn with OpenGL
 
 
 def prepare() -> None:
     """Start the drawing process if there is none, without waiting for it, unless nothing can be drawn with OpenGL."""
     global _current, _no_use
-    if _no_use is None and importlib.util.find_spec("pyrender") is None:
-        from omtwarp.render.pyrender_compat import INSTALL_GL, INSTALL_PYRENDER
+    if importlib.util.find_spec("pyrender") is None or not sys.executable:
+        from omtwarp.render.pyrender_compat import INSTALL
 
-        _no_use = f"pyrender is not installed ({INSTALL_PYRENDER}; on Debian and Ubuntu also {INSTALL_GL})"
-    if _no_use is None and not sys.executable:
-        _no_use = "there is no Python executable to start the drawing process with"
-    if _no_use is None and (_current is None or not _current.usable):
+        _no_use = f"there is no pyrender, or no Python to run it in ({INSTALL})"
+    if _current is not None:
+        _current.end_in(IDLE_SECONDS)
+    if not _no_use and (_current is None or _current.poll() is not None):
         shut_down()
         _current = _DrawingProcess()
 
@@ -165,22 +132,22 @@ def draw(job: RenderJob) -> tuple[list[Bytes], str]:
     Raises:
         DrawingFailed: pyrender or OpenGL is missing, or the process crashed, hung or reported an error.
     """
-    global _no_use
-    prepare()
-    if _no_use is not None or _current is None:
-        raise DrawingFailed(str(_no_use), lasting=True)
-    try:
-        return _current.draw(job), _current.device
-    except DrawingFailed as failure:
-        if failure.lasting:
-            _no_use = str(failure)
-        raise
+    with _lock:
+        prepare()
+        if _current is None:
+            raise DrawingFailed(_no_use)
+        try:
+            return _current.draw(job)
+        except BaseException:
+            shut_down()  # after a failure or Ctrl-C the pipe may hold half a message
+            raise
 
 
 @atexit.register
 def shut_down() -> None:
-    """End the drawing process, if there is one."""
+    """End the drawing process, if there is one; in a process forked from this one, only let go of it."""
     global _current
     if _current is not None:
-        _current.close()
+        with suppress(OSError), _current.log, _current:
+            _current.kill()
         _current = None

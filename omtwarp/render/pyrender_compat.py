@@ -24,8 +24,6 @@ import ctypes.util
 import os
 import sys
 import types
-from collections.abc import Callable
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -33,14 +31,12 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from omtwarp.colors import to_linear
-from omtwarp.errors import DrawingFailed
 from omtwarp.mesh.arrays import Bytes
 
 if TYPE_CHECKING:
     import pyrender
 
-INSTALL_GL = "apt-get install --no-install-recommends libegl1 libgl1"
-INSTALL_PYRENDER = "pip install 'omtwarp[preview]'"
+INSTALL = "pip install 'omtwarp[preview]'; apt-get install --no-install-recommends libegl1 libgl1 on Debian and Ubuntu"
 LIGHT_OF_SRGB = np.round(65535.0 * to_linear(np.arange(256) / 255.0)).astype(np.uint16)
 
 
@@ -51,15 +47,16 @@ def import_pyrender() -> types.ModuleType:
         The module.
 
     Raises:
-        DrawingFailed: pyrender or an OpenGL library is missing.
+        SystemExit: an OpenGL library is missing.
     """
-    linux = sys.platform.startswith("linux")
-    if linux:
+    if sys.platform.startswith("linux"):
         os.environ["PYOPENGL_PLATFORM"] = "egl"  # the same path for llvmpipe and for a GPU's driver
+        os.environ["EGL_PLATFORM"] = "surfaceless"  # of Mesa's display without a device
+        # For good: PyOpenGL looks for libraries when they are first used, EGL long after this.
+        find = ctypes.util.find_library
+        ctypes.util.find_library = lambda name: f"lib{name}.so.1" if name in ("EGL", "GL") else find(name)
     setattr(np, "infty", np.inf)  # noqa: B010
     sys.modules.setdefault("pyrender.viewer", cast(types.ModuleType, types.SimpleNamespace(Viewer=object)))
-    # For good: PyOpenGL looks for libraries when they are first used, EGL long after this.
-    ctypes.util.find_library = partial(_find_library, ctypes.util.find_library)  # type: ignore[assignment]
     try:
         import OpenGL
 
@@ -69,12 +66,8 @@ def import_pyrender() -> types.ModuleType:
 
         FormatHandler.by_name("ctypesparameter").check.append("_ctypes.CArgObject")
         import pyrender
-    except (ImportError, AttributeError, OSError) as error:
-        # libEGL without libGL: 'NoneType' has no attribute 'glGetError'
-        if isinstance(error, ImportError) and error.name in ("pyrender", "OpenGL"):
-            raise DrawingFailed(f"pyrender is not installed ({INSTALL_PYRENDER})", lasting=True) from error
-        missing = f"with EGL was found ({INSTALL_GL})" if linux else f"was found ({error})"
-        raise DrawingFailed(f"no OpenGL library {missing}", lasting=True) from error
+    except (ImportError, AttributeError, OSError) as error:  # AttributeError: libEGL without libGL
+        sys.exit(f"pyrender found no OpenGL library: {error} ({INSTALL})")
     shaders = str(Path(__file__).with_name("shaders"))
     pyrender.renderer.ShaderProgramCache = partial(pyrender.renderer.ShaderProgramCache, shaders)
     pyrender.Renderer._read_main_framebuffer = _read_colors
@@ -94,14 +87,13 @@ def _read_colors(renderer: pyrender.Renderer, scene: object, flags: int) -> Byte
     return np.frombuffer(data, dtype=np.uint8).reshape(height, width, 4)[::-1]
 
 
-def light_texture(image: Bytes, levels: bool, **sampler: object) -> object:
+def light_texture(image: Bytes, **sampler: object) -> object:
     """Return a texture of linear light rather than its sRGB encoding, so that filtering averages light.
 
     With 16 bits per channel nothing is lost, and a driver on the CPU need not decode every sample of the filter.
 
     Args:
         image: shape [height, width, 3].
-        levels: whether it is made smaller for parts of it that are seen small.
         sampler: how it goes on beyond its borders.
     """
     import pyrender
@@ -114,17 +106,6 @@ def light_texture(image: Bytes, levels: bool, **sampler: object) -> object:
             self._bind()
             size, light = image.shape[1::-1], np.ascontiguousarray(LIGHT_OF_SRGB[image[::-1]])
             GL.glTexImage2D(GL.GL_TEXTURE_2D, 0, GL.GL_RGBA16, *size, 0, GL.GL_RGB, GL.GL_UNSIGNED_SHORT, light)
-            if levels:
-                GL.glGenerateMipmap(GL.GL_TEXTURE_2D)
+            GL.glGenerateMipmap(GL.GL_TEXTURE_2D)
 
-    smaller = GL.GL_LINEAR_MIPMAP_LINEAR if levels else GL.GL_LINEAR
-    filters = pyrender.Sampler(magFilter=GL.GL_LINEAR, minFilter=smaller, **sampler)
-    return LightTexture(source=image[:1, :1], source_channels="RGB", sampler=filters)
-
-
-def _find_library(original: Callable[[str], str | None], name: str) -> str | None:
-    """Find a library of OpenGL by asking the loader, and others as ``original`` does."""
-    if sys.platform.startswith("linux") and name in ("EGL", "GL"):
-        with suppress(OSError):
-            return str(ctypes.CDLL(f"lib{name}.so.1") and f"lib{name}.so.1")
-    return original(name)
+    return LightTexture(source=image[:1, :1], source_channels="RGB", sampler=pyrender.Sampler(**sampler))

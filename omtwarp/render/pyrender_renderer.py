@@ -12,10 +12,9 @@ import numpy as np
 from PIL import Image
 
 from omtwarp.colors import parse_color
-from omtwarp.errors import DrawingFailed
 from omtwarp.mesh.arrays import Bytes
 from omtwarp.render.camera import Light, Shot
-from omtwarp.render.pyrender_compat import INSTALL_GL, import_pyrender, light_texture
+from omtwarp.render.pyrender_compat import INSTALL, import_pyrender, light_texture
 from omtwarp.render.scene import Part, RenderJob
 
 pyrender = import_pyrender()
@@ -28,16 +27,13 @@ class GLRenderer:
     """One OpenGL context and its renderer, for many jobs.
 
     Raises:
-        DrawingFailed: no device gives a context.
+        SystemExit: no device gives a context.
     """
 
     def __init__(self) -> None:
         self._platform = _open_context()
         self._renderer = pyrender.Renderer(64, 64)
-        self.largest_texture = int(GL.glGetIntegerv(GL.GL_MAX_TEXTURE_SIZE))
-        self.largest_picture = int(GL.glGetIntegerv(GL.GL_MAX_RENDERBUFFER_SIZE))
         self.device = (GL.glGetString(GL.GL_RENDERER) or b"unknown").decode(errors="replace")
-        GL.glBindBufferBase(GL.GL_UNIFORM_BUFFER, 0, GL.glGenBuffers(1))  # the block Look of the shaders
 
     def draw(self, job: RenderJob) -> list[Bytes]:
         """Draw every shot.
@@ -49,57 +45,51 @@ class GLRenderer:
         # Of the supersampled picture: each pixel takes 40 bytes with its multisample buffers. Larger pictures are drawn
         # with the hardware's four samples alone.
         affordable = int((40_000_000 / (job.width * job.height)) ** 0.5)
-        samples = max(1, min(job.samples, affordable, self.largest_picture // max(job.width, job.height)))
+        largest = int(GL.glGetIntegerv(GL.GL_MAX_RENDERBUFFER_SIZE)) // max(job.width, job.height)
+        samples = max(1, min(job.samples, affordable, largest))
         self._renderer.viewport_width, self._renderer.viewport_height = job.width * samples, job.height * samples
-        _set_look(job, samples)
+        light = Light() if job.light.unlit else job.light  # the colours themselves
+        surroundings = [light.sky, light.ground, job.wireframe.width * samples]
         textures: dict[tuple, object] = {}  # parts of a film share theirs
-        meshes = [self._mesh(part, job.light.roughness, textures) for part in job.parts]
+        meshes = [_mesh(part, job, textures) for part in job.parts]
         pictures = []
         for k, shot in enumerate(job.shots):
-            scene = pyrender.Scene(bg_color=[0.0, 0.0, 0.0, 0.0], ambient_light=[0.0, 0.0, 0.0])
+            scene = pyrender.Scene(bg_color=[0.0, 0.0, 0.0, 0.0], ambient_light=surroundings)
             for mesh in meshes[k : k + 1] if job.one_each else meshes:
                 scene.add(mesh)
+            for way, power in light.unit_directions():
+                scene.add_node(pyrender.Node(light=pyrender.PointLight(intensity=power), translation=way))
             scene.add(_camera(shot, job.width / job.height), pose=shot.pose)
             pixels = self._renderer.render(scene, pyrender.RenderFlags.OFFSCREEN | pyrender.RenderFlags.RGBA)
             pictures.append(_averaged(pixels, samples))
         return pictures
 
-    def _mesh(self, part: Part, roughness: float, textures: dict[tuple, object]) -> object:
-        key = (id(part.image), part.repeat, part.repeat_rows, part.mipmaps)
-        if part.image is not None and key not in textures:
-            height, width = np.minimum(part.image.shape[:2], self.largest_texture).tolist()
-            fitted = Image.fromarray(part.image).resize((width, height), Image.Resampling.BOX)
-            right, up = (GL.GL_REPEAT if on else GL.GL_CLAMP_TO_EDGE for on in (part.repeat, part.repeat_rows))
-            textures[key] = light_texture(np.asarray(fitted), part.mipmaps, wrapS=right, wrapT=up)
-        material = pyrender.MetallicRoughnessMaterial(
-            baseColorTexture=textures.get(key),
-            baseColorFactor=[*(float(channel) for channel in part.tint), 1.0],
-            metallicFactor=float(part.mipmaps),  # says so to the shader
-            roughnessFactor=float(roughness),
-            doubleSided=True,
-        )
-        primitive = pyrender.Primitive(
-            positions=part.positions,
-            normals=part.normals,
-            texcoord_0=part.value[:, :2] if part.kind == "uv" else None,
-            texcoord_1=part.value[:, :2] if part.edges else None,
-            color_0=np.column_stack([part.value, np.ones(len(part.value))]),
-            indices=None if part.edges else part.faces,
-            material=material,
-        )
-        return pyrender.Mesh([primitive])
 
-
-def _set_look(job: RenderJob, samples: int) -> None:
-    """Send lights and edges to the shaders; without lights, the surroundings show the colours themselves."""
-    look = np.zeros(24, dtype=np.float32)  # std140, in steps of 16 bytes
-    light = Light() if job.light.unlit else job.light
-    for k, (way, power) in enumerate(light.unit_directions()):
-        look[4 * k : 4 * k + 4] = *way, power
-    look[16:20] = *parse_color(job.wireframe.color), job.wireframe.opacity
-    look[20:23] = job.wireframe.width * samples, light.sky, light.ground
-    look[23:].view(np.int32)[:] = len(light.directional)
-    GL.glBufferData(GL.GL_UNIFORM_BUFFER, look.nbytes, look, GL.GL_STATIC_DRAW)
+def _mesh(part: Part, job: RenderJob, textures: dict[tuple, object]) -> object:
+    key = (id(part.image), part.repeat, part.repeat_rows)
+    if part.image is not None and key not in textures:
+        height, width = np.minimum(part.image.shape[:2], GL.glGetIntegerv(GL.GL_MAX_TEXTURE_SIZE)).tolist()
+        fitted = Image.fromarray(part.image).resize((width, height), Image.Resampling.BOX)
+        right, up = (GL.GL_REPEAT if on else GL.GL_CLAMP_TO_EDGE for on in (part.repeat, part.repeat_rows))
+        textures[key] = light_texture(np.asarray(fitted), wrapS=right, wrapT=up)
+    material = pyrender.MetallicRoughnessMaterial(
+        baseColorTexture=textures.get(key),
+        baseColorFactor=[*part.tint, job.wireframe.opacity],
+        emissiveFactor=parse_color(job.wireframe.color),
+        metallicFactor=float(part.mipmaps),
+        roughnessFactor=float(job.light.roughness),
+        doubleSided=True,
+    )
+    primitive = pyrender.Primitive(
+        positions=part.positions,
+        normals=part.normals,
+        texcoord_0=part.value[:, :2] if part.kind == "uv" else None,
+        texcoord_1=part.value[:, :2] if part.edges else None,
+        color_0=part.value,
+        indices=None if part.edges else part.faces,
+        material=material,
+    )
+    return pyrender.Mesh([primitive])
 
 
 def _averaged(pixels: Bytes, side: int) -> Bytes:
@@ -122,31 +112,25 @@ def _open_context() -> Platform:
 
     Device 0 may be a graphics card the user may not open, so each is tried; ``EGL_DEVICE_ID`` goes first.
     """
-    if not sys.platform.startswith("linux"):
+    if sys.platform.startswith("linux"):
+        from pyrender.platforms import egl
+
+        devices = []
+        with suppress(Exception):
+            devices = egl.query_devices()
+        wanted = [device for k, device in enumerate(devices) if str(k) == os.environ.get("EGL_DEVICE_ID")]
+        # At last Mesa without a device, where none is listed or usable.
+        platforms = [egl.EGLPlatform(64, 64, device) for device in (*wanted, *devices, egl.EGLDevice())]
+    else:
         from pyrender.platforms.pyglet_platform import PygletPlatform
 
-        platform = PygletPlatform(64, 64)
-        platform.init_context()
-        return platform
-    from pyrender.platforms import egl
-
-    devices = []
-    with suppress(Exception):
-        devices = egl.query_devices()
-    wanted = os.environ.get("EGL_DEVICE_ID", "")
-    if wanted.isdecimal() and int(wanted) < len(devices):
-        devices.insert(0, devices.pop(int(wanted)))
+        platforms = [PygletPlatform(64, 64)]
     reason = "no OpenGL version reported"
-    for device in [*devices, None]:  # at last Mesa without a device, where none is listed or usable
-        if device is None:
-            os.environ["EGL_PLATFORM"] = "surfaceless"
-        platform = egl.EGLPlatform(64, 64, device=device or egl.EGLDevice(None))
+    for platform in platforms:
         try:
             platform.init_context()
             if GL.glGetString(GL.GL_VERSION):
                 return platform
         except Exception as error:
-            reason = (str(error) or type(error).__name__).splitlines()[0]
-        with suppress(Exception):
-            platform.delete_context()
-    raise DrawingFailed(f"no EGL device gives an OpenGL context: {reason} ({INSTALL_GL})", lasting=True)
+            reason = f"{type(error).__name__}: {error}".splitlines()[0]
+    sys.exit(f"no device gives an OpenGL context: {reason} ({INSTALL})")

@@ -305,7 +305,7 @@ def test_transparent_gif_keeps_its_holes(tmp_path) -> None:
 def fresh_client(monkeypatch):
     """Reset the drawing process before a test, and end it afterwards."""
     monkeypatch.setattr(gl_client, "_current", None)
-    monkeypatch.setattr(gl_client, "_no_use", None)
+    monkeypatch.setattr(gl_client, "_no_use", "")
     monkeypatch.setattr(pictures, "_told", set())
     yield monkeypatch
     gl_client.shut_down()
@@ -372,11 +372,13 @@ def test_without_pyrender_the_ray_caster_steps_in(fresh_client, caplog) -> None:
 def test_a_crashing_or_hanging_driver_does_not_take_the_caller_along(fresh_client, caplog, command, words) -> None:
     pytest.importorskip("pyrender")
     fresh_client.setattr(gl_client, "_COMMAND", command)
-    fresh_client.setattr(gl_client, "START_SECONDS", 2.0)
+    fresh_client.setattr(gl_client, "START_SECONDS", 1.0)
+    gl_client.prepare()
+    process = gl_client._current
     with caplog.at_level(logging.WARNING, logger="omtwarp.render"):
         assert preview(TRIANGLE, size=(32, 32)).info["backend"].startswith("warp")
     assert words in caplog.text
-    assert not gl_client._current.usable  # ended, not left behind
+    assert process.poll() is not None  # ended, not left behind
 
 
 def test_an_idle_drawing_process_ends_and_comes_back(fresh_client) -> None:
@@ -389,9 +391,9 @@ def test_an_idle_drawing_process_ends_and_comes_back(fresh_client) -> None:
         pytest.skip("no OpenGL on this machine")
     process = gl_client._current
     deadline = time.monotonic() + 20
-    while process.usable and time.monotonic() < deadline:
+    while process.poll() is None and time.monotonic() < deadline:
         time.sleep(0.05)
-    assert not process.usable
+    assert process.poll() is not None
     again = preview(TRIANGLE, size=(32, 32), backend="pyrender")
     assert np.array_equal(np.asarray(first), np.asarray(again))
 
