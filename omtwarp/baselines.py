@@ -15,7 +15,7 @@ from omtwarp.conformal.centring import centre_points
 from omtwarp.conformal.maps import dipole, most_regular_face, plane_to_sphere
 from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError, check_word
-from omtwarp.mesh.arrays import TINY, Floats, InOneLine, normalised
+from omtwarp.mesh.arrays import TINY, Floats, InOneLine, cross, dots, normalised, norms
 from omtwarp.mesh.surface import MeshLike, Surface, as_surface, triangle_areas
 from omtwarp.options import Progress, tell
 from omtwarp.solvers.poisson import Factorization, LaplacianSolver
@@ -149,11 +149,11 @@ def barycentric_weights(surface: Surface, weights: Weights = "tutte") -> sparse.
         corners = surface.scaled_vertices[faces]
         ahead = np.roll(corners, -1, axis=1) - corners
         behind = np.roll(corners, 1, axis=1) - corners
-        lengths = np.linalg.norm(ahead, axis=2)
-        across = np.linalg.norm(np.cross(ahead, behind), axis=2)
+        lengths = norms(ahead)
+        across = norms(cross(ahead, behind))
         with np.errstate(divide="ignore", invalid="ignore"):
             # tan(θ/2) = sin θ / (1 + cos θ), which stays accurate at both ends.
-            tangents = across / (lengths * np.roll(lengths, 1, axis=1) + (ahead * behind).sum(axis=2))
+            tangents = across / (lengths * np.roll(lengths, 1, axis=1) + dots(ahead, behind))
             per_edge = 0.5 * (tangents + np.roll(tangents, -1, axis=1)) / lengths
         # The tangent at an angle of π, of a triangle folded flat, is 1.6e16 in float64.
         bad = ~(np.isfinite(per_edge) & (per_edge > 0) & (per_edge < 1e15)).all(axis=1)
@@ -189,9 +189,9 @@ class _Springs:
 
     def sweep(self, points: Floats) -> _State:
         sums = self.matrix @ points
-        tension = (sums * points).sum(axis=1)
-        size = np.linalg.norm(sums, axis=1)
-        deviation = np.linalg.norm(points - sums / np.maximum(size, TINY)[:, None], axis=1)
+        tension = dots(sums, points)
+        size = norms(sums)
+        deviation = norms(points - sums / np.maximum(size, TINY)[:, None])
         # E = ½ Σ_ij w_ij (1 - x_i·x_j); the difference is taken per vertex, before anything large is summed.
         energy = 0.5 * float((self.degree - tension).sum())
         return _State(_tangential(points, sums), tension, float(deviation.max()), energy)
@@ -203,10 +203,9 @@ class _Springs:
 
         The first vector of the frame of vertex ``aligned`` is ``axis``.
         """
-        first = np.cross(np.eye(3)[np.abs(points).argmin(axis=1)], points)
-        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        first = normalised(cross(np.eye(3)[np.abs(points).argmin(axis=1)], points))
         first[aligned] = axis
-        frames = np.stack([first, np.cross(points, first)], axis=1)
+        frames = np.stack([first, cross(points, first)], axis=1)
         rows = np.repeat(np.arange(self.count), np.diff(self.matrix.indptr))
         products = np.einsum("kad,kbd->kab", frames[rows], frames[self.matrix.indices])
         blocks = -self.matrix.data[:, None, None] * products
@@ -291,7 +290,7 @@ def _newton(springs: _Springs, points: Floats, masses: Floats | None, report: Re
         if masses is not None:
             multiplier = _multiplier(points, masses, force)
             pull = masses[:, None] * multiplier
-            tension = tension - (pull * points).sum(axis=1)
+            tension = tension - dots(pull, points)
             force = force - _tangential(points, pull)
         if np.abs(force).max() <= newton_tolerance:
             return points, multiplier, True
@@ -300,7 +299,7 @@ def _newton(springs: _Springs, points: Floats, masses: Floats | None, report: Re
         # Vertex 0 is fixed, and a second about a right angle away in the direction of the axis: the forces add up to no
         # torque, so that the three equations left out hold by themselves.
         second = int(np.argmin(np.abs(points @ points[0])))
-        matrix, frames = springs.newton_system(points, tension, second, normalised(np.cross(points[0], points[second])))
+        matrix, frames = springs.newton_system(points, tension, second, normalised(cross(points[0], points[second])))
         free = np.ones(2 * springs.count, dtype=bool)
         free[[0, 1, 2 * second]] = False
         factor = splu(matrix[free][:, free].tocsc())
@@ -316,7 +315,7 @@ def _newton(springs: _Springs, points: Floats, masses: Floats | None, report: Re
             answers = solve(constraint)
             solution -= answers @ np.linalg.solve(constraint.T @ answers, constraint.T @ solution + masses @ points)
         direction = np.einsum("vk,vkd->vd", solution.reshape(-1, 2), frames)
-        longest = float(np.linalg.norm(direction, axis=1).max())
+        longest = float(norms(direction).max())
         if not np.isfinite(longest):
             break
         # Longest step, radians: farther away a tangent plane does not approximate the sphere
@@ -331,7 +330,7 @@ def _multiplier(points: Floats, masses: Floats, force: Floats) -> Floats:
 
 
 def _tangential(points: Floats, vectors: Floats) -> Floats:
-    return np.asarray(vectors - (points * vectors).sum(axis=1)[:, None] * points)
+    return np.asarray(vectors - dots(points, vectors)[:, None] * points)
 
 
 def _moved(points: Floats, direction: Floats, step: float) -> Floats:

@@ -30,7 +30,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import flipped_faces
 from omtwarp.geometry.sphere_hierarchy import sphere_hierarchy, triangle_solid_angles
 from omtwarp.mesh import arrays
-from omtwarp.mesh.arrays import TINY, Floats, Ints, normalised
+from omtwarp.mesh.arrays import TINY, Floats, Ints, normalised, norms
 from omtwarp.mesh.shapes import sphere_from_directions
 
 NAMES = "ico0 to ico8, fsaverage3 to fsaverage7, healpix:NSIDE, healpix-nested:NSIDE, equiangular:HxW, octahedral:N"
@@ -133,7 +133,7 @@ def unit_sphere(points: ArrayLike, name: str = "the sphere") -> Floats:
     array = arrays.in_range(arrays.real_numbers(points, f"{name}: vertices", (None, 3)))
     if len(array) == 0:
         raise OmtwarpError(f"{name}: there are no vertices")
-    radii = np.linalg.norm(array, axis=1)
+    radii = norms(array)
     low, high = float(radii.min()), float(radii.max())
     # Radii of FreeSurfer's spheres, written with four digits, differ by 7e-5 of their mean.
     if low <= 0.0 or high - low > 1e-3 * high:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import Floats, InOneLine, normalised, real_numbers
+from omtwarp.mesh.arrays import Floats, InOneLine, normalised, real_numbers, squared_norms
 from omtwarp.mesh.surface import MeshLike, as_sphere, as_surface, as_unit_vectors
 from omtwarp.options import Progress, Record, tell
 
@@ -144,5 +144,5 @@ def centre_points(
 def ball_inversion(points: Floats, centre: Floats) -> Floats:
     """Apply the Möbius transformation of the unit ball of Baden, Crane and Kazhdan (2018) to unit vectors."""
     shifted = points + centre
-    scale = (1.0 - centre @ centre) / (shifted**2).sum(axis=1, keepdims=True)
+    scale = (1.0 - centre @ centre) / squared_norms(shifted)[:, None]
     return normalised(scale * shifted + centre)

@@ -33,7 +33,7 @@ from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.axes import OBLIQUE, principal_axes
 from omtwarp.geometry.intrinsic import intrinsic_edges
-from omtwarp.mesh.arrays import Floats, Ints, normalised
+from omtwarp.mesh.arrays import Floats, Ints, dots, normalised, squared_norms
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_sphere, as_surface, triangle_areas
 from omtwarp.options import Progress, Record, tell
 from omtwarp.solvers.poisson import EdgeLaplacianSolver, cotangent_solver, edge_laplacian
@@ -189,7 +189,7 @@ def plane_to_sphere(plane: Floats, masses: Floats) -> Floats:
         raise OmtwarpError("the conformal map is not finite: the surface has triangles too thin for it; remesh them")
     plane = plane - [_median(coordinates, masses) for coordinates in plane.T]
     plane /= _median(np.hypot(*plane.T), masses)
-    share = 2.0 / (1.0 + (plane**2).sum(axis=1, keepdims=True))
+    share = 2.0 / (1.0 + squared_norms(plane)[:, None])
     return np.hstack([share * plane, 1.0 - share])
 
 
@@ -303,7 +303,7 @@ class _DirichletEnergy:
     def value(self, sphere: Floats) -> float:
         """Return ½ Σ w |y_i - y_j|²."""
         i, j = self._ends.T
-        return 0.5 * float(self._weights @ ((sphere[i] - sphere[j]) ** 2).sum(axis=1))
+        return 0.5 * float(self._weights @ squared_norms(sphere[i] - sphere[j]))
 
     def pull(self, sphere: Floats) -> Floats:
         """Return L y, shape [V, 3]; its tangent part is the gradient."""
@@ -311,7 +311,7 @@ class _DirichletEnergy:
 
     def curvature(self, sphere: Floats, pull: Floats, direction: Floats) -> float:
         """Return the second derivative d · (L - y · L y) d along a tangent direction d, from L y."""
-        normal = (sphere * pull).sum(axis=1)
+        normal = dots(sphere, pull)
         return float((direction * (self._laplacian @ direction - normal[:, None] * direction)).sum())
 
     def preconditioned(self, sphere: Floats, slope: Floats) -> Floats:
@@ -329,7 +329,7 @@ class _DirichletEnergy:
 
 def _tangent(sphere: Floats, vectors: Floats) -> Floats:
     """Return vectors, shape [V, 3] or [3], less their parts normal to the sphere at its points."""
-    return vectors - (sphere * vectors).sum(axis=1)[:, None] * sphere
+    return vectors - dots(sphere, vectors)[:, None] * sphere
 
 
 def _centred(sphere: Floats, masses: Floats) -> Floats | None:

@@ -8,7 +8,7 @@ from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import KERNEL_OPTIONS, ZERO, wp
 from omtwarp.flips.exact import is_bijective
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Floats, norms
 from omtwarp.mesh.surface import Surface
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -182,7 +182,7 @@ def hold_back(surface: Surface, before: Floats, after: Floats, *, device: str | 
     # A motion is given up if not even this share of it leaves a bijection.
     for halvings in range(6 + 1):
         moved = before + step * 0.5**halvings
-        lengths = np.linalg.norm(moved, axis=1, keepdims=True)
+        lengths = norms(moved)[..., None]
         held = wp.clone(vectors(np.where(lengths > 0.0, moved / np.where(lengths > 0.0, lengths, 1.0), before), where))
         guard.limit(start, held)
         if is_bijective(held, surface.faces, device=where):

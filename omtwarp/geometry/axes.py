@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Floats, cross
 from omtwarp.mesh.surface import Surface
 
 # Where second moments, relative to the largest, differ by less than this, rounding decides the axes; where third
@@ -162,5 +162,5 @@ def _around(axis: Floats, first: bool) -> Floats:
     towards = np.eye(3)[int(np.argmin(np.abs(axis)))]
     other = towards - (towards @ axis) * axis
     other /= np.linalg.norm(other)
-    third = np.cross(axis, other)
+    third = cross(axis, other)
     return np.stack([axis, other, third] if first else [other, third, axis])

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, TWO, ZERO, wp
-from omtwarp.mesh.arrays import Floats, Ints
+from omtwarp.mesh.arrays import Floats, Ints, norms
 from omtwarp.mesh.surface import Surface
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -137,7 +137,7 @@ def delaunay_edges(surface: Surface, jumps: NDArray[np.int64] | None = None) -> 
     twins[halves[:, 0]], twins[halves[:, 1]] = halves[:, 1], halves[:, 0]
     first = halves.min(axis=1).astype(np.int32)
     points = surface.scaled_vertices
-    sides = np.linalg.norm(points[np.roll(faces, -1, axis=1)] - points[faces], axis=2).ravel()
+    sides = norms(points[np.roll(faces, -1, axis=1)] - points[faces]).ravel()
     sides = np.maximum(sides, np.finfo(float).eps * sides.max())
     corner = np.arange(count)
     queued = np.zeros(count, dtype=np.int32)

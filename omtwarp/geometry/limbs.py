@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Floats, norms
 from omtwarp.mesh.surface import Surface
 
 
@@ -51,7 +51,7 @@ def rings(surface: Surface) -> Iterator[Ring]:
     start, end = surface.edges.astype(np.int64).T
     count = surface.vertex_count
     points = surface.scaled_vertices
-    graph = _graph(np.linalg.norm(points[start] - points[end], axis=1), start, end, count)
+    graph = _graph(norms(points[start] - points[end]), start, end, count)
     pole = int(np.argmax(dijkstra(graph, directed=False, indices=0)))
     distance = dijkstra(graph, directed=False, indices=pole)
     areas = surface.sum_to_vertices(surface.own_areas)

@@ -22,7 +22,7 @@ from scipy import sparse
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
 from omtwarp.geometry.spherical import TINY
-from omtwarp.mesh.arrays import Floats, real_numbers, whole_numbers
+from omtwarp.mesh.arrays import Floats, cross, norms, real_numbers, whole_numbers
 from omtwarp.mesh.surface import Surface
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -113,7 +113,7 @@ def _corner_points(vertices: ArrayLike, faces: ArrayLike) -> tuple[Floats, NDArr
 def corner_cotangents(vertices: ArrayLike, faces: ArrayLike) -> Floats:
     """Return the cotangent of the angle at every corner, shape [F, 3]; negative where the angle is obtuse."""
     _, _, p = _corner_points(vertices, faces)
-    doubled = np.maximum(np.linalg.norm(np.cross(p[1] - p[0], p[2] - p[0]), axis=1), float(TINY))
+    doubled = np.maximum(norms(cross(p[1] - p[0], p[2] - p[0])), float(TINY))
     dots = [np.einsum("ij,ij->i", p[(k + 1) % 3] - p[k], p[(k + 2) % 3] - p[k]) for k in range(3)]
     return np.stack(dots, axis=1) / doubled[:, None]
 

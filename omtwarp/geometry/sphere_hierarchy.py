@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import Floats, Ints
+from omtwarp.mesh.arrays import Floats, Ints, cross, normalised, norms
 from omtwarp.mesh.surface import face_neighbours
 
 HIGHEST_LEVEL = 10  # of an icosahedron that has 10 · 4¹⁰ + 2 nodes, ten million
@@ -23,7 +23,7 @@ HIGHEST_LEVEL = 10  # of an icosahedron that has 10 · 4¹⁰ + 2 nodes, ten mil
 
 def triangle_solid_angles(a: Floats, b: Floats, c: Floats) -> Floats:
     """Return the signed areas of spherical triangles with unit corners, [M, 3] each (Van Oosterom, Strackee 1983)."""
-    triple = np.einsum("ij,ij->i", a, np.cross(b - a, c - a))  # differences: small triangles keep their digits
+    triple = np.einsum("ij,ij->i", a, cross(b - a, c - a))  # differences: small triangles keep their digits
     dots = [np.einsum("ij,ij->i", u, v) for u, v in ((a, b), (b, c), (c, a))]
     return np.asarray(2.0 * np.arctan2(triple, 1.0 + dots[0] + dots[1] + dots[2]))
 
@@ -33,13 +33,13 @@ def icosahedron() -> tuple[Floats, Ints]:
     signs = [(s, t * (1 + np.sqrt(5.0)) / 2) for s in (-1.0, 1.0) for t in (-1, 1)]
     corners = [[0, s, t] for s, t in signs] + [[s, t, 0] for s, t in signs] + [[t, 0, s] for s, t in signs]
     vertices = np.array(corners)
-    near = np.isclose(np.linalg.norm(vertices[:, None] - vertices[None], axis=2), 2.0)
+    near = np.isclose(norms(vertices[:, None] - vertices[None]), 2.0)
     faces = []
     for i, j, k in combinations(range(len(vertices)), 3):
         if near[i, j] and near[j, k] and near[i, k]:
             outward = np.linalg.det(vertices[[i, j, k]]) > 0
             faces.append((i, j, k) if outward else (i, k, j))
-    return vertices / np.linalg.norm(vertices, axis=1)[:, None], np.array(faces, dtype=np.int32)
+    return normalised(vertices), np.array(faces, dtype=np.int32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +162,7 @@ def sphere_hierarchy(level: int) -> SphereHierarchy:
         a, b, c = faces.T
         ab, bc, ca = middle.T
         faces = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], axis=1).reshape(-1, 3)
-        vertices = np.concatenate([vertices, middles / np.linalg.norm(middles, axis=1)[:, None]])
+        vertices = np.concatenate([vertices, normalised(middles)])
         counts.append(len(vertices))
         all_faces.append(np.ascontiguousarray(faces))
         all_parents.append(parents)

@@ -19,7 +19,7 @@ from omtwarp.mapping.pipeline import map_double, map_to_sphere
 from omtwarp.maps.result import MapResult, MeshReport, StageReport, SurfaceReport
 from omtwarp.maps.torus_map import TorusMap
 from omtwarp.measures import face_weights
-from omtwarp.mesh.arrays import Floats, edge_keys
+from omtwarp.mesh.arrays import Floats, cross, edge_keys, normalised
 from omtwarp.mesh.origins import Derived, Origins
 from omtwarp.mesh.quarter import PARTS, quarter
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, triangle_areas
@@ -377,8 +377,7 @@ def _reach(each: MapResult, centre: Floats) -> float:
     """Return the largest angle from a cap's centre to a point of its triangles, whose sides at the rim are curved."""
     points, faces = _whole(each)
     rim = points[boundary_half_edges(faces, len(points))]
-    middle = rim.sum(axis=1)
-    middle /= np.linalg.norm(middle, axis=1)[:, None]
+    middle = normalised(rim.sum(axis=1))
     return float(np.arccos(np.clip(np.concatenate([rim[:, 0], middle]) @ centre, -1.0, 1.0)).max())
 
 
@@ -536,7 +535,7 @@ def _surface(opened: _Opened, weights: Floats | None = None) -> Surface:
     """
     filled = opened.filled
     corners = unit_coordinates(filled.vertices)[filled.faces]
-    volume = float(np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum())
+    volume = float(np.einsum("ij,ij->i", corners[:, 0], cross(corners[:, 1], corners[:, 2])).sum())
     own = filled.vertices * np.array([-1.0, 1.0, 1.0]) if volume < 0.0 else filled.vertices
     surface = Surface(own, filled.faces)
     filling, own = filled.patch >= opened.small, filled.patch < 0

@@ -12,7 +12,7 @@ from omtwarp.geometry.limbs import thinnest_ring, vertices_needed
 from omtwarp.geometry.sphere_hierarchy import triangle_solid_angles
 from omtwarp.maps.result import StageReport, Warned
 from omtwarp.measures import mass_distortion
-from omtwarp.mesh.arrays import TINY, Floats
+from omtwarp.mesh.arrays import TINY, Floats, cross, dots, norms
 from omtwarp.mesh.origins import named
 from omtwarp.mesh.quarter import PARTS
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
@@ -115,9 +115,9 @@ def _coarse_findings(surface: Surface, long: Floats) -> list[Finding]:
     findings = []
     share = surface.own_areas / SPHERE_AREA
     corners = surface.scaled_vertices[surface.faces]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), TINY)
-    bend = np.clip((normals[:, None] * normals[surface.face_neighbours]).sum(axis=2).min(axis=1), -1.0, 1.0)
+    across = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = across / np.maximum(norms(across)[..., None], TINY)
+    bend = np.clip(dots(normals[:, None], normals[surface.face_neighbours]).min(axis=1), -1.0, 1.0)
     folded = bend < np.cos(np.radians(fold))
     if share[folded].sum() > folded_share:
         worst = int(np.argmax(np.where(folded, share, 0.0)))
@@ -157,7 +157,7 @@ def _coarse_findings(surface: Surface, long: Floats) -> list[Finding]:
 def elongation(surface: Surface) -> Floats:
     """Return the ratio of every triangle's longest edge to the height above it, shape [F]; 1.15 if equilateral."""
     corners = surface.scaled_vertices[surface.faces]
-    edges = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
+    edges = norms(corners - np.roll(corners, -1, axis=1))
     return edges.max(axis=1) ** 2 / np.maximum(2.0 * surface.own_areas, np.finfo(np.float64).tiny)
 
 

@@ -325,7 +325,7 @@ def require_unit_length(points: NDArray[np.generic], name: str) -> None:
         OmtwarpError: some points do not; the message counts them and names the first.
     """
     with np.errstate(over="ignore"):
-        lengths = np.linalg.norm(np.asarray(points, dtype=np.float64), axis=1)
+        lengths = norms(np.asarray(points, dtype=np.float64))
     # Unit length, largest distance of a point from the sphere: many times the rounding of single precision
     off = ~(np.abs(lengths - 1.0) <= 1e-5)
     if off.any():
@@ -336,10 +336,38 @@ def require_unit_length(points: NDArray[np.generic], name: str) -> None:
         )
 
 
+def dots(first: Floats, second: Floats) -> Floats:
+    """Return the scalar products of vectors, shape [...], from shape [..., 2] or [..., 3].
+
+    Column by column: NumPy's sums along so short rows take five times as long, for the same bits.
+    """
+    total = first[..., 0] * second[..., 0]
+    for k in range(1, first.shape[-1]):
+        total = total + first[..., k] * second[..., k]
+    return total
+
+
+def squared_norms(vectors: Floats) -> Floats:
+    """Return the squared lengths of vectors, shape [...], from shape [..., 2] or [..., 3]."""
+    return dots(vectors, vectors)
+
+
+def norms(vectors: Floats) -> Floats:
+    """Return the lengths of vectors, shape [...], from shape [..., 2] or [..., 3]."""
+    return np.asarray(np.sqrt(dots(vectors, vectors)))
+
+
+def cross(first: Floats, second: Floats) -> Floats:
+    """Return the vector products of vectors, shape [..., 3], in a fifth of the time of NumPy's function."""
+    columns = [first[..., i] * second[..., j] - first[..., j] * second[..., i] for i, j in ((1, 2), (2, 0), (0, 1))]
+    return np.stack(columns, axis=-1)
+
+
 def normalised(points: ArrayLike) -> NDArray[np.float64]:
-    """Scale vectors, none of them 0, to unit length, shape [..., 3]."""
-    points = np.asarray(points, dtype=np.float64)
-    return np.asarray(points / np.linalg.norm(points, axis=-1, keepdims=True))
+    """Scale vectors to unit length, shape [..., 3]; zero stays zero."""
+    vectors = np.asarray(points, dtype=np.float64)
+    length = norms(vectors)[..., None]
+    return np.asarray(vectors / np.where(length > 0.0, length, 1.0))
 
 
 def octahedral_directions(x: Floats, y: Floats) -> Floats:

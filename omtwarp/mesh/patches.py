@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.mesh.arrays import Floats, Ints
+from omtwarp.mesh.arrays import Floats, Ints, norms
 from omtwarp.mesh.validate import components_of
 
 
@@ -92,5 +92,5 @@ class Patches:
     def longest(self, vectors: Floats) -> Floats:
         """Return the largest length of the freed vertices' vectors [free, ...] in every piece, shape [count]."""
         lengths = np.zeros(self.count)
-        np.maximum.at(lengths, self.vertex_patch, np.linalg.norm(vectors, axis=1))
+        np.maximum.at(lengths, self.vertex_patch, norms(vectors))
         return lengths

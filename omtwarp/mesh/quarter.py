@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from omtwarp.mesh.arrays import Floats, Ints
+from omtwarp.mesh.arrays import Floats, Ints, norms
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.surface import Surface
 
@@ -49,7 +49,7 @@ class QuarteredSurface(Origins):
         """
         one, other = sphere[self.split_edges[:, 0]], sphere[self.split_edges[:, 1]]
         middle = one + other
-        length = np.linalg.norm(middle, axis=1, keepdims=True)
+        length = norms(middle)[..., None]
         middle = np.where(length > 0.0, middle / np.where(length > 0.0, length, 1.0), one)
         return np.concatenate([sphere, middle])
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh import validate
-from omtwarp.mesh.arrays import TINY, WELD, Floats, InOneLine, edge_keys
+from omtwarp.mesh.arrays import TINY, WELD, Floats, InOneLine, cross, edge_keys, norms
 from omtwarp.mesh.origins import Derived
 from omtwarp.mesh.validate import MeshLike, Topology, check, components_of, number
 
@@ -176,7 +176,7 @@ class _Work:
 
     def _flip(self, unit: Floats, face: int) -> bool:
         corners = unit[self.faces[face]]
-        k = int(np.argmax(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)))
+        k = int(np.argmax(norms(np.roll(corners, -1, axis=0) - corners)))
         a, b, c = (int(self.faces[face, (k + j) % 3]) for j in range(3))
         beside = np.flatnonzero((self.faces == a).any(axis=1) & (self.faces == b).any(axis=1))
         if len(beside) != 2:
@@ -283,7 +283,7 @@ class _Work:
         valid[np.flatnonzero(valid)] = np.isfinite(points[faces[valid]]).all(axis=(1, 2))
         corners = points[faces[valid]] / np.abs(points[faces[valid]]).max(initial=TINY)
         areas = np.zeros(len(faces))
-        areas[valid] = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        areas[valid] = norms(cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
         areas[self.repeated] = 0.0
         gone = np.ones(len(faces), dtype=bool)
         gone[self.face_origin[self.face_origin >= 0]] = False
@@ -313,7 +313,7 @@ def _first_at_place(unit: Floats, edges: NDArray[np.int64], among: NDArray[np.in
     """
     from scipy.spatial import cKDTree
 
-    lengths = np.repeat(np.linalg.norm(unit[edges[:, 0]] - unit[edges[:, 1]], axis=1), 2)
+    lengths = np.repeat(norms(unit[edges[:, 0]] - unit[edges[:, 1]]), 2)
     counts = np.bincount(edges.ravel(), minlength=len(unit))
     mean = np.bincount(edges.ravel(), lengths, len(unit)) / np.maximum(counts, 1)
     places, first, inverse = np.unique(unit[among] + 0.0, axis=0, return_index=True, return_inverse=True)
@@ -375,7 +375,7 @@ def _patch(points: Floats, loop: list[int], known: set[tuple[int, int]]) -> list
                 best[i, j] = np.inf
                 continue
             between = np.arange(i + 1, j)
-            area = np.linalg.norm(np.cross(corners[between] - corners[i], corners[j] - corners[i]), axis=1)
+            area = norms(cross(corners[between] - corners[i], corners[j] - corners[i]))
             # A triangle without area would be another defect.
             # Least area, twice the area of a triangle that fills a hole, in units of the hole's size squared: less is
             # none

@@ -13,7 +13,7 @@ from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import TINY, Floats, normalised, summed
+from omtwarp.mesh.arrays import TINY, Floats, cross, normalised, norms, summed
 from omtwarp.mesh.surface import Surface
 
 Faces = NDArray[np.int64]
@@ -83,7 +83,7 @@ def sphere_from_directions(directions: ArrayLike) -> Surface:
     hull = ConvexHull(points)
     faces = hull.simplices.astype(np.int64)
     p0, p1, p2 = (points[faces[:, k]] for k in range(3))
-    inward = np.einsum("ij,ij->i", np.cross(p1 - p0, p2 - p0), hull.equations[:, :3]) < 0
+    inward = np.einsum("ij,ij->i", cross(p1 - p0, p2 - p0), hull.equations[:, :3]) < 0
     faces[inward] = faces[inward][:, ::-1]
     # Every face begins at its smallest vertex, and faces are sorted: their order does not depend on a library.
     start = faces.argmin(axis=1)
@@ -435,7 +435,7 @@ def _onto_surface(value: Callable[[Floats], Floats], points: Floats, cell: float
         slope = np.stack([value(points + step * axis) - here for axis in np.eye(3)], axis=1) / step
         # Least slope, squared, of a signed distance, whose slope is 1: where it has none a point stays
         move = -here[:, None] * slope / np.maximum((slope**2).sum(axis=1), 1e-12)[:, None]
-        far = np.linalg.norm(move, axis=1)
+        far = norms(move)
         points = points + move * np.minimum(1.0, 0.5 * cell / np.maximum(far, TINY))[:, None]
     return points
 
@@ -455,7 +455,7 @@ def metaballs(spheres: ArrayLike, blend: float = 0.15) -> Callable[[Floats], Flo
             start, radius, end, other = cone[:3], cone[3], cone[4:7], cone[7]
             axis = end - start
             along = np.clip(((x - start) @ axis) / max(float(axis @ axis), TINY), 0.0, 1.0)
-            distance = np.linalg.norm(x - start - along[:, None] * axis, axis=1) - (radius + along * (other - radius))
+            distance = norms(x - start - along[:, None] * axis) - (radius + along * (other - radius))
             total += np.exp(-np.clip(distance / blend, -200.0, 200.0))
         return -blend * np.log(total)
 
@@ -500,7 +500,7 @@ def noisy(surface: Surface, amount: float = 0.2, seed: int = 0) -> Surface:
     """Move every coordinate by a normal random number times ``amount`` times the mean length of the edges there."""
     rng = np.random.default_rng(seed)
     ends = surface.edges
-    lengths = np.linalg.norm(surface.vertices[ends[:, 0]] - surface.vertices[ends[:, 1]], axis=1)
+    lengths = norms(surface.vertices[ends[:, 0]] - surface.vertices[ends[:, 1]])
     total = np.bincount(ends.ravel(), weights=np.repeat(lengths, 2), minlength=surface.vertex_count)
     mean = total / np.bincount(ends.ravel(), minlength=surface.vertex_count)
     return Surface(surface.vertices + amount * mean[:, None] * rng.normal(size=surface.vertices.shape), surface.faces)
@@ -584,7 +584,7 @@ def _capped_grid(grid: Floats, north: Floats, south: Floats, flip: bool = False)
 
 def _normals(points: Floats, a: NDArray, b: NDArray, c: NDArray) -> Floats:
     """Return the normals of triangles, whose lengths are twice the triangles' areas."""
-    return np.cross(points[b] - points[a], points[c] - points[a])
+    return cross(points[b] - points[a], points[c] - points[a])
 
 
 def __dir__() -> list[str]:

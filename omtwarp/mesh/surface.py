@@ -15,7 +15,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh import arrays
-from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints, real_numbers, whole_numbers
+from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints, cross, norms, real_numbers, whole_numbers
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.validate import MeshLike, mesh_arrays, require_valid, unit_coordinates
 
@@ -330,7 +330,7 @@ def plane_areas(corners: Floats) -> Floats:
 def triangle_areas(points: Floats, faces: NDArray[np.integer]) -> Floats:
     """Return the area of every flat triangle, shape [F]."""
     p0, p1, p2 = (points[faces[:, k]] for k in range(3))
-    return 0.5 * np.linalg.norm(np.cross(p1 - p0, p2 - p0), axis=1)
+    return 0.5 * norms(cross(p1 - p0, p2 - p0))
 
 
 def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
@@ -342,10 +342,9 @@ def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
     # Squares stay in range at any scale.
     scaled = (vertices - low) / max(float((high - low).max()), np.finfo(float).tiny)
     p0, p1, p2 = (scaled[faces[:, k]] for k in range(3))
-    weighted = np.cross(p1 - p0, p2 - p0)
+    weighted = cross(p1 - p0, p2 - p0)
     total = arrays.summed(np.repeat(weighted, 3, axis=0), faces.ravel(), len(vertices))
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    return total / np.where(length > 0, length, 1.0)
+    return arrays.normalised(total)
 
 
 def unit_normals(normals: Floats) -> Floats:
@@ -353,8 +352,8 @@ def unit_normals(normals: Floats) -> Floats:
 
     A zero normal becomes the direction of the z axis, as file formats require one.
     """
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.where(length > 0, normals / np.where(length > 0, length, 1.0), (0.0, 0.0, 1.0))
+    units = arrays.normalised(normals)
+    return np.where(norms(units)[:, None] > 0.5, units, (0.0, 0.0, 1.0))  # of none, the length is 0 or 1
 
 
 def face_neighbours(faces: Ints, vertex_count: int) -> Ints:
@@ -448,7 +447,7 @@ def as_unit_vectors(points: ArrayLike, count: int | None = None, name: str = "ma
     """
     given = real_numbers(points, f"the {name}", (count, 3))
     arrays.require_unit_length(given, f"the {name}")
-    lengths = np.linalg.norm(given, axis=1)
+    lengths = norms(given)
     if np.abs(lengths - 1.0).max(initial=0.0) > ROUND_OFF:
         given = given / lengths[:, None]
     return given

@@ -16,7 +16,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import ROUND_OFF, Floats, HasTriangles, Ints, real_numbers, whole_numbers
+from omtwarp.mesh.arrays import ROUND_OFF, Floats, HasTriangles, Ints, cross, norms, real_numbers, whole_numbers
 
 REPAIR = "omtwarp.repair"
 """How the remedies name the package's own repair."""
@@ -181,8 +181,8 @@ def zero_area_faces(unit: Floats, faces: NDArray[np.int64]) -> NDArray[np.bool_]
     below a few times this count as zero.
     """
     corners = unit[faces]
-    edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
-    twice_area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    edges = norms(np.roll(corners, -1, axis=1) - corners)
+    twice_area = norms(cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
     return ~(twice_area > 4 * np.finfo(np.float64).eps * edges.max(axis=1) * np.abs(corners).max(axis=(1, 2)))
 
 
@@ -438,7 +438,7 @@ def spanning_forest(count: int, links: NDArray) -> NDArray[np.bool_]:
 def _signed_volume(points: Floats, faces: NDArray[np.int64]) -> float:
     """Return the enclosed volume, in units of half the extent cubed; 0 where it is smaller than its rounding error."""
     p0, p1, p2 = (unit_coordinates(points)[faces[:, k]] for k in range(3))
-    each = np.einsum("ij,ij->i", p0, np.cross(p1, p2)) / 6.0
+    each = np.einsum("ij,ij->i", p0, cross(p1, p2)) / 6.0
     volume = float(each.sum())
     return volume if abs(volume) > ROUND_OFF * float(np.abs(each).sum()) else 0.0
 

@@ -12,7 +12,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import KERNEL_OPTIONS, wp
 from omtwarp.flips.exact import Examined, examine
 from omtwarp.geometry.spherical import triple_product
-from omtwarp.mesh.arrays import Floats, Ints, real_numbers, require_unit_length
+from omtwarp.mesh.arrays import Floats, Ints, cross, normalised, real_numbers, require_unit_length
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, as_faces, as_triangles, triangle_areas
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -156,7 +156,7 @@ def certify_triangles(
     smallest = int(np.argmin(areas))
     a, b, c = (sphere[faces[:, k]] for k in range(3))
     # The exact sign decides which half of the sphere a triangle of nearly half the sphere covers.
-    triple = np.abs(np.einsum("ij,ij->i", a, np.cross(b, c))) * signs
+    triple = np.abs(np.einsum("ij,ij->i", a, cross(b, c))) * signs
     dots = 1.0 + sum(np.einsum("ij,ij->i", u, v) for u, v in ((a, b), (b, c), (c, a)))
     degree = float((2.0 * np.arctan2(triple, dots)).sum() / SPHERE_AREA)
     least = areas[smallest] * SPHERE_AREA / max(areas.sum(), np.finfo(float).tiny)
@@ -181,8 +181,7 @@ def _ray_degree(faces: Ints, sphere: Floats, signs: NDArray[np.int8], device: st
     rng = np.random.default_rng(seed)
     wanted, counted = RAYS, []
     for _ in range(8):
-        rays = rng.normal(size=(wanted, 3))
-        rays /= np.linalg.norm(rays, axis=1)[:, None]
+        rays = normalised(rng.normal(size=(wanted, 3)))
         directions = wp.array(rays, dtype=wp.vec3d, device=where)
         crossings = wp.zeros(wanted, dtype=wp.int32, device=where)
         doubtful = wp.zeros(wanted, dtype=wp.int32, device=where)

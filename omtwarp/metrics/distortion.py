@@ -21,7 +21,7 @@ from omtwarp.device.arrays import triangles, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, wp
 from omtwarp.geometry.spherical import TINY, solid_angle, triple_product
-from omtwarp.mesh.arrays import Floats, in_range, real_numbers, require_unit_length
+from omtwarp.mesh.arrays import Floats, cross, dots, in_range, norms, real_numbers, require_unit_length, squared_norms
 from omtwarp.mesh.surface import MeshLike, as_faces, as_triangles
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -221,12 +221,12 @@ def measure_corners(surface: Floats, plane: Floats, whole: float | None = None) 
     """
     one, other = (surface[:, k] - surface[:, 0] for k in (1, 2))
     right, up = (plane[:, k] - plane[:, 0] for k in (1, 2))
-    area = 0.5 * np.linalg.norm(np.cross(one, other), axis=1)
+    area = 0.5 * norms(cross(one, other))
     flat = 0.5 * (right[:, 0] * up[:, 1] - right[:, 1] * up[:, 0])
     # The sum of squares of the singular values over their product, from scalar products of edges (Pinkall and
     # Polthier, Computing discrete minimal surfaces and their conjugates, 1993, equation 7).
-    stretch = (right**2).sum(axis=1) * (other**2).sum(axis=1) + (up**2).sum(axis=1) * (one**2).sum(axis=1)
-    stretch -= 2.0 * (right * up).sum(axis=1) * (one * other).sum(axis=1)
+    stretch = squared_norms(right) * squared_norms(other) + squared_norms(up) * squared_norms(one)
+    stretch -= 2.0 * dots(right, up) * dots(one, other)
     with np.errstate(all="ignore"):
         angle = stretch / (4.0 * area * flat)
         solid = 4.0 * np.pi * flat / (np.abs(flat).sum() if whole is None else whole)

@@ -21,7 +21,7 @@ from omtwarp.device.arrays import sent, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import Each, core_count, each, launch_parts
-from omtwarp.mesh.arrays import TINY, Floats
+from omtwarp.mesh.arrays import TINY, Floats, cross, dots, norms, squared_norms
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics import optimality_kernels as kernels
 from omtwarp.metrics.tree_kernels import (
@@ -293,14 +293,14 @@ class TransportDual(MapDual):
 
 def log_maps(base: Floats, target: Floats) -> Floats:
     """Return log_y(x), tangent vectors at unit vectors y that point to others x and are as long as their distances."""
-    towards = target - (base * target).sum(axis=-1, keepdims=True) * base
+    towards = target - dots(base, target)[..., None] * base
     distance = np.sqrt(2.0 * half_squares(base, target))[..., None]
-    return distance / np.maximum(np.linalg.norm(towards, axis=-1, keepdims=True), TINY) * towards
+    return distance / np.maximum(norms(towards)[..., None], TINY) * towards
 
 
 def half_squares(x: Floats, y: Floats) -> Floats:
     """Return the cost c(x, y), half the squared distances of unit vectors."""
-    return 0.5 * np.arctan2(np.linalg.norm(np.cross(x, y), axis=-1), (x * y).sum(axis=-1)) ** 2
+    return 0.5 * np.arctan2(norms(cross(x, y)), dots(x, y)) ** 2
 
 
 def edge_bulges(corners: Floats, logs: Floats) -> Floats:
@@ -310,7 +310,7 @@ def edge_bulges(corners: Floats, logs: Floats) -> Floats:
     """
     others, theirs = np.roll(corners, -1, axis=1), np.roll(logs, -1, axis=1)
     ahead, back = log_maps(corners, others), log_maps(others, corners)
-    return -0.5 * ((theirs * back).sum(axis=2) + (logs * ahead).sum(axis=2))
+    return -0.5 * (dots(theirs, back) + dots(logs, ahead))
 
 
 class TorusDual(MapDual):
@@ -328,7 +328,7 @@ class TorusDual(MapDual):
         self.surface, self.mass, self._lattice = surface, surface.vertex_areas, lattice
         self._x, self._y, self._shift = x, y, shift
         moved = y - x
-        self.cost = 0.5 * (moved**2).sum(axis=1)
+        self.cost = 0.5 * squared_norms(moved)
         back = np.linalg.inv(lattice)
         self._home = sent(x - np.floor(x @ back) @ lattice, wp.vec2d)
         corner = y[surface.faces] + shift
@@ -341,10 +341,10 @@ class TorusDual(MapDual):
         slope = moved[self._faces]
         along = np.roll(corner, -1, axis=1) - corner
         # |z|²/2 - ψ(z) on an edge: the first is what it is, and ψ has the slopes y - x at the ends of the edge.
-        bulges = -0.5 * (along**2).sum(axis=2) - 0.5 * ((slope - np.roll(slope, -1, axis=1)) * along).sum(axis=2)
+        bulges = -0.5 * squared_norms(along) - 0.5 * dots(slope - np.roll(slope, -1, axis=1), along)
         self._corners, self._bulges = sent(corner, wp.vec2d), sent(bulges, wp.vec3d)
         self._slopes = sent((corner - slope).mean(axis=1), wp.vec2d)
-        self._half_squares = 0.5 * (corner**2).sum(axis=2)
+        self._half_squares = 0.5 * squared_norms(corner)
         self._leaves = leaf_count(len(corner))
 
     def admissible_differences(self) -> tuple[Floats, Floats]:
@@ -357,8 +357,8 @@ class TorusDual(MapDual):
         apart = self._shift[face, two] - self._shift[face, one]
         apart[self.surface.faces[face, one] != a] *= -1.0
         along, across = self._y[b] - self._y[a] + apart, self._x[b] - self._x[a] + apart
-        middle = 0.5 * (along * (self._y[a] - self._x[a] + self._y[b] - self._x[b])).sum(axis=1)
-        half = 0.5 * (along * across).sum(axis=1)
+        middle = 0.5 * dots(along, self._y[a] - self._x[a] + self._y[b] - self._x[b])
+        half = 0.5 * dots(along, across)
         return middle - half, middle + half
 
     def bound(self, potential: Floats) -> Bound:
@@ -383,4 +383,4 @@ class TorusDual(MapDual):
         far = np.ceil(np.linalg.norm(np.linalg.inv(self._lattice), axis=0) * reach).astype(int) + 1
         steps = [(i, j) for i in range(-far[0], far[0] + 1) for j in range(-far[1], far[1] + 1)]
         vectors = np.array(steps) @ self._lattice
-        return vectors[np.argsort((vectors**2).sum(axis=1), kind="stable")]
+        return vectors[np.argsort(squared_norms(vectors), kind="stable")]

@@ -44,7 +44,20 @@ from numpy.typing import ArrayLike
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError, choose
-from omtwarp.mesh.arrays import TINY, Floats, InOneLine, Ints, real_number, real_numbers, whole_number
+from omtwarp.mesh.arrays import (
+    TINY,
+    Floats,
+    InOneLine,
+    Ints,
+    cross,
+    dots,
+    normalised,
+    norms,
+    real_number,
+    real_numbers,
+    squared_norms,
+    whole_number,
+)
 from omtwarp.mesh.surface import (
     SPHERE_AREA,
     MeshLike,
@@ -344,7 +357,7 @@ def torus_optimality(surface: Surface, x: Floats, y: Floats, shift: Floats, latt
         lattice: vectors that the torus repeats along, as rows, shape [2, 2].
     """
     moved = y - x
-    cost = float(surface.vertex_areas @ (moved**2).sum(axis=1))
+    cost = float(surface.vertex_areas @ squared_norms(moved))
     curl = _curl(surface, y[surface.faces] + shift, moved).relative
     dual = TorusDual(surface, x, y, shift, lattice)
     fitted, _ = dual.initial_potential()
@@ -352,9 +365,9 @@ def torus_optimality(surface: Surface, x: Floats, y: Floats, shift: Floats, latt
     lower = max(cost - 2.0 * best.excess, 0.0)
     gap = _excess(cost, lower)
     steps = np.array([(i, j) for i in range(-2, 3) for j in range(-2, 3) if (i, j) != (0, 0)]) @ lattice
-    other = ((moved[:, None] + steps) ** 2).sum(axis=2).min(axis=1)
+    other = squared_norms(moved[:, None] + steps).min(axis=1)
     # As many lattices are symmetric, two ways may be equally long but for rounding.
-    wrapped = int((other < (moved**2).sum(axis=1) * (1.0 - 1e-9)).sum())
+    wrapped = int((other < squared_norms(moved) * (1.0 - 1e-9)).sum())
     return TorusOptimality(curl, cost, lower, gap, wrapped, taken)
 
 
@@ -368,18 +381,18 @@ def _curl(surface: Surface, corners: Floats, moved: Floats) -> Curl:
     """
     flat = [(0, 0)] * 2 + [(0, 3 - corners.shape[2])]
     places, field = np.pad(corners, flat), np.pad(moved[surface.faces], flat).mean(axis=1)
-    normal = np.cross(places[:, 1] - places[:, 0], places[:, 2] - places[:, 0])
-    doubled = np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), TINY)
-    field -= (field * normal).sum(axis=1, keepdims=True) / doubled**2 * normal
-    norm = 0.5 * float(doubled[:, 0] @ (field**2).sum(axis=1))
+    normal = cross(places[:, 1] - places[:, 0], places[:, 2] - places[:, 0])
+    doubled = np.maximum(norms(normal)[..., None], TINY)
+    field -= dots(field, normal)[..., None] / doubled**2 * normal
+    norm = 0.5 * float(doubled[:, 0] @ squared_norms(field))
     if norm <= 1e-24 * SPHERE_AREA:  # a map that moves points by less than 1e-12 has no curl to speak of
         return Curl(0.0, np.zeros(surface.vertex_count))
     # J times the gradient of a hat function is half the opposite side over the area, turned: the side itself. Weakly,
     # <J∇φ, field> is div(J field) tested with φ, since J is antisymmetric and div = -grad'.
     after, before = np.roll(places, -1, axis=1), np.roll(places, 1, axis=1)
-    flux = -0.5 * ((before - after) * field[:, None]).sum(axis=2)
+    flux = -0.5 * dots(before - after, field[:, None])
     vorticity: Floats = np.bincount(surface.faces.ravel(), flux.ravel(), surface.vertex_count).astype(np.float64)
-    cotangents = ((after - places) * (before - places)).sum(axis=2) / doubled
+    cotangents = dots(after - places, before - places) / doubled
     weights = 0.5 * cotangents.ravel()[surface.edge_corners].sum(axis=1)
     stream = EdgeLaplacianSolver(surface, weights).solve(vorticity)
     return Curl(float(np.sqrt(max(float(stream @ vorticity), 0.0) / norm)), stream)
@@ -423,7 +436,7 @@ def map_curl(
     x, y = (p.numpy() if isinstance(p, wp.array) else as_sphere(p, surface) for p in (start, sphere))
     log = log_maps(y, x)
     if cost == Cost.GEODESIC:
-        log /= np.maximum(np.linalg.norm(log, axis=1, keepdims=True), TINY)
+        log /= np.maximum(norms(log)[..., None], TINY)
     return _curl(surface, y[surface.faces], log)
 
 
@@ -434,7 +447,7 @@ def _points(given: ArrayLike, surface: Surface, name: str) -> Floats:
         OmtwarpError: the points are not one unit vector per vertex.
     """
     points = as_sphere(given, surface, name)
-    return np.ascontiguousarray(points / np.linalg.norm(points, axis=1)[:, None])
+    return normalised(points)
 
 
 def _masses(given: ArrayLike, count: int) -> Floats:

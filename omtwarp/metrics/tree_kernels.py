@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
 from omtwarp.geometry.space_order import in_strips
-from omtwarp.mesh.arrays import Floats, Ints
+from omtwarp.mesh.arrays import Floats, Ints, norms
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -279,8 +279,8 @@ def narrow_parts(points: Floats, faces: Ints) -> tuple[NDArray[np.int64], Floats
     # Rounds: two cut a triangle both ways, others what is uneven; more need ends of edges that are nearly opposite
     for _ in range(8):
         places = corners @ points[faces[triangles]]
-        places /= np.maximum(np.linalg.norm(places, axis=2), np.finfo(float).tiny)[:, :, None]
-        arcs = 2.0 * np.arcsin(np.minimum(0.5 * np.linalg.norm(places - np.roll(places, -1, axis=1), axis=2), 1.0))
+        places /= np.maximum(norms(places), np.finfo(float).tiny)[:, :, None]
+        arcs = 2.0 * np.arcsin(np.minimum(0.5 * norms(places - np.roll(places, -1, axis=1)), 1.0))
         long = arcs.max(axis=1) > LONGEST_EDGE
         finished.append((triangles[~long], corners[~long]))
         triangles, corners = triangles[long], corners[long]

@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import minimize
 
-from omtwarp.mesh.arrays import ROUND_OFF, Floats
+from omtwarp.mesh.arrays import ROUND_OFF, Floats, normalised, norms
 
 GAP = 0.02  # radians between caps: a seam to be seen, and far above the errors that SETTLED leaves
 SETTLED = 1e-9  # sum of squared overlaps, radians², that counts as none; GAP absorbs them
@@ -68,7 +68,7 @@ def pack_caps(shares: Floats) -> tuple[Floats, float]:
         return np.array([[0.0, 0.0, 1.0]]), 1.0
     rng = np.random.default_rng(1943)
     starts = rng.normal(size=(4 if count <= 50 else 1, count, 3))  # arrangements to try; of many caps one suffices
-    starts /= np.linalg.norm(starts, axis=2)[:, :, None]
+    starts = normalised(starts)
     low, high = 0.02, 0.98
     best = _apart(starts[0], shares, low)
     while best is None:  # very many caps: gaps take most of the sphere
@@ -101,7 +101,7 @@ def _apart(start: Floats, shares: Floats, covered: float) -> Floats | None:
 
     def overlaps(flat: Floats) -> tuple[float, Floats]:
         raw = flat.reshape(-1, 3)
-        length = np.linalg.norm(raw, axis=1)[:, None]
+        length = norms(raw)[:, None]
         place = raw / length
         cosine = np.clip(np.einsum("ij,ij->i", place[i], place[j]), -1.0 + ROUND_OFF, 1.0 - ROUND_OFF)
         missing = np.maximum(least - np.arccos(cosine), 0.0)
@@ -117,4 +117,4 @@ def _apart(start: Floats, shares: Floats, covered: float) -> Floats | None:
     if solution.fun > SETTLED:
         return None
     placed = solution.x.reshape(-1, 3)
-    return placed / np.linalg.norm(placed, axis=1)[:, None]
+    return normalised(placed)

@@ -26,7 +26,7 @@ from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import flipped_faces
 from omtwarp.geometry.sphere_hierarchy import triangle_solid_angles
-from omtwarp.mesh.arrays import TINY, Floats
+from omtwarp.mesh.arrays import TINY, Floats, dots, norms
 from omtwarp.mesh.quarter import PARTS, QuarteredSurface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, plane_areas
 from omtwarp.open_surfaces.caps import disk_to_cap
@@ -246,8 +246,8 @@ def _convex(points: Floats, faces: NDArray, held: NDArray[np.bool_], flipped: ND
     count = len(points)
     corners = points[faces]
     one, other = np.roll(corners, -1, axis=1) - corners, np.roll(corners, -2, axis=1) - corners
-    lengths = np.linalg.norm(one, axis=2), np.linalg.norm(other, axis=2)
-    cosine = (one * other).sum(axis=2)
+    lengths = norms(one), norms(other)
+    cosine = dots(one, other)
     sine = np.abs(one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0])
     tangent = sine / np.maximum(lengths[0] * lengths[1] + cosine, np.finfo(float).tiny)  # of half the angle
     tiny = np.finfo(float).tiny

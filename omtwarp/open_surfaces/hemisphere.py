@@ -7,7 +7,7 @@ import numpy as np
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import is_bijective
 from omtwarp.geometry.axes import turned_about_pole
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Floats, cross, normalised
 from omtwarp.mesh.surface import Surface
 from omtwarp.open_surfaces.symmetric import ACROSS, folded_map
 from omtwarp.options import Progress
@@ -36,7 +36,7 @@ def mirror_frame(double: Double, sphere: Floats, masses: Floats) -> Floats:
     if (masses[surface] * (sphere[surface] @ north)).sum() < 0.0:
         north = -north
     east = vectors[:, 2]
-    return np.stack([east, np.cross(north, east), north], axis=1)
+    return np.stack([east, cross(north, east), north], axis=1)
 
 
 def symmetrised(double: Double, turned: Floats) -> Floats:
@@ -50,7 +50,7 @@ def symmetrised(double: Double, turned: Floats) -> Floats:
     # The sum of two numbers has the same bits in either order, so that mirror images agree exactly.
     means = turned + mirrored
     means[double.on_boundary, 2] = 0.0
-    return means / np.linalg.norm(means, axis=1)[:, None]
+    return normalised(means)
 
 
 def is_symmetric(double: Double, sphere: Floats) -> bool:
@@ -118,6 +118,6 @@ def symmetric_start(
         return None
     turned = turned_about_pole(half, source[own], surface.vertex_areas[own])
     image = np.zeros_like(source)  # of the copy until it gets mirror images
-    image[own] = turned / np.linalg.norm(turned, axis=1)[:, None]
+    image[own] = normalised(turned)
     image = folded_map(double, image)
     return image if is_bijective(image, surface.faces, device=device) else None

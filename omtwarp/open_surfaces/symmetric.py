@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.arrays import Workspace, vectors
 from omtwarp.device.start import wp
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Floats, normalised
 from omtwarp.mesh.surface import Surface
 from omtwarp.optimal.cells import Cells, TriangleCells
 from omtwarp.optimal.sphere import Sphere
@@ -42,7 +42,7 @@ def folded_map(double: Double, sphere: Floats) -> Floats:
     """Symmetrise a map, shape [W, 3], by :func:`folded`, and normalise the boundary to its circle."""
     out = folded(double, sphere)
     rim = np.flatnonzero(double.on_boundary & (sphere[:, 2] != 0.0))
-    out[rim] /= np.linalg.norm(out[rim], axis=1)[:, None]
+    out[rim] = normalised(out[rim])
     return out
 
 

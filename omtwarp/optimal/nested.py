@@ -20,7 +20,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import is_bijective
 from omtwarp.geometry.axes import principal_axes, turned_towards
 from omtwarp.location import Locator
-from omtwarp.mesh.arrays import Floats, normalised
+from omtwarp.mesh.arrays import Floats, cross, normalised, squared_norms
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.moser import moser_map
@@ -113,7 +113,7 @@ def coarse_surface(surface: Surface, start: Floats) -> tuple[Surface, Callable[[
     vertices = surface.scaled_vertices - surface.vertex_areas @ surface.scaled_vertices / SPHERE_AREA
     places = vertices @ principal_axes(surface).frame.T / np.sqrt(SPHERE_AREA / count)
     cells = np.floor(places)
-    order = np.argsort(((places - cells - 0.5) ** 2).sum(axis=1), kind="stable")
+    order = np.argsort(squared_norms(places - cells - 0.5), kind="stable")
     _, first = np.unique(cells[order], axis=0, return_index=True)
     chosen = order[first]
     try:
@@ -124,7 +124,7 @@ def coarse_surface(surface: Surface, start: Floats) -> tuple[Surface, Callable[[
     faces: NDArray[np.int32] = corners.reshape(-1, 3).astype(np.int32)
     points = start[chosen[used]]
     a, b, c = (points[faces[:, k]] for k in range(3))
-    inwards = np.einsum("ij,ij->i", a, np.cross(b, c)) < 0.0
+    inwards = np.einsum("ij,ij->i", a, cross(b, c)) < 0.0
     faces[inwards] = faces[inwards][:, ::-1]
     place = Locator(points, faces, device="cpu").find(start)
     mass = np.zeros(len(points))

@@ -23,7 +23,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.sums import combine, scaled
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError, choose
-from omtwarp.mesh.arrays import Floats, real_number, real_numbers, whole_number
+from omtwarp.mesh.arrays import Floats, norms, real_number, real_numbers, whole_number
 from omtwarp.mesh.patches import Patches
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, as_surface, as_unit_vectors
 from omtwarp.optimal.energy import SHAPE_WEIGHT, MapTerms, TransportEnergy
@@ -183,7 +183,7 @@ def softness(masses: Floats, sphere: Floats, start: Floats, cost: str) -> float:
     """
     if choose(Cost, cost) is Cost.SQUARED:
         return 0.0
-    chords = np.linalg.norm(sphere - start, axis=1)
+    chords = norms(sphere - start)
     angles = 2.0 * np.arcsin(np.minimum(0.5 * chords, 1.0))
     return SOFTNESS * float(np.sqrt(masses @ angles**2 / masses.sum()))
 

@@ -10,7 +10,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import FIRST_THREAD, Each, each, launch_parts
 from omtwarp.flips.exact import flipped_faces
-from omtwarp.mesh.arrays import Floats, normalised, real_number, real_numbers
+from omtwarp.mesh.arrays import Floats, dots, normalised, real_number, real_numbers
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_surface, as_unit_vectors
 from omtwarp.optimal.cells import Cells, MeasuredRings, RingCells
 from omtwarp.optimal.energy import SHAPE_WEIGHT, MapTerms, TransportEnergy
@@ -316,8 +316,8 @@ class MapEnergy:
         _, u = self._coordinates(sphere, direction)
         slopes = self._energy.matrix.on_host()[2].reshape(2, -1, 2)
         i, j = self._energy.surface.edges.T
-        changes = np.bincount(i, (slopes[0] * u[j]).sum(axis=1), self._count)
-        return np.asarray(changes + np.bincount(j, (slopes[1] * u[i]).sum(axis=1), self._count))
+        changes = np.bincount(i, dots(slopes[0], u[j]), self._count)
+        return np.asarray(changes + np.bincount(j, dots(slopes[1], u[i]), self._count))
 
     def _coordinates(self, sphere: ArrayLike, direction: ArrayLike) -> tuple[wp.array, Floats]:
         """Compute the matrix of a map; return its points and a direction in their frames, shape [V, 2]."""

@@ -14,6 +14,7 @@ from omtwarp.device.policy import shares_host_memory
 from omtwarp.device.start import wp
 from omtwarp.device.sums import Reading
 from omtwarp.device.threads import FIRST_THREAD, Each, each, launch_parts
+from omtwarp.mesh.arrays import dots
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.refine.further import StrainBarrier, VertexDerivatives, VertexTerm, tangent_blocks
 from omtwarp.refine.kernels import (
@@ -198,7 +199,7 @@ class DistortionEnergy:
             total += self._barrier.gradient(points)
         if terms.at_vertices is not None:
             further = terms.at_vertices.gradient
-            total += further - (further * here).sum(axis=1, keepdims=True) * here
+            total += further - dots(further, here)[..., None] * here
         return vectors(total, self.device)
 
     def hessian(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:

@@ -11,9 +11,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.colors import colormap_table, parse_color
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import TINY, Bytes, Floats, Ints, real_numbers, require_unit_length, summed, whole_numbers
+from omtwarp.mesh.arrays import (
+    TINY,
+    Bytes,
+    Floats,
+    Ints,
+    normalised,
+    real_numbers,
+    require_unit_length,
+    summed,
+    whole_numbers,
+)
 from omtwarp.render.camera import Light, Shot
-from omtwarp.texturing.atlas import normalised
 from omtwarp.texturing.image import PictureLike, as_bytes, read_image
 
 

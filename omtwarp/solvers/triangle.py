@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ZERO, wp
 from omtwarp.geometry.spherical import first_tangent
+from omtwarp.mesh.arrays import norms
 from omtwarp.mesh.surface import Surface
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -42,12 +43,12 @@ def triangle_frames(
     chosen = slice(None) if triangles is None else triangles
     corner = surface.scaled_vertices[surface.faces[chosen]]
     first, second = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-    base = np.linalg.norm(first, axis=1)
+    base = norms(first)
     base = np.maximum(base, np.finfo(float).tiny ** 0.25)
     unit = first / base[:, None]
     foot = np.einsum("ij,ij->i", second, unit)
-    height = np.linalg.norm(second - foot[:, None] * unit, axis=1)
-    longest = np.maximum(base, np.linalg.norm(second, axis=1))
+    height = norms(second - foot[:, None] * unit)
+    longest = np.maximum(base, norms(second))
     height = np.maximum(height, 1e-14 * longest)  # so that its inverse is finite
     if thinnest > 0.0:
         base, foot, height = _thickened(base, foot, height, thinnest)
@@ -84,7 +85,7 @@ def _thickened(
     first = np.stack([base + more * left_y * sine, -more * left_x * sine], axis=1)
     third = np.stack([across - more * left_y * cosine, up + more * left_x * cosine], axis=1)
     second = 0.5 * first + EQUILATERAL_HEIGHT * third
-    length = np.linalg.norm(first, axis=1)
+    length = norms(first)
     wide = wanted > smaller
     return (
         np.where(wide, length, base),

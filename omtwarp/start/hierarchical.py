@@ -25,7 +25,7 @@ from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import count_flips
 from omtwarp.geometry.axes import order_by_place
-from omtwarp.mesh.arrays import TINY, Floats, InOneLine, Ints, real_number
+from omtwarp.mesh.arrays import TINY, Floats, InOneLine, Ints, real_number, squared_norms
 from omtwarp.mesh.surface import MeshLike, Surface, as_surface, triangle_areas
 from omtwarp.options import Progress, tell
 from omtwarp.solvers.triangle import AREA_WEIGHT
@@ -226,7 +226,7 @@ class Embedding:
         part = 0.001  # of an equilateral triangle
         tails = np.repeat(level.vertices, np.diff(level.offsets))
         p, q, r = (self.points[ends] for ends in (tails, level.heads, level.thirds))
-        squares = np.stack([((one - other) ** 2).sum(axis=1) for one, other in ((r, q), (p, r), (q, p))])
+        squares = np.stack([squared_norms(one - other) for one, other in ((r, q), (p, r), (q, p))])
         squares += part * squares.sum(axis=0) + TINY
         # Heron: 16 area^2; the added metric keeps it away from 0.
         heron = squares.sum(axis=0) ** 2 - 2.0 * (squares**2).sum(axis=0)

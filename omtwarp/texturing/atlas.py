@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError, check_word
 from omtwarp.files.limits import LONGEST_SIDE, MOST_TEXELS
-from omtwarp.mesh.arrays import TINY, Floats, Ints, direction_from_angles, octahedral_directions
+from omtwarp.mesh.arrays import TINY, Floats, Ints, direction_from_angles, normalised, octahedral_directions
 from omtwarp.options import AtlasName
 
 ATLASES = tuple(AtlasName)
@@ -59,19 +59,6 @@ class Arc(NamedTuple):
 
     normal: ArrayLike
     half_spaces: tuple[ArrayLike, ...] = ()
-
-
-def normalised(vectors: Floats) -> Floats:
-    """Scale vectors to unit length, shape [..., 3]; zero stays zero."""
-    length = lengths(vectors)[..., None]
-    return vectors / np.where(length > 0, length, 1.0)
-
-
-def lengths(vectors: Floats) -> Floats:
-    """Return the lengths of vectors, shape [...]; NumPy's own function takes three times as long for three numbers."""
-    x, y, z = (vectors[..., k] for k in range(3))
-    norms: Floats = np.sqrt(x * x + y * y + z * z)
-    return norms
 
 
 class Kind(IntEnum):

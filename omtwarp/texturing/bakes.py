@@ -17,12 +17,11 @@ from omtwarp.device.threads import each, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.operators import corner_cotangents, cotangent_laplacian
 from omtwarp.geometry.space_order import in_strips
-from omtwarp.mesh.arrays import TINY, Bytes, Floats, Ints
+from omtwarp.mesh.arrays import TINY, Bytes, Floats, Ints, normalised
 from omtwarp.mesh.data import read_data
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.surface import plane_areas, sums_around, triangle_areas, vertex_normals
 from omtwarp.texturing import kernels
-from omtwarp.texturing.atlas import normalised
 from omtwarp.texturing.baking import PADDING, bake_corners, covered
 
 wp.set_module_options(KERNEL_OPTIONS)

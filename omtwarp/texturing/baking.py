@@ -25,10 +25,10 @@ from omtwarp.device.policy import launch_parts_of, resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import Each, core_count, each, launch_parts, load, run_all
 from omtwarp.errors import OmtwarpError, check_word
-from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints, real_numbers, whole_numbers
+from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints, normalised, real_numbers, whole_numbers
 from omtwarp.options import ProjectionName
 from omtwarp.texturing import kernels
-from omtwarp.texturing.atlas import Atlas, Kind, check_size, make_atlas, normalised
+from omtwarp.texturing.atlas import Atlas, Kind, check_size, make_atlas
 from omtwarp.texturing.export import Material, uv_of_corners
 from omtwarp.texturing.image import PictureLike, as_floats, read_image, with_opacity
 from omtwarp.texturing.patterns import ValueSource, is_name, pattern

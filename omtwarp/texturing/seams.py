@@ -20,8 +20,8 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from omtwarp.location import combined
-from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints
-from omtwarp.texturing.atlas import ON_CUT, Arc, Atlas, lengths, normalised
+from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints, cross, normalised, norms
+from omtwarp.texturing.atlas import ON_CUT, Arc, Atlas
 from omtwarp.texturing.export import split_corners
 
 # Corners, edge midpoints and the centroid, where the linear coordinates are compared with the exact ones.
@@ -127,14 +127,14 @@ def _refine(mesh: "CutMesh", atlas: Atlas) -> None:
         for k, bary in enumerate(PROBES):
             got = atlas.uv_directions(np.einsum("k,fkj->fj", bary, uv), chart)
             want = normalised(np.einsum("k,fkj->fj", bary, points))
-            error[:, k] = lengths(got - want)
+            error[:, k] = norms(got - want)
         bad = error > atlas.texel_angle / 3.0
         edges = bad[:, :3]
         directions = normalised(points)
         # Longest edge, radians: above this the probes could miss how far from linear the coordinates are
-        edges |= lengths(directions - np.roll(directions, -1, axis=1)) > 0.25
+        edges |= norms(directions - np.roll(directions, -1, axis=1)) > 0.25
         # Only the middle is wrong: the longest edge is divided.
-        long = lengths(points - np.roll(points, -1, axis=1))
+        long = norms(points - np.roll(points, -1, axis=1))
         alone = bad[:, 3] & ~edges.any(axis=1)
         edges[alone, np.argmax(long[alone], axis=1)] = True
         face, corner = np.nonzero(edges)
@@ -248,7 +248,7 @@ class CutMesh:
         d = np.asarray(direction, dtype=np.float64)
         along = self.points @ d
         ahead = self.points[along > 0]
-        if np.any(lengths(np.cross(ahead, d)) <= ON_CUT * lengths(ahead)):
+        if np.any(norms(cross(ahead, d)) <= ON_CUT * norms(ahead)):
             return
         bary = np.zeros((len(self.faces), 3))
         inside = np.zeros(len(self.faces), dtype=bool)
@@ -257,7 +257,7 @@ class CutMesh:
         near = (along > 0.9)[self.faces] @ np.ones(3, dtype=np.int8) > 0
         for which in (np.flatnonzero(near), np.flatnonzero(~near)):
             p0, p1, p2 = (self.points[self.faces[which, k]] for k in range(3))
-            normals = np.cross(p1, p2), np.cross(p2, p0), np.cross(p0, p1)
+            normals = cross(p1, p2), cross(p2, p0), cross(p0, p1)
             share = np.stack([n @ d for n in normals], axis=1)
             share *= np.sign(np.einsum("ij,ij->i", p0, normals[0]))[:, None]
             total = share.sum(axis=1)
@@ -294,7 +294,7 @@ class CutMesh:
         """Split every edge that crosses an arc, exactly where it does."""
         normal = np.asarray(arc.normal, dtype=np.float64)
         height = self.points @ normal
-        height[np.abs(height) <= ON_CUT * lengths(self.points)] = 0.0
+        height[np.abs(height) <= ON_CUT * norms(self.points)] = 0.0
         side = np.sign(height).astype(np.int8)[self.faces]
         face, corner = np.nonzero(side * np.roll(side, -1, axis=1) < 0)
         tail, head = self.faces[face, corner], self.faces[face, (corner + 1) % 3]

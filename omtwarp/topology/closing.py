@@ -25,7 +25,7 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from omtwarp.geometry.operators import corner_cotangents
-from omtwarp.mesh.arrays import Floats, Ints, edge_keys
+from omtwarp.mesh.arrays import Floats, Ints, edge_keys, norms
 from omtwarp.mesh.origins import Derived
 from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.topology.kind import boundary_half_edges
@@ -196,7 +196,7 @@ def fill_loop(points: Floats) -> Patch:
     centre = points.mean(axis=0)
     extent = max(float(np.abs(points - centre).max()), np.finfo(float).tiny)
     loop = (points - centre) / extent
-    steps = np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=1)
+    steps = norms(np.roll(loop, -1, axis=0) - loop)
     turns = np.concatenate([[0.0], np.cumsum(steps)[:-1]]) / max(float(steps.sum()), np.finfo(float).tiny)
     flat, faces = _rings(turns)
     places = _harmonic(flat, faces, loop)
@@ -208,7 +208,7 @@ def fill_loop(points: Floats) -> Patch:
 
 def _beginning(points: Floats) -> int:
     """Return the vertex of a loop that is nearest to its middle, of equally near ones the first along x, y and z."""
-    far = np.linalg.norm(points - points.mean(axis=0), axis=1)
+    far = norms(points - points.mean(axis=0))
     # Equally far: difference of distances, over the largest, that may be round-off of another order or position
     nearest = np.flatnonzero(far <= far.min() + 1e-9 * far.max())
     return int(nearest[np.lexsort(points[nearest, ::-1].T)[0]])

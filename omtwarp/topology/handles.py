@@ -28,7 +28,7 @@ from scipy.sparse import csgraph
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.limbs import thinnest_ring, vertices_needed
-from omtwarp.mesh.arrays import Floats, edge_keys
+from omtwarp.mesh.arrays import Floats, edge_keys, norms
 from omtwarp.mesh.origins import Derived
 from omtwarp.mesh.surface import Surface
 from omtwarp.mesh.validate import components_of, spanning_forest
@@ -136,7 +136,7 @@ def shortest_handle_loop(vertices: Floats, faces: NDArray, *, thorough: bool = T
 
 def _edge_lengths(vertices: Floats, ends: NDArray) -> Floats:
     """Return the lengths of edges, none of them 0, for graphs."""
-    lengths = np.linalg.norm(vertices[ends[:, 0]] - vertices[ends[:, 1]], axis=1)
+    lengths = norms(vertices[ends[:, 0]] - vertices[ends[:, 1]])
     return np.maximum(lengths, np.finfo(float).eps * lengths.max())
 
 

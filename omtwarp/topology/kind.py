@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.space_order import in_space_order, order_along_curve
-from omtwarp.mesh.arrays import Floats, in_range
+from omtwarp.mesh.arrays import Floats, in_range, norms
 from omtwarp.mesh.origins import Derived
 from omtwarp.mesh.surface import Surface
 from omtwarp.mesh.validate import Topology, as_arrays, check, describe, number
@@ -64,7 +64,7 @@ def boundary_loops(faces: NDArray, vertex_count: int) -> list[NDArray[np.int64]]
 def loop_length(vertices: Floats, loop: NDArray[np.int64]) -> float:
     """Return the length of a closed loop of vertices, in the units of the input."""
     points = vertices[loop]
-    return float(np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1).sum())
+    return float(norms(np.roll(points, -1, axis=0) - points).sum())
 
 
 @dataclass(frozen=True, eq=False)

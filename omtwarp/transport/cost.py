@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from omtwarp.device.start import wp
 from omtwarp.errors import choose
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Floats, cross, norms
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_sphere, as_surface, triangle_areas
 from omtwarp.options import Cost, CostLike
 
@@ -50,7 +50,7 @@ def transport_cost(
     """
     surface, cost = as_surface(surface), choose(Cost, cost)
     x, y = (as_sphere(array.numpy() if isinstance(array, wp.array) else array, surface) for array in (start, sphere))
-    moved = np.arctan2(np.linalg.norm(np.cross(x, y), axis=1), np.einsum("vi,vi->v", x, y))
+    moved = np.arctan2(norms(cross(x, y)), np.einsum("vi,vi->v", x, y))
     return float(surface.vertex_areas @ (moved * moved if cost == "squared" else moved))
 
 

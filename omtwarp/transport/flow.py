@@ -23,7 +23,7 @@ from omtwarp.errors import choose
 from omtwarp.flips.exact import flipped_faces
 from omtwarp.flips.guard import StepGuard
 from omtwarp.measures import TargetDensity
-from omtwarp.mesh.arrays import Floats, Ints, normalised, real_number, whole_number
+from omtwarp.mesh.arrays import Floats, Ints, normalised, real_number, squared_norms, whole_number
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_sphere, as_surface
 from omtwarp.metrics.optimality import relative_curl
 from omtwarp.options import Cost, CostLike, Progress, Record, Scheme, SchemeLike, tell
@@ -234,7 +234,7 @@ class _Flow:
         self.start_centres, self.centres = (
             wp.array(normalised(places.sum(axis=1)), dtype=wp.vec3d, device=device) for places in (before, corners)
         )
-        squares = ((corners - np.roll(corners, -1, axis=1)) ** 2).sum(axis=2).max(axis=1)
+        squares = squared_norms(corners - np.roll(corners, -1, axis=1)).max(axis=1)
         self.grid = _StreamGrid(surface, self.centres, squares, self.plain, target)
         self.shares = self._numbers(self.count if self.targeted else 0)
         self.hints = wp.full(self.count, -1, dtype=wp.int32, device=device)

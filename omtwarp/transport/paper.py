@@ -45,7 +45,7 @@ from omtwarp.device.start import KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.geometry import DifferentialOperators, circumcentric_coordinates
 from omtwarp.geometry.spherical import TINY, geodesic_distance, hat_gradient
-from omtwarp.mesh.arrays import Floats, real_number, whole_number, whole_numbers
+from omtwarp.mesh.arrays import Floats, cross, norms, real_number, whole_number, whole_numbers
 from omtwarp.mesh.surface import MeshLike, Surface, as_sphere, as_surface, triangle_areas
 from omtwarp.options import Cost, CostLike, Progress, Record, tell
 from omtwarp.wavelets import SphereSampler, SphericalWavelets, level_for, sphere_hierarchy
@@ -342,7 +342,7 @@ class PaperFlow:
         self._correction = self._send(start - self.map.numpy(), wp.vec3d)
         self._to_vertices(self.dual_map, self.map)
 
-        sine = np.linalg.norm(np.cross(self._points.numpy(), self.dual_map.numpy()), axis=1)
+        sine = norms(cross(self._points.numpy(), self.dual_map.numpy()))
         self.mean_displacement = float((masses * sine).sum() / (4 * np.pi))
         # Smallest displacement, of the mean displacement: the geodesic cost has no gradient at zero
         relative = 0.0 if self.squared else 0.1 * self.mean_displacement

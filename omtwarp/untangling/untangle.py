@@ -25,7 +25,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import examine, flipped_faces
-from omtwarp.mesh.arrays import Floats, InOneLine
+from omtwarp.mesh.arrays import Floats, InOneLine, dots
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_sphere, as_surface
 from omtwarp.options import Progress, tell
@@ -321,7 +321,7 @@ class _Untangling:
         if not np.isfinite(direction).all():
             with np.errstate(all="ignore"):
                 direction = np.nan_to_num(-gradient / self.matrix.diagonal, posinf=0.0, neginf=0.0)
-        slope = patches.sum_of_vertices((direction * gradient).sum(axis=1))
+        slope = patches.sum_of_vertices(dots(direction, gradient))
         settled: NDArray[np.bool_] = -slope <= SETTLED_GAIN * energy
         # No vertex moves farther than a radian: beyond that its tangent plane does not approximate the sphere.
         longest = np.where(active & (slope < 0.0), 1.0, 0.0) / np.maximum(patches.longest(direction), 1.0)

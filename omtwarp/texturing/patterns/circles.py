@@ -6,9 +6,8 @@ from numpy.typing import NDArray
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, wp
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import Floats, Ints, direction_from_angles
+from omtwarp.mesh.arrays import Floats, Ints, direction_from_angles, normalised
 from omtwarp.mesh.shapes import icosphere
-from omtwarp.texturing.atlas import normalised
 from omtwarp.texturing.kernels import cube_face
 from omtwarp.texturing.patterns import Pattern, colour_groups, srgb_colours
 

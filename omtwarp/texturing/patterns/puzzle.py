@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, PI, ZERO, wp
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import Floats
-from omtwarp.texturing.atlas import CUBE_FRAMES, normalised
+from omtwarp.mesh.arrays import Floats, normalised
+from omtwarp.texturing.atlas import CUBE_FRAMES
 from omtwarp.texturing.kernels import cube_face, cube_frame
 from omtwarp.texturing.patterns import Pattern, colour_groups, srgb_colours
 
