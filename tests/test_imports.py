@@ -28,6 +28,7 @@ HEAVY = {
     "ot",
     "polyscope",
     "pyarrow",
+    "pygltflib",
     "pyrender",
     "pyvista",
     "resource",

@@ -47,7 +47,7 @@ class GltfInput:
         file: where it came from; files that it names lie in its directory or below.
 
     Attributes:
-        document: its JSON, which may be changed before the file is :meth:`encoded` again.
+        document: its JSON, which may be changed before it is :meth:`encoded` again.
 
     Raises:
         OmtwarpError: the file is shorter than its header says.
@@ -63,16 +63,17 @@ class GltfInput:
             if len(data) < length or len(data) < 20 + size:
                 raise OmtwarpError(f"cut short: {max(length, 20 + size)} bytes announced, {len(data)} there")
             data, self.chunks = data[20 : 20 + size], data[20 + size :]
-        self.binary = suffix == "glb"
         self.document: Document = json.loads(data)
         if not isinstance(self.document, dict):
             raise ValueError("its JSON is no object")
+        self.buffers: list[Document] = self.document.get("buffers", [])
         self.known: dict[int, bytes] = {}
         self.left = LARGEST_MESH_FILE  # bytes that arrays may still take
 
     def encoded(self) -> bytes:
-        """Return the file with its JSON as it is now."""
-        return binary_gltf(self.document, self.chunks) if self.binary else json.dumps(self.document).encode()
+        """Return its JSON as it is now, with its buffers called by their numbers."""
+        buffers = [entry | {"uri": str(number)} for number, entry in enumerate(self.buffers)]
+        return json.dumps(self.document | {"buffers": buffers}).encode()
 
     def write_out_arrays(self) -> None:
         """Write out sparse arrays, and as floats normalised whole numbers: positions, normals and texture coordinates.
@@ -96,7 +97,7 @@ class GltfInput:
         if not wanted:
             return
         content, views = b"", self.document.setdefault("bufferViews", [])
-        number = len(self.document.setdefault("buffers", []))
+        number = len(self.buffers)
         for k in wanted:
             array = self._array(accessors[k])
             if k in scaled and accessors[k].get("normalized"):
@@ -108,8 +109,8 @@ class GltfInput:
             accessors[k]["bufferView"] = len(views)
             views.append({"buffer": number, "byteOffset": len(content), "byteLength": array.nbytes})
             content += array.tobytes() + bytes(-array.nbytes % 4)
-        uri = "data:application/octet-stream;base64," + base64.b64encode(content).decode("ascii")
-        self.document["buffers"].append({"byteLength": len(content), "uri": uri})
+        self.buffers.append({"byteLength": len(content)})
+        self.known[number] = content
 
     def picture(self, number: int) -> bytes | None:
         """Return the bytes of a picture; None for a format that is not read, and for a file that is not there."""
@@ -124,32 +125,29 @@ class GltfInput:
         there = file_beside(self.file, unquote(uri))
         return None if there is None else read_bytes(there, LARGEST_MESH_FILE)
 
-    def named(self, name: str) -> bytes:
-        """Read a file that the document names.
-
-        Raises:
-            OmtwarpError: the file is elsewhere than in its directory or below, is no regular file, or is not there.
-        """
-        there = file_beside(self.file, unquote(name))
-        if there is None:
-            raise OmtwarpError(f"names '{name}', which is not there")
-        return read_bytes(there, LARGEST_MESH_FILE)
-
     def _view(self, number: int) -> tuple[bytes, int]:
         """Return a view's bytes, and how many lie between the beginnings of its rows, 0 for none but their own."""
         view = self.document["bufferViews"][number]
         start = view.get("byteOffset", 0)
-        return self._buffer(view["buffer"])[start : start + view["byteLength"]], view.get("byteStride", 0)
+        return self.buffer(view["buffer"])[start : start + view["byteLength"]], view.get("byteStride", 0)
 
-    def _buffer(self, number: int) -> bytes:
+    def buffer(self, number: int) -> bytes:
+        """Read a buffer.
+
+        Raises:
+            OmtwarpError: its file is elsewhere than in the directory or below, is no regular file, or is not there.
+        """
         if number not in self.known:
-            uri = self.document["buffers"][number].get("uri")
+            uri = self.buffers[number].get("uri")
             if uri is None:
                 self.known[number] = self._chunk()
             elif "base64," in uri:
                 self.known[number] = base64.b64decode(uri.partition("base64,")[2])
             else:
-                self.known[number] = self.named(uri)
+                there = file_beside(self.file, unquote(uri))
+                if there is None:
+                    raise OmtwarpError(f"names '{uri}', which is not there")
+                self.known[number] = read_bytes(there, LARGEST_MESH_FILE)
         return self.known[number]
 
     def _chunk(self) -> bytes:
@@ -210,13 +208,6 @@ class GltfInput:
             raise OmtwarpError(f"its sparse arrays take more than {amount(LARGEST_MESH_FILE)}, which is the most")
 
 
-def binary_gltf(document: Document, chunks: bytes) -> bytes:
-    """Return a binary glTF file (section 4.4) of its JSON and the chunks that follow it."""
-    text = json.dumps(document, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 4)
-    return struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(chunks), len(text), b"JSON") + text + chunks
-
-
 def _unit_range(array: Numbers) -> NDArray[np.float32]:
     """Convert normalised whole numbers to -1 to 1, or to 0 to 1 where they have no sign (glTF 2.0, section 3.11)."""
     bits = 8 * array.dtype.itemsize - (array.dtype.kind == "i")
@@ -268,9 +259,9 @@ def load_scene(data: bytes, file: Path, suffix: str, *, pictures: bool = True) -
             """Begin with no file, as trimesh asks for them by name."""
 
         def get(self, name: str) -> bytes:
-            if suffix != "gltf":
+            if suffix not in ("glb", "gltf"):
                 raise OmtwarpError(f"names '{name}', which is not read with a .{suffix}")
-            return gltf.named(name)
+            return gltf.buffer(int(name))
 
         def namespaced(self, _namespace: str) -> Buffers:
             return self
@@ -281,6 +272,7 @@ def load_scene(data: bytes, file: Path, suffix: str, *, pictures: bool = True) -
         def write(self, name: str, data: object) -> None:
             raise OmtwarpError(f"{name}: not written, as the scene is only read")
 
+    size, kind = len(data), suffix
     if suffix in ("glb", "gltf"):
         gltf = GltfInput(data, suffix, file)
         read = (*_READ, *(() if pictures else _OF_PICTURES))
@@ -292,15 +284,15 @@ def load_scene(data: bytes, file: Path, suffix: str, *, pictures: bool = True) -
         gltf.document.pop("images", None)
         for number, material in enumerate(gltf.document.get("materials", [])):
             material["name"] = str(number)
-        data = gltf.encoded()
+        data, kind = gltf.encoded(), "gltf"
     if data.startswith(b"PK"):
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             total = sum(entry.file_size for entry in archive.infolist())
         if total > LARGEST_MESH_FILE:
             raise OmtwarpError(f"inflates to {amount(total)}, and {amount(LARGEST_MESH_FILE)} is the most")
     logging.getLogger("trimesh").addHandler(logging.NullHandler())  # its errors contain the same information
-    with memory_for_file(len(data)):
-        return trimesh.load_scene(io.BytesIO(data), file_type=suffix, resolver=Buffers(), process=False)
+    with memory_for_file(size):
+        return trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=Buffers(), process=False)
 
 
 def gltf_pictures(data: bytes, file: Path, suffix: str) -> list[tuple[Document, dict[str, bytes]]]:

@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Mapping
-from enum import IntEnum
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +12,6 @@ from omtwarp.files.output import as_path, staged
 from omtwarp.mesh.arrays import Floats, Ints, single_precision
 from omtwarp.mesh.neuro import FREESURFER_SUFFIXES, write_freesurfer_surface, write_gifti_surface
 from omtwarp.mesh.vtk import write_vtk
-
-
-class Target(IntEnum):
-    """What a view of a buffer is for in glTF 2.0, by OpenGL's numbers."""
-
-    ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
-
 
 SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb", ".gii", ".vtk", *FREESURFER_SUFFIXES)
 
@@ -79,23 +71,103 @@ def _write(file: Path, suffix: str, points: Floats, triangles: Ints, beside: Map
         rows += [f"3 {a} {b} {c}\n" for a, b, c in triangles.tolist()]
         file.write_text("".join(rows), "ascii")
     else:
-        import trimesh
-
-        single_precision(points, "vertices")  # which both formats have
-        mesh = trimesh.Trimesh(points, triangles, process=False)
+        positions = single_precision(points, "vertices")  # which both formats have
         if suffix == ".glb":
-            file.write_bytes(trimesh.exchange.gltf.export_glb(trimesh.Scene(mesh), tree_postprocessor=_name_targets))
+            content = GltfFile()
+            content.add_triangles(triangles, {"POSITION": positions})
+            file.write_bytes(content.encoded())
         else:
-            mesh.export(file)
+            import trimesh
+
+            trimesh.Trimesh(points, triangles, process=False).export(file)
 
 
-def _name_targets(document: dict) -> None:
-    """Add to a glTF file of trimesh's what its views of the buffer are for, which readers would otherwise infer."""
-    for mesh in document["meshes"]:
-        for primitive in mesh["primitives"]:
-            uses = [(number, Target.ARRAY_BUFFER) for number in primitive["attributes"].values()]
-            for number, target in [*uses, (primitive["indices"], Target.ELEMENT_ARRAY_BUFFER)]:
-                document["bufferViews"][document["accessors"][number]["bufferView"]]["target"] = target
+class GltfFile:
+    """A binary glTF 2.0 file with one mesh of triangles, as pygltflib writes it.
+
+    Attributes:
+        names: what the format has, the module pygltflib.
+        content: what the file holds so far.
+    """
+
+    def __init__(self) -> None:
+        import pygltflib
+
+        self.names = pygltflib
+        self.content = pygltflib.GLTF2(
+            asset=pygltflib.Asset(generator="omtwarp"),
+            scene=0,
+            scenes=[pygltflib.Scene(nodes=[0])],
+            nodes=[pygltflib.Node(mesh=0, name="surface")],
+            meshes=[pygltflib.Mesh(name="surface")],
+        )
+        self._buffer = bytearray()
+
+    def add_triangles(
+        self, faces: NDArray[np.integer], rows: Mapping[str, NDArray], material: int | None = None
+    ) -> None:
+        """Append triangles with values at the rows that are their corners.
+
+        Args:
+            faces: shape [F, 3].
+            rows: by the format's names, shape [N, K].
+            material: its number.
+        """
+        numbers = {name: self._accessor(values.astype(np.float32), name == "POSITION") for name, values in rows.items()}
+        corners = self._accessor(faces.ravel().astype(np.uint32))
+        attributes = self.names.Attributes(**numbers)
+        triangles = self.names.Primitive(attributes=attributes, indices=corners, material=material)
+        self.content.meshes[0].primitives.append(triangles)
+
+    def add_picture(self, encoded: bytes, kind: str, name: str, wraps: tuple[bool, bool]) -> int:
+        """Append a picture, and return its number.
+
+        Args:
+            encoded: its bytes.
+            kind: ``png``, or ``webp`` by the format's extension EXT_texture_webp.
+            name: what programs show.
+            wraps: whether it repeats to the right, and upwards, as all pictures of the file then do.
+        """
+        content, names, source = self.content, self.names, len(self.content.images)
+        across, upwards = (names.REPEAT if on else names.CLAMP_TO_EDGE for on in wraps)
+        content.samplers[:] = [
+            names.Sampler(magFilter=names.LINEAR, minFilter=names.LINEAR_MIPMAP_LINEAR, wrapS=across, wrapT=upwards)
+        ]
+        content.images.append(names.Image(bufferView=self._view(encoded), mimeType=f"image/{kind}", name=name))
+        texture = names.Texture(sampler=0, source=source)
+        if kind == "webp":
+            texture = names.Texture(sampler=0, extensions={"EXT_texture_webp": {"source": source}})
+            for extensions in (content.extensionsUsed, content.extensionsRequired):
+                extensions[:] = ["EXT_texture_webp"]
+        content.textures.append(texture)
+        return source
+
+    def encoded(self) -> bytes:
+        """Return the whole file."""
+        self.content.buffers = [self.names.Buffer(byteLength=len(self._buffer))]
+        self.content.set_binary_blob(self._buffer)
+        return b"".join(self.content.save_to_bytes())
+
+    def _view(self, content: bytes, target: int | None = None) -> int:
+        """Append bytes and return the number of their view."""
+        view = self.names.BufferView(buffer=0, byteOffset=len(self._buffer), byteLength=len(content), target=target)
+        self.content.bufferViews.append(view)
+        self._buffer += content
+        return len(self.content.bufferViews) - 1
+
+    def _accessor(self, values: NDArray[np.generic], bounds: bool = False) -> int:
+        """Append rows of numbers, float32 or uint32 indices, and return the number of their accessor."""
+        indices, names = values.dtype == np.uint32, self.names
+        accessor = names.Accessor(
+            bufferView=self._view(values.tobytes(), names.ELEMENT_ARRAY_BUFFER if indices else names.ARRAY_BUFFER),
+            componentType=names.UNSIGNED_INT if indices else names.FLOAT,
+            count=len(values),
+            type="SCALAR" if indices else f"VEC{values.shape[1]}",
+            min=values.min(axis=0).tolist() if bounds else None,
+            max=values.max(axis=0).tolist() if bounds else None,
+        )
+        self.content.accessors.append(accessor)
+        return len(self.content.accessors) - 1
 
 
 def ply_bytes(points: Floats, faces: Ints, properties: Mapping[str, NDArray[np.generic]] | None = None) -> bytes:

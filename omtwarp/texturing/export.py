@@ -5,7 +5,6 @@ The files appear once all of them are complete, so that a failure, a full disk o
 
 import os
 import re
-import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,8 +16,7 @@ from omtwarp.colors import to_linear
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.output import as_path, companion, staged
 from omtwarp.mesh.arrays import ROUND_OFF, TINY, Bytes, Floats, Ints, single_precision, summed
-from omtwarp.mesh.scenes import binary_gltf
-from omtwarp.mesh.write import Target
+from omtwarp.mesh.write import GltfFile
 from omtwarp.options import TextureFormat
 from omtwarp.texturing.image import png_bytes, webp_bytes
 
@@ -127,8 +125,6 @@ def corner_tangents(vertices: Floats, faces: Ints, uv: Floats, normals: Floats) 
 
 
 SUFFIXES = (".glb", ".obj", ".ply")  # the last of which holds colours at the vertices alone
-WEBP = "EXT_texture_webp"  # of textures: without it, pictures are PNG or JPEG
-KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 # For coordinates of materials that have no picture: a file's checkers and some programs take coordinates that nothing
 # refers to for a mistake, or drop them. White leaves the material's colour as it is.
 BLANK = np.full((1, 1, 3), 255, dtype=np.uint8)
@@ -284,138 +280,54 @@ def format_for(suffix: str, texture_format: str) -> TextureFormat:
     return chosen
 
 
-class GltfFile:
-    """The buffer of a binary glTF 2.0 file so far: views, accessors to them, and pictures.
-
-    Args:
-        wraps: whether pictures repeat to the right, and upwards: on a sphere the poles would bleed into each other.
-        texture_format: how pictures are encoded; WebP is the extension EXT_texture_webp of the format.
-    """
-
-    def __init__(self, wraps: tuple[bool, bool], texture_format: TextureFormat):
-        # Numbers of OpenGL that glTF 2.0 uses for wrapping and for filters, linear and linear between mip maps.
-        repeat, clamp, magnify, minify = 10497, 33071, 9729, 9987
-        self._format = texture_format
-        self._buffer = bytearray()
-        self._views: list[dict[str, object]] = []
-        self._accessors: list[dict[str, object]] = []
-        self._images: list[dict[str, object]] = []
-        self._known: dict[int, int] = {}
-        self._sampler = {"magFilter": magnify, "minFilter": minify}
-        self._sampler |= {name: repeat if on else clamp for name, on in zip(("wrapS", "wrapT"), wraps, strict=True)}
-
-    def _view(self, content: bytes, **more: int) -> int:
-        """Append bytes and return the number of their view."""
-        self._buffer.extend(b"\0" * (-len(self._buffer) % 4))
-        self._views.append({"buffer": 0, "byteOffset": len(self._buffer), "byteLength": len(content), **more})
-        self._buffer.extend(content)
-        return len(self._views) - 1
-
-    def accessor(self, values: NDArray[np.generic], bounds: bool = False) -> int:
-        """Append rows of numbers, float32 or uint32 indices, and return the number of their accessor."""
-        array = np.ascontiguousarray(values)
-        indices = array.dtype == np.uint32
-        unsigned_int, floats = 5125, 5126  # numbers of OpenGL
-        entry: dict[str, object] = {
-            "bufferView": self._view(
-                array.tobytes(), target=Target.ELEMENT_ARRAY_BUFFER if indices else Target.ARRAY_BUFFER
-            ),
-            "componentType": unsigned_int if indices else floats,
-            "count": len(array),
-            "type": KINDS[1 if array.ndim == 1 else array.shape[1]],
-        }
-        if bounds:
-            entry |= {"min": array.min(axis=0).tolist(), "max": array.max(axis=0).tolist()}
-        self._accessors.append(entry)
-        return len(self._accessors) - 1
-
-    def texture(self, picture: Bytes, name: str) -> dict[str, int]:
-        """Embed a picture, once however many materials share it, and return how a material refers to it."""
-        if id(picture) not in self._known:
-            self._known[id(picture)] = len(self._images)
-            view = self._view(png_bytes(picture) if self._format is TextureFormat.PNG else webp_bytes(picture))
-            self._images.append({"bufferView": view, "mimeType": f"image/{self._format}", "name": name})
-        return {"index": self._known[id(picture)], "texCoord": 0}
-
-    def content(self, primitives: list[dict[str, object]], materials: list[dict[str, object]]) -> bytes:
-        """Return the whole file, with one mesh of triangles.
-
-        Args:
-            primitives: attributes and indices of each, by the numbers of their accessors.
-            materials: of the primitives, one each.
-        """
-        # Mode 4 of OpenGL is triangles.
-        drawn = [one | {"material": number, "mode": 4} for number, one in enumerate(primitives)]
-        document: dict[str, object] = {
-            "asset": {"version": "2.0", "generator": "omtwarp"},
-            "scene": 0,
-            "scenes": [{"nodes": [0]}],
-            "nodes": [{"mesh": 0, "name": "surface"}],
-            "meshes": [{"name": "surface", "primitives": drawn}],
-            "materials": materials,
-        }
-        if self._images:
-            sources: list[dict[str, object]] = [{"source": source} for source in range(len(self._images))]
-            if self._format is TextureFormat.WEBP:
-                sources = [{"extensions": {WEBP: source}} for source in sources]
-                document |= {"extensionsUsed": [WEBP], "extensionsRequired": [WEBP]}
-            textures = [{"sampler": 0} | source for source in sources]
-            document |= {"textures": textures, "samplers": [self._sampler], "images": self._images}
-        blob = bytes(self._buffer) + b"\0" * (-len(self._buffer) % 4)
-        document |= {"accessors": self._accessors, "bufferViews": self._views, "buffers": [{"byteLength": len(blob)}]}
-        return binary_gltf(document, struct.pack("<I4s", len(blob), b"BIN\0") + blob)
-
-
 def glb_bytes(model: Model, texture_format: TextureFormat) -> bytes:
     """Encode a mesh with materials as a binary glTF 2.0 file; arguments as of :func:`export`.
 
     Raises:
         OmtwarpError: positions are out of the range of single precision, the only one that the format has.
     """
-    file = GltfFile(model.wraps, texture_format)
+    file = GltfFile()
     positions = single_precision(model.vertices, "cannot write positions as GLB")
-    primitives: list[dict[str, object]] = []
-    for part in model.parts:
-        attributes = {
-            "POSITION": file.accessor(positions[part.vertex], bounds=True),
-            "NORMAL": file.accessor(model.normals[part.vertex].astype(np.float32)),
-        }
+    known: dict[int, int] = {}
+    for number, part in enumerate(model.parts):
+        rows = {"POSITION": positions[part.vertex], "NORMAL": model.normals[part.vertex]}
         if part.uv is not None:  # whose origin the format has at the top left
-            attributes["TEXCOORD_0"] = file.accessor((part.uv * (1.0, -1.0) + (0.0, 1.0)).astype(np.float32))
+            rows["TEXCOORD_0"] = part.uv * (1.0, -1.0) + (0.0, 1.0)
         if part.tangents is not None:
-            attributes["TANGENT"] = file.accessor(part.tangents.astype(np.float32))
+            rows["TANGENT"] = part.tangents
         if model.colors is not None:
-            attributes["COLOR_0"] = file.accessor(linear(model.colors[part.vertex] / 255.0).astype(np.float32))
-        primitives.append({"attributes": attributes, "indices": file.accessor(part.faces.ravel().astype(np.uint32))})
-    return file.content(primitives, [_gltf_material(part.material, file, part.uv is not None) for part in model.parts])
+            rows["COLOR_0"] = linear(model.colors[part.vertex] / 255.0)
+        file.add_triangles(part.faces, rows, number)
+        surface, look = _gltf_material(part.material)
+        for slot, own, ending, _ in SLOTS:
+            picture, name = getattr(part.material, own), f"{part.material.name}-{ending}"
+            if own == "picture" and part.material.plain:  # so that the coordinates belong to something
+                picture, name = BLANK, "blank"
+            if picture is None or part.uv is None:
+                continue
+            if id(picture) not in known:
+                encoded = png_bytes(picture) if texture_format is TextureFormat.PNG else webp_bytes(picture)
+                known[id(picture)] = file.add_picture(encoded, texture_format, name, model.wraps)
+            place = surface if slot in ("baseColorTexture", "metallicRoughnessTexture") else look
+            place[slot] = file.names.TextureInfo(index=known[id(picture)])
+        surfaces = file.names.PbrMetallicRoughness(**surface)
+        file.content.materials.append(file.names.Material(pbrMetallicRoughness=surfaces, **look))
+    return file.encoded()
 
 
-def _gltf_material(material: Material, file: GltfFile, with_uv: bool) -> dict[str, object]:
-    """Convert a material to glTF's JSON, with pictures only where the mesh has texture coordinates.
-
-    A material without pictures gets a white texel, so that the coordinates belong to something.
-    """
+def _gltf_material(material: Material) -> tuple[dict[str, object], dict[str, object]]:
+    """Return the numbers of a material in the terms of glTF: those of its surface, and further ones."""
     surface: dict[str, object] = {
         "baseColorFactor": linear(np.array(material.color)).tolist(),
         "metallicFactor": material.metallic,
         "roughnessFactor": material.roughness,
     }
-    entry: dict[str, object] = {
+    return surface, {
         "name": material.name,
-        "pbrMetallicRoughness": surface,
+        "emissiveFactor": list(material.emission),
         "alphaMode": "OPAQUE" if material.opaque else "BLEND",
         "doubleSided": material.two_sided,
     }
-    if any(material.emission):
-        entry["emissiveFactor"] = list(material.emission)
-    if with_uv and material.plain:
-        surface["baseColorTexture"] = file.texture(BLANK, "blank")
-    for slot, own, ending, _ in SLOTS:
-        picture = getattr(material, own)
-        if with_uv and picture is not None:
-            place = surface if slot in ("baseColorTexture", "metallicRoughnessTexture") else entry
-            place[slot] = file.texture(picture, f"{material.name}-{ending}")
-    return entry
 
 
 def obj_files(model: Model, place: Path, kept: tuple[Path | None, ...]) -> list[tuple[Path, bytes]]:
