@@ -96,13 +96,13 @@ def knot(rng: np.random.Generator, size: float) -> Surface:
     return surface
 
 
-def sides(result: omtwarp.TorusMap) -> np.ndarray:
+def sides(result: omtwarp.MapResult) -> np.ndarray:
     """Lengths of the images of the triangles' sides, which no motion of the torus changes, shape [F, 3]."""
     corner = result.corners @ result.lattice
     return np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2)
 
 
-def change_of_numbering(surface: Surface, result: omtwarp.TorusMap) -> float:
+def change_of_numbering(surface: Surface, result: omtwarp.MapResult) -> float:
     """What sides of images differ by, rms, where vertices and faces come in another order, relative to their mean."""
     rng = np.random.default_rng(4)
     order, faces = rng.permutation(surface.vertex_count), rng.permutation(surface.face_count)
@@ -132,7 +132,7 @@ def outcome(seed: int, most_faces: int = MOST_FACES, again: bool = False) -> tup
     line += f"area {measured.area['surface']:.4f}, angle {measured.angle['surface']:.3f}"
     gap = (result.report.get("optimality") or {}).get("gap")
     line = line if gap is None else f"{line}, gap {gap:.3%}"
-    if again and isinstance(result, omtwarp.TorusMap):
+    if again and result.domain == "torus":
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", omtwarp.OmtwarpWarning)
             line += f", from other loops {change_of_numbering(surface, result):.1e}"

@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from omtwarp.mapping.any_surface import map_surface as map_surface
     from omtwarp.mapping.pipeline import map_to_sphere as map_to_sphere
     from omtwarp.maps.result import MapResult as MapResult
-    from omtwarp.maps.torus_map import TorusMap as TorusMap
     from omtwarp.measures import TargetDensity as TargetDensity, weighted_surface as weighted_surface
     from omtwarp.mesh import shapes as shapes
     from omtwarp.mesh.read import read_mesh as read_mesh

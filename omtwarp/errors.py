@@ -38,6 +38,10 @@ class OmtwarpError(ValueError):
     """
 
 
+class LacksArray(OmtwarpError, AttributeError):
+    """Raised where an array of a map is read that maps to its domain do not have; ``hasattr`` says so too."""
+
+
 def one_line(text: str) -> str:
     """Return a text on one line with control characters escaped, since it may quote a file.
 

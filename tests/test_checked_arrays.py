@@ -1,6 +1,7 @@
 """Mistakes in the arrays that callers pass are named in one line before any kernel runs."""
 
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -38,7 +39,7 @@ def torus_map(**arrays):
     """Something of the form of a map to a torus, some arrays replaced."""
     plain = {"vertices": VERTICES, "faces": FACES, "coordinates": SPHERE[:, :2], "conformal": SPHERE[:, :2]}
     plain |= {"wraps": np.zeros((len(FACES), 3, 2), dtype=int), "lattice": np.eye(2)}
-    return omtwarp.TorusMap(**(plain | arrays))
+    return omtwarp.MapResult(domain="torus", **(plain | arrays))
 
 
 def broken_points():
@@ -112,7 +113,7 @@ TAKES_POINTS |= {
     "resample, target": lambda points: omtwarp.resample(MAP, (points, FACES)),
     "MapResult, source": lambda points: MapResult(VERTICES, FACES, SPHERE, SPHERE, np.ones(COUNT), source=points),
     "MapResult, filled": lambda points: surface_map(filled_vertices=VERTICES, filled_sphere=points),
-    "TorusMap": lambda points: torus_map(vertices=points),
+    "torus": lambda points: torus_map(vertices=points),
 }
 TAKES_A_SPHERE = {
     name for name in TAKES_POINTS if name.endswith((", sphere", ", start", ", source", ", moser", ", initial"))
@@ -125,7 +126,7 @@ TAKES_FACES = {
     "map_to_sphere": lambda faces: omtwarp.map_to_sphere((VERTICES, faces)),
     "MapResult": lambda faces: MapResult(VERTICES, faces, SPHERE, SPHERE, np.ones(COUNT)),
     "MapResult, filled": lambda faces: surface_map(filled_faces=[[0, 1, 2.5]] if faces is None else faces),
-    "TorusMap": lambda faces: torus_map(faces=faces),
+    "torus": lambda faces: torus_map(faces=faces),
     "optimality": lambda faces: omtwarp.optimality((VERTICES, faces), SPHERE, start=SPHERE),
     "texture": lambda faces: omtwarp.texture((VERTICES, faces, SPHERE)),
     "align": lambda faces: omtwarp.align((SPHERE, faces), MAP),
@@ -163,7 +164,7 @@ TAKES_NUMBERS = {
     ),
     "resample, areas": lambda numbers: omtwarp.resample(MAP, MAP, method="adaptive", source_areas=numbers),
     "MapResult, disk": lambda numbers: surface_map(domain="disk", disk=in_two_columns(numbers)),
-    "TorusMap, coordinates": lambda numbers: torus_map(coordinates=in_two_columns(numbers)),
+    "torus, coordinates": lambda numbers: torus_map(coordinates=in_two_columns(numbers)),
 }
 
 # What an option that is a number may be given instead: only the first four are numbers.
@@ -261,6 +262,18 @@ def test_maps_of_every_kind_own_their_arrays():
     for array in (one.disk, one.vertices, two.lattice, two.coordinates, two.faces):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0.0
+
+
+@pytest.mark.parametrize(("made", "missing"), [(surface_map, "lattice"), (torus_map, "sphere")])
+def test_arrays_of_maps_to_other_domains_are_named(made, missing):
+    """What maps to the domain do not have is an error where it is read or given, and no attribute."""
+    result = made()
+    with pytest.raises(OmtwarpError, match=f"domain of this map is '{result.domain}': it has no '{missing}'"):
+        getattr(result, missing)
+    with pytest.raises(OmtwarpError, match=f"domain is '{result.domain}' has no '{missing}'"):
+        made(**{missing: SPHERE})
+    assert not hasattr(result, missing) and missing not in result.maps and result.moser is None
+    assert replace(result, report={"seconds": 1.0}).conformal is result.conformal
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import omtwarp
 from omtwarp.commands._options import Printing, Source
@@ -19,17 +19,16 @@ from omtwarp.options import Domain, MapOptions, WeightsAt, parse_device
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from omtwarp.maps.result import MapReport
+    from omtwarp.maps.result import MapReport, MapResult
     from omtwarp.mesh.read import JoinedMesh
     from omtwarp.mesh.repair import Repaired
 
 
-AnyMap: TypeAlias = "omtwarp.MapResult | omtwarp.TorusMap"
 Output = TypeVar("Output", Path, Path | None)
 Target = TypeVar("Target")
 
 
-def facts_of(result: AnyMap, output: Path, report: Path | None = None) -> dict:
+def facts_of(result: MapResult, output: Path, report: Path | None = None) -> dict:
     """Sum up a finished map, its files and its figures, ready for JSON.
 
     ``degree`` is of the whole map: the total signed solid angle over 4π, so that parts with a sphere each are added up.
@@ -42,13 +41,13 @@ def facts_of(result: AnyMap, output: Path, report: Path | None = None) -> dict:
     parts = result.report.get("parts", [])
     reports: list[MapReport] = [result.report, *parts]
     errors = [stage.get("largest_area_error") for each in reports for stage in each["stages"]]
-    apart = getattr(result, "cap_centres", None) is None  # not side by side on one sphere
+    apart = result.cap_centres is None  # not side by side on one sphere
     gaps = [each.get("optimality", {}).get("gap") for each in reports]  # the bound is on squared distances only
     facts: dict = {"output": str(output), "report": None if report is None else str(report), **_counts(result)}
     facts |= {"bijective": certificate.bijective, "flips": certificate.flips, "degree": last["degree"]}
     return facts | {
         "degree_of_parts": [part["stages"][-1]["degree"] for part in parts] if parts and apart else None,
-        "domain": str(getattr(result, "domain", Domain.SPHERE)),
+        "domain": str(result.domain),
         "area": last["area"]["surface"],
         "angle": last["angle"]["surface"],
         "largest_area_error": max((error for error in errors if error is not None), default=None),
@@ -57,7 +56,7 @@ def facts_of(result: AnyMap, output: Path, report: Path | None = None) -> dict:
     }
 
 
-def _counts(result: AnyMap) -> dict[str, int]:
+def _counts(result: MapResult) -> dict[str, int]:
     """Count vertices, faces, copies of vertices along cuts, new ones, and the faces that triangles are parts of."""
     import numpy as np
 
@@ -72,7 +71,7 @@ def _counts(result: AnyMap) -> dict[str, int]:
     return counts | {"input_faces": given}
 
 
-def sizes(result: AnyMap) -> str:
+def sizes(result: MapResult) -> str:
     """Return the sizes of a map's mesh in words: those of the input, and what cuts and new vertices added."""
     return _sizes(_counts(result))
 
@@ -306,7 +305,7 @@ def start_device(device: str) -> None:
     resolve_device(device)
 
 
-def require_whole(result: AnyMap, name: object) -> omtwarp.MapResult:
+def require_whole(result: MapResult, name: object) -> MapResult:
     """Make sure that a map covers the sphere, with what fills its holes, as integrals over it and harmonics need.
 
     Args:
@@ -316,9 +315,6 @@ def require_whole(result: AnyMap, name: object) -> omtwarp.MapResult:
     Raises:
         OmtwarpError: the map covers a torus, a hemisphere, a disk or a cap, or is of several parts.
     """
-
-    if not isinstance(result, omtwarp.MapResult):
-        raise OmtwarpError(f"'{name}' is a map to a torus, where one to the sphere is needed, as cut=True makes")
     try:
         result.closed()
     except OmtwarpError as error:
@@ -326,7 +322,7 @@ def require_whole(result: AnyMap, name: object) -> omtwarp.MapResult:
     return result
 
 
-def load_whole_map(path: Path) -> omtwarp.MapResult:
+def load_whole_map(path: Path) -> MapResult:
     """Read a finished map that covers the sphere.
 
     Args:
@@ -335,9 +331,7 @@ def load_whole_map(path: Path) -> omtwarp.MapResult:
     Raises:
         OmtwarpError: the file is missing or is no map to the sphere, or the map covers a part of it.
     """
-    from omtwarp.maps.torus_map import read_map
-
-    return require_whole(read_map(path), path)
+    return require_whole(omtwarp.MapResult.load(path), path)
 
 
 def report_text(report: object) -> str:
@@ -364,7 +358,7 @@ def make_map(
     weights: ArrayLike | None = None,
     weights_at: WeightsAt = WeightsAt.AUTO,
     target: omtwarp.TargetDensity | None = None,
-) -> AnyMap:
+) -> MapResult:
     """Map a mesh with a progress bar; its warnings are lines on standard error.
 
     Args:
@@ -378,12 +372,12 @@ def make_map(
     """
 
     with warnings_as_lines(), progress_bar(quiet) as bar:
-        mapped: Callable[..., AnyMap] = omtwarp.map_to_sphere if any_surface is None else omtwarp.map_surface
+        mapped: Callable[..., MapResult] = omtwarp.map_to_sphere if any_surface is None else omtwarp.map_surface
         chosen = {**vars(mapping), **(any_surface or {})}
         return mapped(surface, weights=weights, weights_at=weights_at, target=target, progress=bar, **chosen)
 
 
-def require_bijective(result: AnyMap, path: Path | None = None) -> None:
+def require_bijective(result: MapResult, path: Path | None = None) -> None:
     """Make sure that a map is one to one.
 
     Raises:
@@ -393,7 +387,7 @@ def require_bijective(result: AnyMap, path: Path | None = None) -> None:
         raise OmtwarpError(f"{path or 'the map'}: not one to one: {result.certificate}")
 
 
-def map_from(mesh: Path | None, source: Source, mapping: MapOptions, printing: Printing) -> AnyMap:
+def map_from(mesh: Path | None, source: Source, mapping: MapOptions, printing: Printing) -> MapResult:
     """Return the map that a command works on: read if it is finished, otherwise computed from the mesh.
 
     Args:
@@ -406,7 +400,6 @@ def map_from(mesh: Path | None, source: Source, mapping: MapOptions, printing: P
         OmtwarpError: neither or both of mesh and map are given, or the one given cannot be used.
     """
     from omtwarp.maps.result import is_map_file
-    from omtwarp.maps.torus_map import read_map
 
     finished = source.finished
     if mesh is not None and finished is None and is_map_file(mesh):
@@ -414,13 +407,13 @@ def map_from(mesh: Path | None, source: Source, mapping: MapOptions, printing: P
     if finished is not None:
         if mesh is not None:
             raise OmtwarpError(f"both a mesh '{mesh}' and a finished map '{finished}': the map has its mesh, give one")
-        return read_map(finished)
+        return omtwarp.MapResult.load(finished)
     if mesh is None:
         raise OmtwarpError("nothing to work on: give a mesh, or a finished map with --map")
     return map_on_the_way(read_sound_mesh(mesh, source.repair).surface, mesh, mapping, printing)
 
 
-def map_on_the_way(surface: omtwarp.Surface, mesh: Path, mapping: MapOptions, printing: Printing) -> AnyMap:
+def map_on_the_way(surface: omtwarp.Surface, mesh: Path, mapping: MapOptions, printing: Printing) -> MapResult:
     """Map the surface of a file for a command that needs its map, and print its quality and what every stage did."""
     start_device(mapping.device)
     result = make_map(surface, mapping, quiet=printing.quiet)
@@ -431,7 +424,7 @@ def map_on_the_way(surface: omtwarp.Surface, mesh: Path, mapping: MapOptions, pr
     return result
 
 
-def say_stages(result: AnyMap) -> None:
+def say_stages(result: MapResult) -> None:
     """Print a line about every stage of a map."""
     for stage in result.report["stages"]:
         words = [f"{stage['seconds']:.2f} s"] if "seconds" in stage else []

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, Annotated
 
 import omtwarp
 from omtwarp.commands import _work
 from omtwarp.commands._options import ROUTE, Argument, Only, Printing, Typed, output_option
 from omtwarp.commands._streams import input_file
-from omtwarp.commands._work import AnyMap, make_map, require_bijective
+from omtwarp.commands._work import make_map, require_bijective
 from omtwarp.commands.texture import standing
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output, folder_of_results, make_folder, staged, write_text
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from omtwarp.commands._work import Input
+    from omtwarp.maps.result import MapResult
     from omtwarp.mesh.read import JoinedMesh
 
 
@@ -184,8 +185,8 @@ def run_map(
         if structure is not None:
             result.report["structure"] = structure
         joined = sound.mesh if sound.surface.origins is sound.mesh and kind is None and not mapping.exact else None
-        if joined is not None and isinstance(result, omtwarp.MapResult):
-            result = replace(result, vertex_of_file=joined.vertex_of_file)
+        if joined is not None:
+            result = result.with_arrays({"vertex_of_file": joined.vertex_of_file})
         with staged(target) as file:
             save(result, file, like=mesh, radius=radius, beside=beside, joined=joined)
         if report_target is not None:
@@ -235,7 +236,7 @@ def weights_of(mass: Mass, sound: Input, structure: str | None) -> tuple[NDArray
 
 
 def save(
-    result: AnyMap, file: Path, *, like: Path, radius: float, beside: bool = False, joined: JoinedMesh | None = None
+    result: MapResult, file: Path, *, like: Path, radius: float, beside: bool = False, joined: JoinedMesh | None = None
 ) -> None:
     """Write a map as .npz, or its sphere as a mesh; of a map to a torus the textured surface, or a ring torus.
 
@@ -254,9 +255,9 @@ def save(
     faces, back = (result.faces, np.asarray) if joined is None else (joined.file.faces, joined.restrict)
     if file.suffix.lower() == ".npz":
         result.save(file)
-    elif not isinstance(result, omtwarp.MapResult) and file.suffix.lower() == ".glb":
+    elif result.domain == Domain.TORUS and file.suffix.lower() == ".glb":
         omtwarp.texture(result, pattern="checker").export(file)
-    elif not isinstance(result, omtwarp.MapResult):
+    elif result.domain == Domain.TORUS:
         write_mesh(file, radius * result.ring(), result.faces, like=like)
     elif beside:
         places = dict(zip(("px", "py", "pz"), radius * back(image_of(result)).T, strict=True))
@@ -265,11 +266,11 @@ def save(
         write_mesh(file, radius * back(image_of(result)), faces, spherical=True, like=like)
 
 
-def image_of(result: omtwarp.MapResult) -> NDArray:
+def image_of(result: MapResult) -> NDArray:
     """Return the image of the surface as points in space, shape [V, 3]: the sphere, or the disk at height 0."""
     import numpy as np
 
-    disk = getattr(result, "disk", None)
+    disk = result.disk
     return result.sphere if disk is None else np.concatenate([disk, np.zeros((len(disk), 1))], axis=1)
 
 
@@ -322,7 +323,7 @@ def _make(output: Path, faces: int, device: str, printing: Printing) -> None:
     surface = demo_shape(faces)
     write_mesh(mesh_file, surface.vertices, surface.faces)
     notify(f"{mesh_file}: a creature of {surface.face_count} faces")
-    result = cast("omtwarp.MapResult", make_map(surface, MapOptions(device=device), quiet=printing.quiet))
+    result = make_map(surface, MapOptions(device=device), quiet=printing.quiet)
     result.save(map_file)
     write_text(report_file, _work.report_text({**result.report, "history": result.history}))
     if printing.verbose:

@@ -11,12 +11,12 @@ from omtwarp import options
 from omtwarp.commands import _work
 from omtwarp.commands._options import Argument, Only, Printing, RouteOptions, Source, Typed, output_option
 from omtwarp.commands._streams import input_file, step_times, warnings_as_lines
-from omtwarp.commands._work import AnyMap
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output
 from omtwarp.options import Coordinates, Device, Domain, MapOptions
 
 if TYPE_CHECKING:
+    from omtwarp.maps.result import MapResult
     from omtwarp.texturing import TexturedSurface
 
 
@@ -34,7 +34,7 @@ def read_sound_painted(path: Path, repair: bool) -> tuple[omtwarp.PaintedMesh, o
     return mesh, surface
 
 
-def objects_of(path: Path | None, result: AnyMap) -> dict:
+def objects_of(path: Path | None, result: MapResult) -> dict:
     """Return the names of objects in the file that a map is from, and whose each face is, as fields of meshes.
 
     Faces that the file has not get its first name.
@@ -56,7 +56,7 @@ def objects_of(path: Path | None, result: AnyMap) -> dict:
 
 def painted_with_map(
     path: Path, of_map: Path | None, repair: bool
-) -> tuple[omtwarp.PaintedMesh, AnyMap | omtwarp.Surface]:
+) -> tuple[omtwarp.PaintedMesh, MapResult | omtwarp.Surface]:
     """Return a mesh with its materials and its map, or the surface to be mapped where there is no file of a map.
 
     Raises:
@@ -64,9 +64,7 @@ def painted_with_map(
     """
     if of_map is None:
         return read_sound_painted(path, repair)
-    from omtwarp.maps.torus_map import read_map
-
-    result = read_map(of_map)
+    result = omtwarp.MapResult.load(of_map)
     _work.require_bijective(result, of_map)
     mesh = omtwarp.read_painted_mesh(path)
     if repair and len(mesh.faces) != len(result.faces):
@@ -78,7 +76,7 @@ def painted_with_map(
     return mesh, result
 
 
-def mapped(given: AnyMap | omtwarp.Surface, path: Path, mapping: MapOptions, printing: Printing) -> AnyMap:
+def mapped(given: MapResult | omtwarp.Surface, path: Path, mapping: MapOptions, printing: Printing) -> MapResult:
     """Return the map of a file; that of a surface is made, and it is said how well."""
     if not isinstance(given, omtwarp.Surface):
         return given
@@ -87,7 +85,7 @@ def mapped(given: AnyMap | omtwarp.Surface, path: Path, mapping: MapOptions, pri
     return made
 
 
-def standing(result: AnyMap, source: Path | None, up: str | None, front: str | None) -> AnyMap:
+def standing(result: MapResult, source: Path | None, up: str | None, front: str | None) -> MapResult:
     """Turn a map so that pictures on its sphere stand upright on the surface, with their middle in front.
 
     The sphere is turned as near as it can be to the directions that points have from the surface's centre, with the
@@ -112,7 +110,7 @@ def standing(result: AnyMap, source: Path | None, up: str | None, front: str | N
     given = up is not None or front is not None
     if source is not None and source.suffix.lower() == ".npz" and not given:
         return result
-    if not isinstance(result, omtwarp.MapResult) or result.domain != Domain.SPHERE or result.part is not None:
+    if result.domain != Domain.SPHERE or result.part is not None:
         if given:
             raise OmtwarpError("--up and --front are for maps of one surface to the whole sphere: leave them out")
         return result
@@ -310,7 +308,7 @@ def run_texture(
 
 def _mapped(
     mesh: Path | None, source: Source, painting: Painting, mapping: MapOptions, printing: Printing
-) -> tuple[omtwarp.PaintedMesh | None, AnyMap]:
+) -> tuple[omtwarp.PaintedMesh | None, MapResult]:
     """Return the mesh's own coordinates and materials where they are needed, and the map.
 
     Raises:
@@ -333,7 +331,7 @@ def _mapped(
     return painted, result
 
 
-def _size_of(result: AnyMap, picture: Picture, atlas: str) -> tuple[int | tuple[int, int] | None, str]:
+def _size_of(result: MapResult, picture: Picture, atlas: str) -> tuple[int | tuple[int, int] | None, str]:
     """Return the size of an atlas, None for the usual one, and words about what even the largest leaves blurred.
 
     Raises:
@@ -343,9 +341,9 @@ def _size_of(result: AnyMap, picture: Picture, atlas: str) -> tuple[int | tuple[
 
     asked = picture.size == "auto"
     given = picture.size is not None or picture.image is not None
-    if not asked and (given or not isinstance(result, omtwarp.MapResult)):
+    if not asked and (given or result.domain == Domain.TORUS):
         return sides_of(picture.size), ""
-    if not isinstance(result, omtwarp.MapResult):
+    if result.domain == Domain.TORUS:
         raise OmtwarpError("--size auto is for maps to the sphere: give texels for a map to a torus")
     limit = LARGEST_SIZE if asked else LARGEST_UNASKED
     chosen, coarse = sharp_size(result.vertices, result.faces, result.sphere, atlas, limit)
@@ -490,10 +488,10 @@ def run_transfer(
     pairs = [painted_with_map(*one, repair) for one in given]  # all are read before the first is mapped
     for (_, known), (_, of_map) in zip(pairs, given, strict=True):
         if of_map is not None:
-            _work.require_whole(cast("AnyMap", known), of_map)
+            _work.require_whole(cast("MapResult", known), of_map)
     mapping = MapOptions(device=device)
     maps = [mapped(surface, path, mapping, printing) for (_, surface), (path, _) in zip(pairs, given, strict=True)]
-    (painted, plain), (result, other) = (mesh for mesh, _ in pairs), cast("list[omtwarp.MapResult]", maps)
+    (painted, plain), (result, other) = (mesh for mesh, _ in pairs), maps
     with warnings_as_lines():
         made = omtwarp.transfer_texture(painted, result, other, onto=plain, device=device, **vars(how))
     files = made.export(output, keep=(source, target, map_of_source, map_of_target))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from math import fsum
 from time import perf_counter
-from typing import TypeVar, Unpack
+from typing import Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,8 +16,7 @@ from omtwarp.geometry.space_order import in_space_order
 from omtwarp.geometry.sphere_hierarchy import triangle_solid_angles
 from omtwarp.mapping.joined import in_input_order, joined, torus_in_input_order
 from omtwarp.mapping.pipeline import map_double, map_to_sphere
-from omtwarp.maps.result import MapResult, MeshReport, StageReport, SurfaceReport
-from omtwarp.maps.torus_map import TorusMap
+from omtwarp.maps.result import MapResult, MeshReport, StageReport, SurfaceReport, origin_arrays
 from omtwarp.measures import face_weights
 from omtwarp.mesh.arrays import Floats, cross, edge_keys, normalised
 from omtwarp.mesh.origins import Derived, Origins
@@ -70,8 +69,6 @@ from omtwarp.topology.kind import (
 )
 from omtwarp.torus.mapping import map_to_torus
 
-Map = TypeVar("Map", MapResult, TorusMap)
-
 
 @takes_map_options
 def map_surface(
@@ -88,7 +85,7 @@ def map_surface(
     weights_at: WeightsAtLike = WeightsAt.AUTO,
     target: TargetLike | None = None,
     **options: Unpack[MapKeywords],
-) -> MapResult | TorusMap:
+) -> MapResult:
     """Map a surface with holes, with handles, or of several parts, to its natural domain.
 
     A closed surface of genus 0 goes to the sphere, as by :func:`omtwarp.map_to_sphere`; one with a single boundary loop
@@ -122,8 +119,7 @@ def map_surface(
         options: those of :class:`omtwarp.options.MapOptions`.
 
     Returns:
-        The map: a :class:`omtwarp.TorusMap` for a surface that goes to a torus, and for all others a
-        :class:`omtwarp.MapResult`, whose ``domain`` says where it goes.
+        The map, whose ``domain`` says where it goes.
 
     Raises:
         OmtwarpError: the mesh has other defects, or is not of the kind that the domain takes.
@@ -167,7 +163,7 @@ def map_surface(
     return in_file(maps[0] if len(maps) == 1 else joined(maps, count, caps), of_file, count)
 
 
-def in_file(result: Map, of_file: Origins | None, count: int) -> Map:
+def in_file(result: MapResult, of_file: Origins | None, count: int) -> MapResult:
     """Return a map with origins in the file that the surface was made from, and the number of the file's vertices.
 
     Args:
@@ -353,7 +349,7 @@ def _quartered_mesh(each: MapResult, wanted: Floats) -> Quartered:
 def _with_points(each: MapResult, points: Floats) -> MapResult:
     """Return a map with other points on the sphere, those of what fills its holes at the end."""
     filled = None if each.filled_sphere is None else points
-    return replace(each, sphere=points[: len(each.vertices)], filled_sphere=filled)
+    return each.with_arrays({"sphere": points[: len(each.vertices)], "filled_sphere": filled})
 
 
 def _whole(each: MapResult) -> tuple[Floats, NDArray]:
@@ -370,7 +366,7 @@ def _placed(each: MapResult, centre: Floats, share: float) -> MapResult:
     turn = np.eye(3) - (2.0 / length) * np.outer(across, across) if length > 0.0 else np.eye(3)
     frame = turn @ np.diag([-1.0, 1.0, 1.0]) if length > 0.0 else turn
     about: SurfaceReport = each.report["surface"] | {"share_of_sphere": share, "centre": centre.tolist()}
-    return replace(each.turned(frame.T), domain=Domain.CAP, report=each.report | {"surface": about})
+    return each.turned(frame.T).with_arrays({"domain": Domain.CAP, "report": each.report | {"surface": about}})
 
 
 def _reach(each: MapResult, centre: Floats) -> float:
@@ -381,7 +377,7 @@ def _reach(each: MapResult, centre: Floats) -> float:
     return float(np.arccos(np.clip(np.concatenate([rim[:, 0], middle]) @ centre, -1.0, 1.0)).max())
 
 
-def _on_torus(part: Part, progress: Progress | None, options: MapOptions) -> TorusMap:
+def _on_torus(part: Part, progress: Progress | None, options: MapOptions) -> MapResult:
     """Map a part of genus 1 to a flat torus.
 
     Raises:
@@ -450,7 +446,7 @@ def _map_part(
     if shares is None:
         return result
     parts = PARTS if options.exact else 1
-    return replace(result, measure=np.repeat(surface.face_areas[: len(opened.faces)] / parts, parts))
+    return result.with_arrays({"measure": np.repeat(surface.face_areas[: len(opened.faces)] / parts, parts)})
 
 
 def _quartered(opened: _Opened, closed: MapResult, surface: Surface) -> tuple[_Opened, MapResult]:
@@ -495,7 +491,7 @@ def _own_half(closed: MapResult, glued: Double) -> MapResult:
     """Return the surface's own half of the map of a double."""
     own, number = slice(0, len(closed.faces) // 2), np.cumsum(~glued.copied) - 1
     arrays = closed.rows({"V": glued.half, "F": own}) | {"faces": number[closed.faces[own]].astype(np.int32)}
-    return closed.with_arrays(arrays | {"vertex_origin": None, "face_origin": None, "split_edges": None})
+    return closed.with_arrays({**arrays, **origin_arrays(None)})
 
 
 def _or(lines: list[str]) -> str:
@@ -697,13 +693,14 @@ def _projected(
             )
         if wanted is not None:
             disk, error = exact_in_plane(disk, _quartered_mesh(result, wanted))
-        result = replace(result, disk=disk[: len(result.vertices)])
+        result = result.with_arrays({"disk": disk[: len(result.vertices)]})
     about = result.report["surface"] | ({"share_of_sphere": share} if domain == "cap" else {})
     measured = result.distortion("disk" if domain == "disk" else "sphere").to_dict()
     projected: StageReport = {"name": domain, "seconds": perf_counter() - begun, "iterations": 0, **measured}
     if error is not None:
         projected["largest_area_error"] = error
-    return replace(result, report=result.report | {"surface": about, "stages": [*result.report["stages"], projected]})
+    stages = [*result.report["stages"], projected]
+    return result.with_arrays({"report": result.report | {"surface": about, "stages": stages}})
 
 
 def _on_cap(result: MapResult, share: float) -> MapResult:

@@ -9,8 +9,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.maps.result import SEVERAL, MapReport, MapResult, origin_arrays
-from omtwarp.maps.torus_map import TorusMap
+from omtwarp.maps.result import SEVERAL, MapReport, MapResult, layout_on, origin_arrays
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.quarter import PARTS
@@ -37,8 +36,8 @@ def joined(maps: list[MapResult], vertex_count: int, caps: tuple[Floats, Floats]
         out[place] = stacked
         return out
 
-    arrays: dict[str, object] = dict.fromkeys(MapResult.layout)
-    for name, (_, (letter, *_)) in MapResult.layout.items():
+    arrays: dict[str, object] = {"arrays": {}}
+    for name, (_, (letter, *_)) in layout_on(maps[0].domain).items():
         values = [getattr(part, name) for part in maps]
         if letter in ("V", "F") and all(value is not None for value in values):
             arrays[name] = at_vertices(values) if letter == "V" else np.concatenate(values)[order]
@@ -183,6 +182,8 @@ def in_input_order(result: MapResult, given: Part, *, exact: bool) -> MapResult:
     place, count, own = order.place, len(result.vertices), len(result.faces)
     arrays = result.rows({"V": order.vertices, "F": order.faces})
     arrays["faces"] = place[order.of_corners(result.faces)].astype(np.int32)
+    if "wraps" in result.arrays:
+        arrays["wraps"] = order.of_corners(result.wraps)
     if result.split_edges is not None:
         arrays["split_edges"] = np.sort(place[result.split_edges], axis=1)
     if result.loops is not None:
@@ -197,7 +198,7 @@ def in_input_order(result: MapResult, given: Part, *, exact: bool) -> MapResult:
     return result.with_arrays(arrays)
 
 
-def torus_in_input_order(result: TorusMap, ordered: Part, given: Part) -> TorusMap:
+def torus_in_input_order(result: MapResult, ordered: Part, given: Part) -> MapResult:
     """Put the map to a torus of a part that was numbered in space into the order of the input.
 
     Args:
@@ -206,15 +207,9 @@ def torus_in_input_order(result: TorusMap, ordered: Part, given: Part) -> TorusM
         given: the same part as it was before.
     """
     exact, own = result.origins is not None, Origins(np.arange(len(result.vertices)), np.arange(len(result.faces)))
-    origins = ordered.compose(result.origins or own)
-    order = _order(result.faces, origins, given, exact)
-    known = result.with_arrays(origin_arrays(origins)) if exact else result
-    arrays = known.rows({"V": order.vertices, "F": order.faces})
-    arrays["faces"] = order.place[order.of_corners(result.faces)].astype(np.int32)
-    arrays["wraps"] = order.of_corners(result.wraps)
-    if exact:
-        arrays["split_edges"] = np.sort(order.place[origins.split_edges], axis=1)
-    return result.with_arrays(arrays)
+    known = origin_arrays(ordered.compose(result.origins or own))
+    result = in_input_order(result.with_arrays(known), given, exact=exact)
+    return result if exact else result.with_arrays(origin_arrays(None))
 
 
 def _order(faces: NDArray, origins: Origins, given: Part, exact: bool) -> _Order:

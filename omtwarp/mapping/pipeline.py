@@ -812,6 +812,7 @@ def _in_order_of(surface: Surface, ordered: OrderedSurface, result: MapResult) -
     arrays: dict[str, object] = {"vertices": made.vertices, "faces": made.faces, **origin_arrays(made.origins)}
     if made.origins is not None and made.origins.given is not None:
         result.report["mesh"]["input_vertices"] = made.origins.given
+    assert isinstance(result.certificate, Certificate)
     certificate = replace(result.certificate, smallest_face=int(faces[result.certificate.smallest_face]))
     rows = result.rows({"V": np.argsort(vertices), "F": np.argsort(faces)})
     result = result.with_arrays(rows | arrays).certified(certificate)

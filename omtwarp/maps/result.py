@@ -2,38 +2,40 @@
 
 from __future__ import annotations
 
-import copy
 import json
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar, Self, TypedDict, cast
+from types import MappingProxyType
+from typing import Generic, Self, TypedDict, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import LacksArray, OmtwarpError
 from omtwarp.files.inputs import holds_array, open_input, read_arrays, write_arrays
 from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.files.output import as_path
 from omtwarp.maps import Displayable
+from omtwarp.maps.torus_map import TorusCertificate, certify_torus, ring_torus
 from omtwarp.mesh.arrays import Floats, Ints, Layout, fitting_arrays, real_numbers, require_unit_length, whole_numbers
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.mesh.validate import Topology
 from omtwarp.metrics.certificate import Certificate, certify_triangles
-from omtwarp.metrics.distortion import Aggregates, Distortion, measure_in_plane, measure_triangles
+from omtwarp.metrics.distortion import Aggregates, Distortion, measure_corners, measure_in_plane, measure_triangles
 from omtwarp.options import ChosenOptions, Domain, Record
 from omtwarp.topology.kind import boundary_half_edges
 
 SEVERAL = "several"  # the domain of parts that went to different ones
-STAGES = ("sphere", "conformal", "moser", "transported")
-ON_SPHERE = (*STAGES, "source", "filled_sphere", "filled_conformal")  # arrays of unit vectors
+STAGES = ("coordinates", "sphere", "conformal", "moser", "transported", "disk")
+ON_SPHERE = ("sphere", "conformal", "moser", "transported", "source", "filled_sphere", "filled_conformal")
 # Arrays that tell a map's file from a mesh's, even where one was lost, and a map to a torus from one to the sphere.
-OF_TORUS_MAPS = ("wraps", "coordinates", "lattice")
+OF_TORUS_MAPS = ("coordinates", "wraps", "lattice")
 OF_MAPS = ("sphere", "conformal", *OF_TORUS_MAPS)
+ON_TORUS = ("vertices", "faces", *OF_TORUS_MAPS, "conformal", "vertex_origin", "face_origin", "split_edges")
 
 
 class StageReport(Aggregates, total=False):
@@ -102,7 +104,7 @@ class SurfaceReport(TypedDict, total=False):
 
 
 class MapReport(ChosenOptions, total=False):
-    """How a map was made, as plain values ready for JSON.
+    """How a map was made, as plain values ready for JSON; that of a map to a torus has the unit of its coordinates.
 
     A report that was read from a file has the fields that the file has.
     """
@@ -123,177 +125,59 @@ class MapReport(ChosenOptions, total=False):
     alignment: Mapping[str, object]
     registration: Mapping[str, object]
     parts: list[MapReport]
+    domain: str
+    quantum: float
 
 
-def stored(kind: type[np.generic], *shape: str | int) -> dict[str, object]:
-    """Return what a field of a map says of its array: its type, and its shape with letters for lengths that agree.
+Kind = TypeVar("Kind", bound=np.generic)
+
+
+class Stored(Generic[Kind]):
+    """An array of a map and of its file, under the attribute's name; None where the map, or the class, has none.
 
     Args:
         kind: of the numbers.
-        shape: V vertices and F faces; W and H of the surface with its holes filled.
-    """
-    return {"layout": (kind, shape)}
-
-
-def layout_of(kind: type) -> Layout:
-    """Return type and shape of every array that a class of maps has, by name."""
-    return {each.name: each.metadata["layout"] for each in fields(kind) if "layout" in each.metadata}
-
-
-class StoredMap(Displayable):
-    """What maps to the sphere and to a torus have in common: checked arrays of their own, and a file.
-
-    Attributes:
-        layout: type and shape of every array, with letters for lengths that have to agree.
-        required: names of the arrays that are always there.
-        kind: what a file of it is called in messages.
+        shape: of the array, with letters for lengths that agree: V vertices and F faces; W and H of the surface with
+            its holes filled; D the 3 dimensions of the sphere's space, or the 2 of a torus.
     """
 
-    layout: ClassVar[Layout]
-    required: ClassVar[tuple[str, ...]]
-    kind: ClassVar[str]
-    history: list[Record]
+    def __init__(self, kind: type[Kind], *shape: str | int):
+        self.layout = kind, shape
 
-    def __post_init__(self) -> None:
-        arrays = vars(self)
-        self._require(arrays)
-        vertices = real_numbers(arrays["vertices"], "'vertices'", (None, 3))
-        faces = whole_numbers(arrays["faces"], "'faces'", (None, 3), below=len(vertices))
-        fitting = fitting_arrays(arrays, self.layout, {"V": len(vertices), "F": len(faces)})
-        for name, value in fitting.items():
-            object.__setattr__(self, name, value)
-        below = dict.fromkeys(("part", "loop_ends", "loop_pairs"), len(vertices) + len(faces))
-        below |= {"loops": len(vertices), "split_edges": len(vertices)}
-        for name in below.keys() & fitting.keys():
-            whole_numbers(fitting[name], f"'{name}'", fitting[name].shape, below=below[name])
+    def __set_name__(self, owner: type[MapResult], name: str) -> None:
+        self.name = name
 
-    @classmethod
-    def _require(cls, arrays: Mapping[str, object]) -> None:
-        """Make sure that no array is missing.
-
-        Raises:
-            OmtwarpError: one is; the first is named.
-        """
-        missing = [name for name in cls.required if arrays.get(name) is None]
-        if missing:
-            raise OmtwarpError(f"it has no '{missing[0]}'")
-
-    @property
-    def origins(self) -> Origins | None:
-        """What vertices and faces are in the input; None where they are the input's own."""
-        known = vars(self)
-        if known["vertex_origin"] is None or known["face_origin"] is None:
-            return None
-        edges, given = known["split_edges"], known["report"].get("mesh", {}).get("input_vertices")
-        origins = Origins(known["vertex_origin"], known["face_origin"], given=given if isinstance(given, int) else None)
-        return origins if edges is None else replace(origins, split_edges=edges)
-
-    def with_arrays(self, arrays: Mapping[str, object]) -> Self:
-        """Return the map with other arrays, or another domain or report, in place of those of these names."""
-        other = copy.copy(self)
-        vars(other).pop("certificate", None)
-        for name, value in arrays.items():
-            object.__setattr__(other, name, value)
-        other.__post_init__()
-        return other
-
-    def rows(self, chosen: Mapping[str, NDArray | slice]) -> dict[str, NDArray]:
-        """Return rows of the arrays that have one for every vertex, or face, by the arrays' names.
-
-        Args:
-            chosen: which, in their order, under the letters that stand first in the shapes of ``layout``: ``V`` for
-                vertices, ``F`` for faces.
-        """
-        known = vars(self)
-        return {
-            name: known[name][chosen[str(letter)]]
-            for name, (_, (letter, *_)) in self.layout.items()
-            if letter in chosen and known[name] is not None
-        }
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the map as ``.npz``: arrays of the attributes' names, and the report as JSON text under ``report``.
-
-        Raises:
-            OmtwarpError: the file cannot be written; nothing is left of it.
-        """
-        write_arrays(path, self.stored_arrays())
-
-    def stored_arrays(self) -> dict[str, NDArray]:
-        """Return the arrays of the file that :meth:`save` writes, the report among them, by their names there."""
-        known = vars(self)
-        arrays = {name: known[name] for name in self.layout if known[name] is not None}
-        return arrays | {"report": np.array(json.dumps(known["report"] | {"history": self.history}))}
-
-    @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a map written by :meth:`save`.
-
-        Raises:
-            OmtwarpError: the file is missing, or is no map of this kind.
-        """
-        return cls.from_arrays(read_map_arrays(path, cls), path)
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray], path: str | os.PathLike[str]) -> Self:
-        """Make a map from the arrays of a file, of which ``path`` is the name for messages.
-
-        A report that is malformed is empty.
-
-        Raises:
-            OmtwarpError: the arrays are not those of a map of this kind.
-        """
-        try:
-            report = json.loads(str(arrays.get("report", "{}")))
-        except (ValueError, RecursionError):
-            report = {}
-        report = report if isinstance(report, dict) else {}
-        history = report.pop("history", [])
-        history = [entry for entry in history if isinstance(entry, dict)] if isinstance(history, list) else []
-        stored = {name: arrays[name] for name in cls.layout if name in arrays}
-        make: Callable[..., Self] = cls
-        try:
-            cls._require(stored)
-            words = {"domain": str(arrays["domain"])} if "domain" in arrays else {}
-            return make(**stored, **words, history=history, report=report)
-        except OmtwarpError as error:
-            raise OmtwarpError(f"'{path}' is not {cls.kind}: {error}") from None
+    def __get__(self, result: MapResult | None, owner: type[MapResult]) -> NDArray[Kind] | None:
+        return None if result is None else result.arrays.get(self.name)
 
 
-def is_map_file(path: Path) -> bool:
-    """Return whether a file is that of a map, whole or not."""
-    return path.suffix.lower() == ".npz" and holds_array(path, *OF_MAPS)
+class Needed(Stored[Kind]):
+    """An array that every map to a domain has, and that no map to another one has."""
+
+    def __get__(self, result: MapResult | None, owner: type[MapResult]) -> NDArray[Kind]:
+        values = super().__get__(result, owner)
+        if values is None and result is not None:
+            raise LacksArray(f"the domain of this map is '{result.domain}': it has no '{self.name}'")
+        return cast("NDArray[Kind]", values)
 
 
-def read_map_arrays(path: str | os.PathLike[str], *kinds: type[StoredMap]) -> dict[str, NDArray]:
-    """Read the arrays that a map of any of these kinds may have, and those by which another kind is told.
-
-    Raises:
-        OmtwarpError: the file is missing, or is no ``.npz``.
-    """
-    names = dict.fromkeys((*(name for kind in kinds for name in kind.layout), *OF_TORUS_MAPS, "domain", "report"))
-    with open_input(as_path(path), LARGEST_MESH_FILE, "map") as stream:
-        try:
-            return read_arrays(stream, names)
-        except OmtwarpError as error:
-            words = f"'{path}' is not a map: {error}; make one with map_to_sphere and save"
-            raise OmtwarpError(words) from None
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class MapResult(StoredMap):
-    """A surface and its map to the unit sphere, or to a part of it, in the order of the input.
+@dataclass(frozen=True, init=False, eq=False, repr=False)
+class MapResult(Displayable):
+    """A surface and its map to the unit sphere, to a part of it, or to a flat torus R² / Λ, in the order of the input.
 
     The arrays belong to the result: they are copies, and cannot be written to. Where the surface has holes, handles or
     several parts, they are of the surface as it is mapped: the input's faces, in their order, but where an edge had to
     be split or a handle to be cut; ``report["certificate"]`` is of the closed surface that was mapped, filled, cut or
-    doubled.
+    doubled. On a torus the corner ``k`` of triangle ``f`` lies at ``corners[f, k] @ lattice`` in the plane.
+
+    An array that only maps to other domains have is an error where it is read.
 
     Attributes:
         vertices: the surface as given, float64, shape [V, 3].
         faces: int32, shape [F, 3].
-        sphere: the final map, unit vectors, float64, shape [V, 3].
-        conformal: the map transport started from (conformal, or its substitute: see ``report``), shape [V, 3].
+        sphere: the final map, unit vectors, float64, shape [V, 3]; not of a map to a torus.
+        conformal: the map transport started from (conformal, or its substitute: see ``report``), shape [V, 3]; on a
+            torus as ``coordinates``, shape [V, 2].
         density: μ at the vertices, area on the surface over area on the sphere under ``conformal``, shape [V].
         face_density: μ of the triangles, shape [F].
         source: the points that transport starts from: where the conformal map puts the vertices, even where it flips
@@ -309,8 +193,11 @@ class MapResult(StoredMap):
             texture and the command line joined them; int64, shape [N].
         history: one record per iteration of the transport flow: ``iteration``, ``cost``, ``curl``, ...
         report: how the map was made, ready for JSON.
-        domain: ``sphere``, ``hemisphere``, ``disk``, ``cap``, or ``several`` where parts differ; for a disk, ``sphere``
-            is the hemisphere it came from.
+        domain: ``sphere``, ``hemisphere``, ``disk``, ``cap``, ``torus``, or ``several`` where parts differ; for a disk,
+            ``sphere`` is the hemisphere it came from.
+        coordinates: the final map to a torus, in multiples of the lattice's vectors, float64, shape [V, 2].
+        wraps: whole numbers that are added to the coordinates at the corners of triangles, int64, shape [F, 3, 2].
+        lattice: the vectors that the torus repeats along, as rows, shape [2, 2]; the torus has the surface's area.
         disk: the map to the unit disk, float64, shape [V, 2], where that is the domain.
         split_edges: the two vertices that each vertex of origin -1 lies halfway between, in their order, shape [K, 2].
         part: the part of the surface, each on a sphere of its own, that each face belongs to, shape [F].
@@ -324,6 +211,7 @@ class MapResult(StoredMap):
         filled_sphere: the map of ``filled_vertices``, shape [W, 3].
         filled_conformal: the map of ``filled_vertices`` that transport started from, shape [W, 3].
         filled_loop: the loop that each face of ``filled_faces`` fills, -1 for the surface's own, shape [H].
+        arrays: all of these arrays that the map has, by name.
 
     Example:
         >>> import numpy as np, omtwarp
@@ -331,56 +219,90 @@ class MapResult(StoredMap):
         >>> _ = result.save("blob.npz")
         >>> bool(np.array_equal(omtwarp.MapResult.load("blob.npz").sphere, result.sphere))
         True
+        >>> import trimesh
+        >>> ring = trimesh.creation.torus(1.0, 0.4, major_sections=12, minor_sections=6)
+        >>> result = omtwarp.map_surface(ring, domain="torus")
+        >>> result, result.certificate.flips, result.certificate.degree
+        (MapResult(torus, 72 vertices, 144 faces, bijective), 0, 1)
     """
 
-    vertices: Floats = field(metadata=stored(np.float64, "V", 3))
-    faces: Ints = field(metadata=stored(np.int32, "F", 3))
-    sphere: Floats = field(metadata=stored(np.float64, "V", 3))
-    conformal: Floats = field(metadata=stored(np.float64, "V", 3))
-    density: Floats = field(metadata=stored(np.float64, "V"))
-    face_density: Floats | None = field(default=None, metadata=stored(np.float64, "F"))
-    source: Floats | None = field(default=None, metadata=stored(np.float64, "V", 3))
-    moser: Floats | None = field(default=None, metadata=stored(np.float64, "V", 3))
-    transported: Floats | None = field(default=None, metadata=stored(np.float64, "V", 3))
-    measure: Floats | None = field(default=None, metadata=stored(np.float64, "F"))
-    target: Floats | None = field(default=None, metadata=stored(np.float64, "V"))
-    vertex_origin: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "V"))
-    face_origin: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "F"))
-    vertex_of_file: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "N"))
-    history: list[Record] = field(default_factory=list)
-    report: MapReport = field(default_factory=lambda: cast(MapReport, {}))
+    arrays: Mapping[str, NDArray]
+    domain: str
+    history: list[Record]
+    report: MapReport
 
-    domain: str = "sphere"
-    disk: Floats | None = field(default=None, metadata=stored(np.float64, "V", 2))
-    split_edges: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "K", 2))
-    part: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "F"))
-    cap_centres: Floats | None = field(default=None, metadata=stored(np.float64, "P", 3))
-    cap_shares: Floats | None = field(default=None, metadata=stored(np.float64, "P"))
-    loops: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "M"))
-    loop_ends: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "L"))
-    loop_pairs: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "G", 2))
-    filled_vertices: Floats | None = field(default=None, metadata=stored(np.float64, "W", 3))
-    filled_faces: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "H", 3))
-    filled_sphere: Floats | None = field(default=None, metadata=stored(np.float64, "W", 3))
-    filled_conformal: Floats | None = field(default=None, metadata=stored(np.float64, "W", 3))
-    filled_loop: NDArray[np.int64] | None = field(default=None, metadata=stored(np.int64, "H"))
+    vertices = Needed(np.float64, "V", 3)
+    faces = Needed(np.int32, "F", 3)
+    sphere = Needed(np.float64, "V", 3)
+    conformal = Needed(np.float64, "V", "D")
+    density = Needed(np.float64, "V")
+    face_density = Stored(np.float64, "F")
+    source = Stored(np.float64, "V", 3)
+    moser = Stored(np.float64, "V", 3)
+    transported = Stored(np.float64, "V", 3)
+    measure = Stored(np.float64, "F")
+    target = Stored(np.float64, "V")
+    vertex_origin = Stored(np.int64, "V")
+    face_origin = Stored(np.int64, "F")
+    vertex_of_file = Stored(np.int64, "N")
+    disk = Stored(np.float64, "V", 2)
+    split_edges = Stored(np.int64, "K", 2)
+    part = Stored(np.int64, "F")
+    cap_centres = Stored(np.float64, "P", 3)
+    cap_shares = Stored(np.float64, "P")
+    loops = Stored(np.int64, "M")
+    loop_ends = Stored(np.int64, "L")
+    loop_pairs = Stored(np.int64, "G", 2)
+    filled_vertices = Stored(np.float64, "W", 3)
+    filled_faces = Stored(np.int64, "H", 3)
+    filled_sphere = Stored(np.float64, "W", 3)
+    filled_conformal = Stored(np.float64, "W", 3)
+    filled_loop = Stored(np.int64, "H")
+    coordinates = Needed(np.float64, "V", 2)
+    wraps = Needed(np.int64, "F", 3, 2)
+    lattice = Needed(np.float64, 2, 2)
 
-    required = ("vertices", "faces", "sphere", "conformal", "density")
-    kind = "a map"
+    def __init__(
+        self,
+        *in_order: object,
+        arrays: Mapping[str, object] = MappingProxyType({}),
+        domain: str = Domain.SPHERE,
+        history: list[Record] | None = None,
+        report: MapReport | None = None,
+        **named: object,
+    ) -> None:
+        """Check the arrays of a map: given in their order, by name, or ``arrays``, of which others take the place.
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+        Raises:
+            OmtwarpError: an array is missing, is none, does not fit the others, or is of maps to other domains.
+        """
+        given = {**arrays, **dict(zip(ARRAYS, in_order, strict=False)), **named}
+        given = {name: values for name, values in given.items() if values is not None}
+        if not isinstance(domain, str) or domain not in (*Domain, SEVERAL):
+            raise OmtwarpError(f"there is no domain {str(domain)[:20]!r}")
+        layout = layout_on(domain)
+        missing = [name for name in layout if name not in given and isinstance(ARRAYS[name], Needed)]
+        if missing:
+            raise OmtwarpError(f"it has no '{missing[0]}'")
+        if others := given.keys() - layout.keys():
+            raise OmtwarpError(f"a map whose domain is '{domain}' has no '{min(others)}'")
+        vertices = real_numbers(given["vertices"], "'vertices'", (None, 3))
+        faces = whole_numbers(given["faces"], "'faces'", (None, 3), below=len(vertices))
+        lengths = {"V": len(vertices), "F": len(faces), "D": 2 if domain == Domain.TORUS else 3}
+        fitting = fitting_arrays(given, layout, lengths)
+        below = dict.fromkeys(("part", "loop_ends", "loop_pairs"), len(vertices) + len(faces))
+        below |= {"loops": len(vertices), "split_edges": len(vertices)}
+        below["filled_faces"] = len(fitting.get("filled_vertices", vertices))
+        for name in below.keys() & fitting.keys():
+            whole_numbers(fitting[name], f"'{name}'", fitting[name].shape, below=below[name])
         for name in ON_SPHERE:
-            if getattr(self, name) is not None:
-                require_unit_length(getattr(self, name), f"'{name}'")
-        if self.filled_faces is not None:
-            points = self.vertices if self.filled_vertices is None else self.filled_vertices
-            whole_numbers(self.filled_faces, "'filled_faces'", (None, 3), below=len(points))
-        if not isinstance(self.domain, str) or self.domain not in (*Domain, SEVERAL):
-            raise OmtwarpError(f"there is no domain {str(self.domain)[:20]!r}")
+            if name in fitting and domain != Domain.TORUS:
+                require_unit_length(fitting[name], f"'{name}'")
+        vars(self).update(arrays=fitting, domain=str(domain), history=[] if history is None else history)
+        vars(self)["report"] = {} if report is None else report
 
     def __repr__(self) -> str:
-        known = [] if self.domain == Domain.SPHERE else [str(self.domain)]
+        known = [] if self.domain == Domain.SPHERE else [self.domain]
         known += [f"{len(self.vertices)} vertices", f"{len(self.faces)} faces"]
         if "method" in self.report:
             known.append(str(self.report["method"]))
@@ -388,30 +310,109 @@ class MapResult(StoredMap):
             known.append("bijective")
         return f"MapResult({', '.join(known)})"
 
-    def turned(self, frame: Floats) -> MapResult:
-        """Return the map and those of its stages turned by a rotation or reflection, ``points @ frame``."""
-        known = {name: getattr(self, name) for name in ON_SPHERE}
-        return self.with_arrays({name: points @ frame for name, points in known.items() if points is not None})
-
     @property
     def maps(self) -> dict[str, Floats]:
-        """The maps of the stages that were run, by name; ``sphere`` is the final one, or ``disk`` on the disk."""
-        known = {name: getattr(self, name) for name in (*STAGES, "disk")}
-        return {name: points for name, points in known.items() if points is not None}
+        """The maps of the stages that were run, by name; ``sphere``, ``disk`` or ``coordinates`` is the final one."""
+        return {name: self.arrays[name] for name in STAGES if name in self.arrays}
 
-    def distortion(self, stage: str = "sphere") -> Distortion:
-        """Measure the distortion of the map, or of a stage: ``conformal``, ``moser``, ``transported`` or ``disk``.
+    @property
+    def origins(self) -> Origins | None:
+        """What vertices and faces are in the input; None where they are the input's own."""
+        if self.vertex_origin is None or self.face_origin is None:
+            return None
+        given = self.report.get("mesh", {}).get("input_vertices")
+        origins = Origins(self.vertex_origin, self.face_origin, given=given if isinstance(given, int) else None)
+        return origins if self.split_edges is None else replace(origins, split_edges=self.split_edges)
 
-        The stage ``disk`` is the map to the unit disk, where ``sphere`` is the one to the hemisphere. Areas are
-        compared within each part, every part scaled to the area of its image, and all parts count alike; where parts
-        lie side by side on one sphere, areas of all are compared, but for the stages before they were put there.
+    def with_arrays(self, arrays: Mapping[str, object]) -> MapResult:
+        """Return the map with other arrays, or another domain or report, in place of those of these names."""
+        make: Callable[..., MapResult] = MapResult
+        return make(**{**{each.name: getattr(self, each.name) for each in fields(self)}, **arrays})
+
+    def rows(self, chosen: Mapping[str, NDArray | slice]) -> dict[str, NDArray]:
+        """Return rows of the arrays that have one for every vertex, or face, by the arrays' names.
+
+        Args:
+            chosen: which, in their order, under the letters that stand first in the arrays' shapes: ``V`` for
+                vertices, ``F`` for faces.
+        """
+        first = {name: str(ARRAYS[name].layout[1][0]) for name in self.arrays}
+        return {name: self.arrays[name][chosen[letter]] for name, letter in first.items() if letter in chosen}
+
+    def turned(self, frame: Floats) -> MapResult:
+        """Return the map and those of its stages turned by a rotation or reflection, ``points @ frame``.
+
+        Raises:
+            OmtwarpError: the map is to a torus.
+        """
+        known = {"sphere": self.sphere, **{name: self.arrays[name] for name in ON_SPHERE if name in self.arrays}}
+        return self.with_arrays({name: points @ frame for name, points in known.items()})
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the map as ``.npz``: arrays of the attributes' names, and the report as JSON text under ``report``.
+
+        Raises:
+            OmtwarpError: the file cannot be written; nothing is left of it.
+        """
+        write_arrays(path, self.stored_arrays())
+
+    def stored_arrays(self) -> dict[str, NDArray]:
+        """Return the arrays of the file that :meth:`save` writes, the domain and the report among them."""
+        arrays = {**self.arrays, "report": np.array(json.dumps(self.report | {"history": self.history}))}
+        plain = self.part is None and self.loops is None
+        told = plain and self.domain in (Domain.SPHERE, Domain.TORUS)  # by what arrays there are
+        return arrays if told else arrays | {"domain": np.array(self.domain)}
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Self:
+        """Read a map, to any domain, that was written by :meth:`save`; a report that is malformed is empty.
+
+        Raises:
+            OmtwarpError: the file is missing, or is no map.
+        """
+        with open_input(as_path(path), LARGEST_MESH_FILE, "map") as stream:
+            try:
+                known = read_arrays(stream, (*ARRAYS, "domain", "report"))
+            except OmtwarpError as error:
+                words = f"'{path}' is not a map: {error}; make one with map_to_sphere and save"
+                raise OmtwarpError(words) from None
+        try:
+            report = json.loads(str(known.get("report", "{}")))
+        except (ValueError, RecursionError):
+            report = {}
+        report = report if isinstance(report, dict) else {}
+        history = report.pop("history", [])
+        history = [entry for entry in history if isinstance(entry, dict)] if isinstance(history, list) else []
+        on_torus = any(name in known for name in OF_TORUS_MAPS)
+        domain = Domain.TORUS if on_torus else str(known.get("domain", Domain.SPHERE))
+        arrays = {name: known[name] for name in layout_on(domain) if name in known}
+        make: Callable[..., Self] = cls
+        try:
+            result = make(arrays=arrays, domain=domain, history=history, report=report)
+        except OmtwarpError as error:
+            raise OmtwarpError(f"'{path}' is not a map{' to a torus' * on_torus}: {error}") from None
+        result.report["certificate"] = result.certificate.to_dict()  # anew: a file's statements are not trusted
+        return result
+
+    def distortion(self, stage: str | None = None) -> Distortion:
+        """Measure the distortion of the map, or of a stage: one of the names in ``maps``.
+
+        Without a name it is that of ``sphere``, or of ``coordinates`` on a torus. The stage ``disk`` is the map to the
+        unit disk, where ``sphere`` is the one to the hemisphere. Areas are compared within each part, every part scaled
+        to the area of its image, and all parts count alike; where parts lie side by side on one sphere, areas of all
+        are compared, but for the stages before they were put there.
 
         Raises:
             OmtwarpError: the stage was not run.
         """
+        on_torus = self.domain == Domain.TORUS
+        stage = ("coordinates" if on_torus else "sphere") if stage is None else stage
         points = self.maps.get(stage) if isinstance(stage, str) else None
         if points is None:
             raise OmtwarpError(f"this map has no stage '{stage}'")
+        if on_torus:
+            corner = (points[self.faces] + self.wraps) @ self.lattice
+            return measure_corners(self.vertices[self.faces], corner, abs(float(np.linalg.det(self.lattice))))
         if stage == "disk":
             return measure_in_plane(self.vertices, self.faces, points)
         if self.part is None or (self.cap_centres is not None and stage == "sphere"):
@@ -429,7 +430,7 @@ class MapResult(StoredMap):
         the filling is small on the sphere.
 
         Raises:
-            OmtwarpError: the map is to a hemisphere, a disk or a cap, or of several parts; or its arrays do not fit.
+            OmtwarpError: the map is not to the sphere alone, or its arrays do not fit.
 
         Example:
             >>> import omtwarp
@@ -438,6 +439,8 @@ class MapResult(StoredMap):
             >>> result, result.closed()
             (MapResult(642 vertices, 1279 faces, omt, bijective), MapResult(643 vertices, 1282 faces, omt))
         """
+        if self.domain == Domain.TORUS:
+            raise OmtwarpError("this is a map to a torus, where one to the sphere is needed, as cut=True makes")
         if self.part is not None:
             raise OmtwarpError("several parts do not cover one sphere: map each part by itself")
         if self.domain != Domain.SPHERE:
@@ -461,12 +464,14 @@ class MapResult(StoredMap):
         )
 
     @cached_property
-    def certificate(self) -> Certificate:
+    def certificate(self) -> Certificate | TorusCertificate:
         """The certificate of the map of the filled surface, computed from its arrays at the first use.
 
         A boundary that is left, the rim of a hemisphere or of a cap, is closed by a fan to the point opposite to it;
         the disk is seen from the centre of the sphere, at height 1. Parts are certified one by one.
         """
+        if self.domain == Domain.TORUS:
+            return certify_torus(self.corners)
         filled = self.filled_faces is not None and self.filled_sphere is not None
         if self.domain == Domain.SPHERE and not filled and self.part is None:
             return certify_triangles(self.faces, self.sphere)
@@ -493,26 +498,34 @@ class MapResult(StoredMap):
         """Whether the final map is one to one and onto: see :attr:`certificate`."""
         return self.certificate.bijective
 
-    def stored_arrays(self) -> dict[str, NDArray]:
-        """Return the arrays of the file that :meth:`save` writes, the domain and the report among them."""
-        whole = self.domain == Domain.SPHERE and self.part is None and self.loops is None
-        return super().stored_arrays() | ({} if whole else {"domain": np.array(self.domain)})
+    @property
+    def corners(self) -> Floats:
+        """Corners of the triangles on a torus in multiples of the lattice's vectors, shape [F, 3, 2]; exact sums."""
+        return self.coordinates[self.faces] + self.wraps
 
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray], path: str | os.PathLike[str]) -> Self:
-        """Make a map from the arrays of a file, of which ``path`` is the name for messages.
+    def ring(self) -> Floats:
+        """Map the vertices to a ring torus, with areas in proportion to those of the surface, shape [V, 3].
+
+        The ring's radii are in the proportion of the lattice's vectors, the tube at most 0.8 of the ring.
 
         Raises:
-            OmtwarpError: the arrays are not those of a map to the sphere or to a part of it.
+            OmtwarpError: the map is not to a torus.
         """
-        if any(name in arrays for name in OF_TORUS_MAPS):
-            raise OmtwarpError(f"'{path}' is a map to a torus, where one to the sphere is needed, as cut=True makes")
-        result = super().from_arrays(arrays, path)
-        result.report["certificate"] = result.certificate.to_dict()  # anew: a file's statements are not trusted
-        return result
+        return ring_torus(self.coordinates, self.lattice)
 
 
-MapResult.layout = layout_of(MapResult)
+ARRAYS = {name: each for name, each in vars(MapResult).items() if isinstance(each, Stored)}
+
+
+def layout_on(domain: str) -> Layout:
+    """Return type and shape of every array that maps to a domain have, by name."""
+    names = ON_TORUS if domain == Domain.TORUS else [name for name in ARRAYS if name not in OF_TORUS_MAPS]
+    return {name: ARRAYS[name].layout for name in names}
+
+
+def is_map_file(path: Path) -> bool:
+    """Return whether a file is that of a map, whole or not."""
+    return path.suffix.lower() == ".npz" and holds_array(path, *OF_MAPS)
 
 
 def origin_arrays(origins: Origins | None) -> dict[str, NDArray[np.int64] | None]:

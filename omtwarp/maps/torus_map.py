@@ -1,30 +1,14 @@
-"""A finished map of a surface of genus 1 to a flat torus, and its file."""
+"""Flat tori: the certificate of a map to one, and the ring torus that shows it."""
 
 from __future__ import annotations
 
-import os
-from dataclasses import dataclass, field
-from functools import cached_property
-from typing import cast
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import flipped_faces
-from omtwarp.maps import result
-from omtwarp.maps.result import MapReport, MapResult, StoredMap
-from omtwarp.mesh.arrays import Floats, Ints
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import plane_areas
-from omtwarp.metrics.distortion import Distortion, measure_corners
-from omtwarp.options import Record
-
-
-class TorusReport(MapReport, total=False):
-    """How a map to a torus was made, as plain values ready for JSON, and the unit of its coordinates."""
-
-    domain: str
-    quantum: float
 
 
 @dataclass(frozen=True)
@@ -55,102 +39,18 @@ class TorusCertificate:
         return f"{self.flips} flipped triangles{where}, degree {self.degree}"
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class TorusMap(StoredMap):
-    """A surface and its map to the flat torus R² / Λ.
+def certify_torus(corners: Floats) -> TorusCertificate:
+    """Establish the flips and the degree of a map to a flat torus.
 
-    The corner ``k`` of triangle ``f`` lies at ``corners[f, k] @ lattice`` in the plane.
-
-    Attributes:
-        vertices: the surface as given, float64, shape [V, 3].
-        faces: int32, shape [F, 3].
-        coordinates: of the vertices, in multiples of the lattice's vectors, float64, shape [V, 2].
-        wraps: whole numbers that are added at the corners of triangles, int64, shape [F, 3, 2].
-        lattice: the vectors that the torus repeats along, as rows, shape [2, 2]; the torus has the surface's area.
-        conformal: the conformal map that distances are measured from, as ``coordinates``, shape [V, 2].
-        vertex_origin: after a repair, the index of every vertex in the mesh before it, shape [V].
-        face_origin: the same of the faces, shape [F].
-        split_edges: the two vertices that each vertex of origin -1 lies halfway between, in their order, shape [K, 2].
-        history: one record per step of the transport.
-        report: how the map was made, ready for JSON.
-
-    Example:
-        >>> import trimesh
-        >>> from omtwarp import map_surface
-        >>> ring = trimesh.creation.torus(1.0, 0.4, major_sections=12, minor_sections=6)
-        >>> result = map_surface(ring, domain="torus")
-        >>> result
-        TorusMap(72 vertices, 144 faces)
-        >>> result.certificate.flips, result.certificate.degree
-        (0, 1)
+    Args:
+        corners: of its triangles, in multiples of the lattice's vectors, shape [F, 3, 2].
     """
-
-    vertices: Floats = field(metadata=result.stored(np.float64, "V", 3))
-    faces: Ints = field(metadata=result.stored(np.int32, "F", 3))
-    coordinates: Floats = field(metadata=result.stored(np.float64, "V", 2))
-    wraps: NDArray[np.int64] = field(metadata=result.stored(np.int64, "F", 3, 2))
-    lattice: Floats = field(metadata=result.stored(np.float64, 2, 2))
-    conformal: Floats = field(metadata=result.stored(np.float64, "V", 2))
-    vertex_origin: NDArray[np.int64] | None = field(default=None, metadata=result.stored(np.int64, "V"))
-    face_origin: NDArray[np.int64] | None = field(default=None, metadata=result.stored(np.int64, "F"))
-    split_edges: NDArray[np.int64] | None = field(default=None, metadata=result.stored(np.int64, "K", 2), kw_only=True)
-
-    history: list[Record] = field(default_factory=list)
-    report: TorusReport = field(default_factory=lambda: cast(TorusReport, {}))
-
-    domain = "torus"
-    required = ("vertices", "faces", "coordinates", "wraps", "lattice", "conformal")
-    kind = "a map to a torus"
-
-    def __repr__(self) -> str:
-        return f"TorusMap({len(self.vertices)} vertices, {len(self.faces)} faces)"
-
-    @property
-    def corners(self) -> Floats:
-        """Corners of the triangles in multiples of the lattice's vectors, shape [F, 3, 2]; the sums are exact."""
-        return self.coordinates[self.faces] + self.wraps
-
-    @property
-    def maps(self) -> dict[str, Floats]:
-        """The maps of the stages as ``coordinates``, by name; ``torus`` is the final one."""
-        return {"conformal": self.conformal, "torus": self.coordinates}
-
-    @cached_property
-    def certificate(self) -> TorusCertificate:
-        """The flips and the degree of the map, established from its arrays at the first access."""
-        corner = self.corners.reshape(-1, 2)
-        lifted = np.concatenate([corner, np.ones((len(corner), 1))], axis=1)
-        flipped = np.flatnonzero(flipped_faces(lifted, np.arange(len(corner)).reshape(-1, 3)))
-        whole = plane_areas(self.corners).sum()
-        first = int(flipped[0]) if len(flipped) else -1
-        return TorusCertificate(len(flipped), first, round(float(whole)) if np.isfinite(whole) else 0)
-
-    @property
-    def bijective(self) -> bool:
-        """Whether the map is one to one and onto: see :attr:`certificate`."""
-        return self.certificate.bijective
-
-    def distortion(self, stage: str = "torus") -> Distortion:
-        """Measure the distortion of the map (or of the conformal map), as for maps to the sphere.
-
-        Raises:
-            OmtwarpError: the stage is unknown.
-        """
-        places = self.maps.get(stage) if isinstance(stage, str) else None
-        if places is None:
-            raise OmtwarpError(f"this map has no stage '{stage}'")
-        corner = (places[self.faces] + self.wraps) @ self.lattice
-        return measure_corners(self.vertices[self.faces], corner, abs(float(np.linalg.det(self.lattice))))
-
-    def ring(self) -> Floats:
-        """Map the vertices to a ring torus, with areas in proportion to those of the surface, shape [V, 3].
-
-        The ring's radii are in the proportion of the lattice's vectors, the tube at most 0.8 of the ring.
-        """
-        return ring_torus(self.coordinates, self.lattice)
-
-
-TorusMap.layout = result.layout_of(TorusMap)
+    corner = corners.reshape(-1, 2)
+    lifted = np.concatenate([corner, np.ones((len(corner), 1))], axis=1)
+    flipped = np.flatnonzero(flipped_faces(lifted, np.arange(len(corner)).reshape(-1, 3)))
+    whole = plane_areas(corners).sum()
+    first = int(flipped[0]) if len(flipped) else -1
+    return TorusCertificate(len(flipped), first, round(float(whole)) if np.isfinite(whole) else 0)
 
 
 def tube_radius(lattice: Floats) -> float:
@@ -181,14 +81,3 @@ def ring_torus(coordinates: Floats, lattice: Floats) -> Floats:
     reach = 1.0 + share * np.cos(angle)
     turned = -1.0 if along[0] <= along[1] else 1.0  # keeps triangles counter-clockwise from outside
     return np.stack([reach * np.cos(ring), reach * np.sin(ring), turned * share * np.sin(angle)], axis=1)
-
-
-def read_map(path: str | os.PathLike[str]) -> MapResult | TorusMap:
-    """Read a map of any kind; the file is opened once.
-
-    Raises:
-        OmtwarpError: the file is missing, or is no map.
-    """
-    arrays = result.read_map_arrays(path, MapResult, TorusMap)
-    kind = TorusMap if any(name in arrays for name in result.OF_TORUS_MAPS) else MapResult
-    return kind.from_arrays(arrays, path)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -93,7 +93,7 @@ class Registration:
         report.pop("optimality", None)
         report["registration"], report["certificate"] = self.to_dict(), self.certificate.to_dict()
         filled = None if turned.filled_sphere is None else self.closed_sphere
-        return replace(turned, sphere=self.sphere, filled_sphere=filled, report=report)
+        return turned.with_arrays({"sphere": self.sphere, "filled_sphere": filled, "report": report})
 
     def to_dict(self) -> dict[str, object]:
         """Return what is no array as plain values, ready for JSON, with percentiles of the strains."""

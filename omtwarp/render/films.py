@@ -25,6 +25,7 @@ from omtwarp.colors import backdrop
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.limits import MOST_FILM_PIXELS, MOST_FRAMES
 from omtwarp.location import combined
+from omtwarp.maps.domains import is_torus_map
 from omtwarp.mesh.arrays import Bytes, Floats, Ints
 from omtwarp.mesh.surface import SPHERE_AREA, as_unit_vectors, sums_around, triangle_areas
 from omtwarp.options import Backend, BackendLike, PatternLike, Progress, tell
@@ -32,14 +33,14 @@ from omtwarp.render import annotate, output
 from omtwarp.render.camera import Camera, Shot, as_light, as_view, camera_axes, frame
 from omtwarp.render.pictures import View, checked_rate, checked_size, render
 from omtwarp.render.scene import Appearance, Part, RenderJob, SurfaceView, normalisation, smooth_parts, welded_normals
-from omtwarp.render.subject import FinishedMap, Picture, is_torus_map, map_view, posed, torus_view
+from omtwarp.render.subject import FinishedMap, Picture, map_view, posed, torus_view
 from omtwarp.texturing.adaptive import rasterize
 from omtwarp.texturing.image import PictureLike
 from omtwarp.texturing.smooth import grid_shares, grid_triangles, smooth_map
 from omtwarp.texturing.textured import spheres_of, texture_torus
 
 if TYPE_CHECKING:
-    from omtwarp.maps.torus_map import TorusMap
+    from omtwarp.maps.result import MapResult
 
 
 PROBE_WIDTH = 192  # of the pictures on which motion is measured
@@ -49,7 +50,7 @@ BATCH = 12  # frames that are drawn together: their texture is uploaded once
 
 
 def film(
-    result: FinishedMap | TorusMap,
+    result: FinishedMap,
     path: str | os.PathLike[str],
     *,
     pattern: PatternLike = "circles",
@@ -73,7 +74,7 @@ def film(
     of every part, moved so that none hides another. No display is needed.
 
     Args:
-        result: a :class:`~omtwarp.MapResult` or :class:`~omtwarp.TorusMap`.
+        result: a :class:`~omtwarp.MapResult`.
         path: ``.mp4`` (needs the program ffmpeg), ``.gif`` or ``.webp``; the file appears whole or not at all.
         pattern: ``circles``, ``puzzle``, ``globe`` or ``checker``; on a torus the first or the last.
         image: equirectangular picture in place of the pattern, or one that repeats for a torus: a path, a PIL image or
@@ -358,7 +359,7 @@ def along_great_circles(first: Floats, last: Floats, time: float) -> Floats:
 
 
 def story_of(
-    result: FinishedMap | TorusMap,
+    result: FinishedMap,
     pattern: str,
     image: Picture | None,
     width: int,
@@ -432,7 +433,7 @@ def _centred(shown: SurfaceView) -> Floats:
 
 
 def _on_torus(
-    result: TorusMap, pattern: str, image: Picture | None, texels: int, up: str | None, front: str | None
+    result: MapResult, pattern: str, image: Picture | None, texels: int, up: str | None, front: str | None
 ) -> tuple[Story, SurfaceView]:
     """Return the course of a film of a map to a torus, which ends with a ring torus."""
     tube_turns = 24  # beginnings along the tube of a ring torus that are compared

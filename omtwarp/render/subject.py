@@ -12,15 +12,15 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, TypeAlias, TypeGuard, cast, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, TypeAlias, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.colors import to_srgb
 from omtwarp.errors import OmtwarpError
+from omtwarp.maps.domains import is_torus_map
 from omtwarp.mesh.arrays import Bytes, Floats, HasTriangles, Ints
-from omtwarp.options import Domain
 from omtwarp.render.camera import axis_vector
 from omtwarp.render.scene import SurfaceMaterial, SurfaceView
 from omtwarp.texturing.export import WHITE
@@ -29,7 +29,7 @@ from omtwarp.texturing.image import PictureLike
 if TYPE_CHECKING:
     import trimesh
 
-    from omtwarp.maps.torus_map import TorusMap
+    from omtwarp.maps.result import MapResult
     from omtwarp.texturing.painted import PaintedMesh
 
 
@@ -56,11 +56,6 @@ Picture: TypeAlias = PictureLike
 Subject: TypeAlias = "str | os.PathLike[str] | HasTriangles | SurfaceView | tuple[ArrayLike, ArrayLike]"
 
 
-def is_torus_map(subject: object) -> TypeGuard[TorusMap]:
-    """Return whether a subject is a map to a torus."""
-    return getattr(subject, "domain", None) == Domain.TORUS
-
-
 def as_surface_view(subject: Subject, image: Picture | None = None) -> SurfaceView:
     """Make a view of a file, a ``trimesh.Trimesh``, a ``MapResult``, ``TexturedSurface``, (vertices, faces) or a view.
 
@@ -74,10 +69,13 @@ def as_surface_view(subject: Subject, image: Picture | None = None) -> SurfaceVi
     if isinstance(subject, (str, os.PathLike)):
         path = Path(subject)
         if path.suffix.lower() == ".npz":
-            from omtwarp.maps.torus_map import read_map as read
+            from omtwarp.maps.result import MapResult
+
+            subject = MapResult.load(path)
         else:
-            from omtwarp.texturing.read import read_painted_mesh as read  # type: ignore[assignment]
-        subject = read(path)
+            from omtwarp.texturing.read import read_painted_mesh
+
+            subject = read_painted_mesh(path)
     if isinstance(subject, SurfaceView):
         view = subject
     elif is_torus_map(subject):
@@ -126,7 +124,7 @@ def map_view(
     """
     if which not in ("optimal", "conformal") or on not in ("surface", "sphere"):
         raise OmtwarpError(f"unknown view ('{which}', '{on}'): use optimal or conformal, and surface or sphere")
-    sphere = result.sphere if which == "optimal" else result.conformal
+    sphere = {"optimal": result.sphere, "conformal": result.conformal}[which]
     if sphere is None:
         raise OmtwarpError(f"this map has no {which} stage to show")
     picture = checker_image() if image is None else image
@@ -136,7 +134,7 @@ def map_view(
 
 
 def torus_view(
-    result: TorusMap,
+    result: MapResult,
     image: Picture | None = None,
     *,
     which: str = "optimal",
@@ -157,7 +155,7 @@ def torus_view(
     """
     if which not in ("optimal", "conformal") or on not in ("surface", "torus"):
         raise OmtwarpError(f"unknown view ('{which}', '{on}'): use optimal or conformal, and surface or torus")
-    shown = result if which == "optimal" else replace(result, coordinates=result.conformal)
+    shown = result if which == "optimal" else result.with_arrays({"coordinates": result.conformal})
     from omtwarp.texturing.textured import texture_torus
 
     cut = texture_torus(shown, image, None if image is not None else pattern)

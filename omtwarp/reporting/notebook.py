@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Unpack, cast
 import numpy as np
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.maps.domains import is_torus_map
 from omtwarp.maps.result import MapResult
-from omtwarp.maps.torus_map import TorusMap
 from omtwarp.render import Camera, SurfaceView, preview
 from omtwarp.render.pictures import PreviewOptions
 from omtwarp.render.subject import map_view, torus_view
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 PATTERN = "circles"
 
 
-def notebook_view(result: MapResult | TorusMap) -> str:
+def notebook_view(result: MapResult) -> str:
     """Make the HTML of a map for a notebook: a picture, and over it an interactive view where scripts may run.
 
     The view is a page of its own in a frame that may run the two scripts in it, by their hashes, and load nothing.
@@ -37,7 +37,7 @@ def notebook_view(result: MapResult | TorusMap) -> str:
     still = (640, 360)
     height = 460  # pixels of the view
     caption = html("<p style='margin:.3em 0;font-size:90%'>{}</p>", repr(result))
-    if not isinstance(result, MapResult):
+    if is_torus_map(result):
         return str(html('<div><img alt="{}" src="{}">{}</div>', repr(result), data_uri(plot(result), "webp"), caption))
     stages = stages_of(result)
     poster = data_uri(plot(result, transparent=True, size=still, camera=Camera(margin=0.03)), "webp")
@@ -55,20 +55,20 @@ def view_page(result: MapResult, stages: list[Stage], poster: str) -> str:
     return page_with_view("notebook.html", scene, title=repr(result), view=view)
 
 
-def plot(result: MapResult | TorusMap, *, pattern: str = PATTERN, **options: Unpack[PreviewOptions]) -> Image:
+def plot(result: MapResult, *, pattern: str = PATTERN, **options: Unpack[PreviewOptions]) -> Image:
     """Draw a map; see :meth:`omtwarp.maps.Displayable.plot`."""
     picture_width = 1024  # texels around the sphere of the texture of still pictures
     options.setdefault("size", (640, 480))
     image = options.pop("image", None)
     if options.get("scalar") is not None:
         return cast("Image", preview(SurfaceView(result.vertices, result.faces), **options))
-    if not isinstance(result, MapResult):
+    if is_torus_map(result):
         return cast("Image", preview(torus_view(result, image, pattern=pattern), **options))
     shown = map_view(result, rasterize(pattern, picture_width) if image is None else image)
     return cast("Image", preview(shown, **options))
 
 
-def to_pyvista(result: MapResult | TorusMap) -> pyvista.PolyData:
+def to_pyvista(result: MapResult) -> pyvista.PolyData:
     """Make PyVista's mesh of a map; see :meth:`omtwarp.maps.Displayable.to_pyvista`."""
     try:
         import pyvista
@@ -83,7 +83,7 @@ def to_pyvista(result: MapResult | TorusMap) -> pyvista.PolyData:
     return mesh
 
 
-def to_polyscope(result: MapResult | TorusMap, name: str = "surface") -> polyscope.SurfaceMesh:
+def to_polyscope(result: MapResult, name: str = "surface") -> polyscope.SurfaceMesh:
     """Register a map with Polyscope; see :meth:`omtwarp.maps.Displayable.to_polyscope`."""
     try:
         import polyscope
@@ -94,7 +94,7 @@ def to_polyscope(result: MapResult | TorusMap, name: str = "surface") -> polysco
     vertices, faces = np.asarray(result.vertices), np.asarray(result.faces)
     shown = polyscope.register_surface_mesh(name, vertices, faces)
     meshes = [shown]
-    if isinstance(result, MapResult):
+    if not is_torus_map(result):
         scale = 0.5 * float(np.ptp(vertices, axis=0).max())
         beside = vertices.mean(axis=0) + (2.5 * scale, 0.0, 0.0)
         meshes.append(
@@ -106,6 +106,6 @@ def to_polyscope(result: MapResult | TorusMap, name: str = "surface") -> polysco
     return shown
 
 
-def _distortions(result: MapResult | TorusMap) -> dict[str, np.ndarray]:
+def _distortions(result: MapResult) -> dict[str, np.ndarray]:
     measured = result.distortion()
     return {"area_ratio": np.array(measured.area_ratio), "angle": np.array(measured.face_angle)}

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import as_path, check_output, write_text
+from omtwarp.maps.domains import is_torus_map
 from omtwarp.maps.result import MapReport, MapResult, StageReport
-from omtwarp.maps.torus_map import TorusMap, ring_torus, tube_radius
+from omtwarp.maps.torus_map import ring_torus, tube_radius
 from omtwarp.mesh.arrays import Bytes
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.options import PatternLike
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 
 
 def write_report(
-    result: MapResult | TorusMap,
+    result: MapResult,
     path: str | os.PathLike[str],
     *,
     title: str | None = None,
@@ -52,8 +53,7 @@ def write_report(
     (section 6 of the paper), the cost of the transport over its iterations, what each stage did, and the certificate.
 
     Args:
-        result: a :class:`~omtwarp.maps.result.MapResult`; or a :class:`omtwarp.TorusMap`, of which the view shows the
-            ring torus.
+        result: a :class:`omtwarp.MapResult`; of a map to a torus the view shows the ring torus.
         path: the file to write; it appears whole or not at all.
         title: heading of the page; "Map report" by default.
         image: equirectangular picture shown on the surface: a path, a PIL image or an array [H, W, 3].
@@ -85,7 +85,7 @@ def write_report(
 
 
 def report_page(
-    result: MapResult | TorusMap,
+    result: MapResult,
     *,
     title: str | None = None,
     image: PictureLike | None = None,
@@ -100,10 +100,10 @@ def report_page(
         OmtwarpError: as :func:`write_report`.
     """
     known = ("vertices", "faces", "sphere", "conformal", "distortion", "report")
-    if not isinstance(result, TorusMap) and not all(hasattr(result, name) for name in known):
+    if not is_torus_map(result) and not all(hasattr(result, name) for name in known):
         raise OmtwarpError(f"cannot report on a {type(result).__name__}: give a result of map_to_sphere")
     pose, report = posed(SurfaceView(result.vertices, result.faces), up), shown_report(result)
-    if isinstance(result, TorusMap):
+    if is_torus_map(result):
         heading, shown, stages = "Map to a torus", "The pattern", torus_stages(result)
         scene = torus_scene(result, stages, image, pattern, pose)
         poster, drawn = _torus_pictures(result, image, pattern, pose, picture_size, device)
@@ -198,7 +198,7 @@ LAST = {
 }
 
 
-def torus_stages(result: TorusMap) -> list[Stage]:
+def torus_stages(result: MapResult) -> list[Stage]:
     """Return the conformal and the final map as stages, whose points lie on the ring torus, at most 1 from its centre.
 
     Args:
@@ -213,7 +213,7 @@ def torus_stages(result: TorusMap) -> list[Stage]:
     stages = []
     for key, stage, places, (label, colour) in (
         ("conformal", "conformal", result.conformal, ("Conformal", "--before")),
-        (name, "torus", result.coordinates, LAST[name]),
+        (name, "coordinates", result.coordinates, LAST[name]),
     ):
         points = ring_torus(places, result.lattice) / outside
         record: StageReport = records.get(key, {})
@@ -222,7 +222,7 @@ def torus_stages(result: TorusMap) -> list[Stage]:
 
 
 def torus_scene(
-    result: TorusMap, stages: list[Stage], image: PictureLike | None, pattern: str, pose: SurfaceView
+    result: MapResult, stages: list[Stage], image: PictureLike | None, pattern: str, pose: SurfaceView
 ) -> Scene:
     """Collect what the interactive view of a map to a torus needs; it shows every triangle.
 
@@ -279,7 +279,7 @@ PICTURES = (
 
 
 def _torus_pictures(
-    result: TorusMap, image: PictureLike | None, pattern: str, pose: SurfaceView, size: int, device: str
+    result: MapResult, image: PictureLike | None, pattern: str, pose: SurfaceView, size: int, device: str
 ) -> tuple[str, Markup]:
     """Draw a map to a torus; return the first picture, as a data URI, and the section with all of them."""
     drawn = []
@@ -296,7 +296,7 @@ def _torus_pictures(
     return data_uri(drawn[0], "webp"), sections.section("Before and after", words, pair)
 
 
-def _certificate(result: TorusMap) -> Markup:
+def _certificate(result: MapResult) -> Markup:
     """Return the certificate of a map to a torus, and the torus."""
     words = "The map is one to one" if result.certificate.bijective else "The map is not one to one"
     along = np.linalg.norm(result.lattice, axis=1)

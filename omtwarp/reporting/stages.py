@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.maps.result import MapReport, MapResult, StageReport
-from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.metrics.distortion import Distortion
@@ -39,12 +38,12 @@ REPORT: dict[str, object] = {
 HISTORY: list[object] = [{"iteration": NUMBER, "cost": NUMBER}]
 
 
-def shown_report(result: MapResult | TorusMap) -> MapReport:
+def shown_report(result: MapResult) -> MapReport:
     """Take from a result's report the fields that a page shows."""
     return cast(MapReport, _fitting(result.report, REPORT) or {})
 
 
-def shown_history(result: MapResult | TorusMap) -> list[Record]:
+def shown_history(result: MapResult) -> list[Record]:
     """Take from a result's history the iterations whose cost is known."""
     fitting = cast(list[Record], _fitting(result.history, HISTORY) or [])
     return [entry for entry in fitting if "cost" in entry]

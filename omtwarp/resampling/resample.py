@@ -26,7 +26,7 @@ from omtwarp.mesh.data import read_data
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.surface import MeshLike, sums_around, triangle_areas
-from omtwarp.options import Domain, Interpolation, InterpolationLike
+from omtwarp.options import Interpolation, InterpolationLike
 from omtwarp.resampling.averages import average_sphere, is_average
 from omtwarp.resampling.overlap_kernels import box_polygons, list_overlaps
 from omtwarp.spheres import SphereGrid, is_named, mesh_grid, named_grid
@@ -248,8 +248,6 @@ def as_points(given: PointsLike, name: str = "the sphere") -> SpherePoints:
         beside = _sphere_beside(path)
         sphere, surface = (mesh.vertices, None) if beside is None else (beside, mesh.vertices)
         return SpherePoints(mesh_grid(sphere, mesh.faces, str(path)), surface)
-    if getattr(given, "domain", None) == Domain.TORUS:
-        raise OmtwarpError(f"{name}: a map to a torus, where one to the sphere is needed, as cut=True makes")
     if isinstance(given, tuple | list) and len(given) == 2:
         return SpherePoints(mesh_grid(given[0], given[1], name))
     if hasattr(given, "vertices") and hasattr(given, "faces"):

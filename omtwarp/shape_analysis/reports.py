@@ -1,7 +1,6 @@
 """Pages and files about groups of shapes, and about registrations: tables, meshes, and pictures of what differs."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -219,7 +218,8 @@ def film_warp(path: Path, registration: Registration, result: MapResult) -> Path
         registration: the registration.
         result: the map that was registered.
     """
-    return film(replace(registration.registered(result), conformal=registration.start.sphere), path, captions=False)
+    moved = registration.registered(result).with_arrays({"conformal": registration.start.sphere})
+    return film(moved, path, captions=False)
 
 
 def _facts(registration: Registration) -> Markup:

@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError, OmtwarpWarning, check_word
-from omtwarp.maps.result import StoredMap
-from omtwarp.maps.torus_map import TorusMap
+from omtwarp.maps.domains import is_torus_map
+from omtwarp.maps.result import MapResult
 from omtwarp.mesh.arrays import Bytes, Floats, Ints
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.surface import plane_areas, triangle_areas, vertex_normals
@@ -35,7 +35,7 @@ from omtwarp.texturing.unwrap import pack_rows
 
 
 def paint(
-    result: SphereMap | TorusMap | tuple[ArrayLike, ArrayLike, ArrayLike],
+    result: SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike],
     mesh: PaintedMesh | None = None,
     image: PictureLike | None = None,
     *,
@@ -61,7 +61,7 @@ def paint(
     the picture, as mirrored halves do, the first one gets the texel, and a warning says for which share of the picture.
 
     Args:
-        result: a :class:`~omtwarp.MapResult`, a :class:`~omtwarp.TorusMap`, anything with ``vertices``, ``faces`` and
+        result: a :class:`~omtwarp.MapResult`, anything with ``vertices``, ``faces`` and
             ``sphere``, or the three as a tuple.
         mesh: the mesh that was mapped, with coordinates and materials (:func:`omtwarp.read_painted_mesh`); needed for
             own coordinates and for ``keep``.
@@ -102,10 +102,10 @@ def paint(
     if image is not None and pattern is not None:
         raise OmtwarpError("both an image and a pattern were given: a texture is made from one of them")
     _check_options(uv, keep, opacity, mesh)
-    torus = result if isinstance(result, TorusMap) else None
-    if isinstance(result, TorusMap):
-        vertices, faces, sphere, parts = result.vertices, result.faces, result.vertices, None
-        on_map = plane_areas(result.corners @ result.lattice)
+    torus = result if is_torus_map(result) else None
+    if torus is not None:
+        vertices, faces, sphere, parts = torus.vertices, torus.faces, torus.vertices, None
+        on_map = plane_areas(torus.corners @ torus.lattice)
     else:
         vertices, faces, sphere = as_map(result)
         parts, on_map = spheres_of(result), triangle_areas(sphere, faces)
@@ -116,7 +116,7 @@ def paint(
     fine = None
     if detail is not None:
         fine = (np.asarray(detail[0], dtype=np.float64), np.ascontiguousarray(detail[1], dtype=np.int32))
-    stored = result if isinstance(result, StoredMap) else None
+    stored = result if isinstance(result, MapResult) else None
     origins, structure = (None, None) if stored is None else (stored.origins, stored.report.get("structure"))
     painting = _Painting(
         vertices, faces, sphere, torus, parts, on_map, origins, structure,
@@ -220,7 +220,7 @@ class _Painting:
     vertices: Floats
     faces: Ints
     sphere: Floats
-    torus: TorusMap | None
+    torus: MapResult | None
     parts: NDArray[np.intp] | None
     on_map: Floats
     origins: Origins | None
@@ -392,9 +392,9 @@ class _Painting:
 
     def _textured(self, result: MapLike, size: int | None) -> TexturedSurface:
         """Return the texture of a map, with a picture of one colour where there are bakes alone."""
-        if isinstance(self.pattern, Pattern) and isinstance(result, TorusMap):
+        if isinstance(self.pattern, Pattern) and is_torus_map(result):
             raise OmtwarpError("a Pattern is for the sphere: a torus takes circles, checker or a picture that repeats")
-        plain = None if self.drawn or isinstance(result, TorusMap) else np.zeros((16, 32, 3), dtype=np.uint8)
+        plain = None if self.drawn or is_torus_map(result) else np.zeros((16, 32, 3), dtype=np.uint8)
         return texture(
             result, self.image if plain is None else plain, pattern=self.pattern, projection=self.projection,
             atlas=self.atlas, rotate=self.rotate, size=SIZE if size is None and plain is not None else size,

@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError, check_word
 from omtwarp.files.output import as_path
-from omtwarp.maps.torus_map import TorusMap
+from omtwarp.maps.domains import is_torus_map
+from omtwarp.maps.result import MapResult
 from omtwarp.mesh.arrays import Bytes, Floats, HasTriangles, Ints, real_number, real_numbers
 from omtwarp.mesh.surface import as_faces, as_unit_vectors, unit_normals, vertex_normals
 from omtwarp.mesh.write import write_mesh
@@ -183,12 +184,12 @@ class SphereMap(HasTriangles, Protocol):
         """Images of the vertices, shape [V, 3]."""
 
 
-MapLike: TypeAlias = SphereMap | TorusMap | tuple[ArrayLike, ArrayLike, ArrayLike]
+MapLike: TypeAlias = SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike]
 """A surface and its map, in any of the forms that public functions take."""
 
 
 def texture(
-    result: SphereMap | TorusMap | tuple[ArrayLike, ArrayLike, ArrayLike],
+    result: SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike],
     image: PictureLike | None = None,
     *,
     pattern: PatternLike | Pattern | None = None,
@@ -204,7 +205,7 @@ def texture(
 
     Args:
         result: a :class:`~omtwarp.MapResult`, anything with ``vertices``, ``faces`` and ``sphere``, or the three
-            as a tuple; or a :class:`omtwarp.TorusMap`, whose texture repeats both ways.
+            as a tuple. The texture of a map to a torus repeats both ways.
         image: a path, a PIL image or an array [H, W, 3]; its left and right borders are longitude -180 and 180 degrees,
             its top is the north pole (+z).
         pattern: ``circles``, ``puzzle``, ``globe`` or ``checker``, or a
@@ -245,7 +246,7 @@ def texture(
     """
     if image is not None and pattern is not None:
         raise OmtwarpError("both an image and a pattern were given: a texture is made from one of them")
-    if isinstance(result, TorusMap):
+    if is_torus_map(result):
         if isinstance(size, (str, tuple)):
             raise OmtwarpError(f"texture size '{size}': a map to a torus takes a width in texels")
         if (projection, atlas, rotate, seam_longitude) != ("equirectangular", "cube", None, 180.0):
@@ -315,7 +316,7 @@ def _chosen_size(
 
 
 def texture_torus(
-    result: TorusMap, image: PictureLike | None, pattern: str | Pattern | None, size: int | None = None
+    result: MapResult, image: PictureLike | None, pattern: str | Pattern | None, size: int | None = None
 ) -> TexturedSurface:
     """Texture a surface with a picture that closes up both ways on its torus, cut where the coordinates jump."""
     if image is None:
@@ -453,6 +454,8 @@ def as_map(result: SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike]) -> tuple[
         try:
             parts = (result.vertices, result.faces, result.sphere)  # type: ignore[union-attr]
         except AttributeError as error:
+            if isinstance(error, OmtwarpError):
+                raise  # it is a map, to another domain
             raise OmtwarpError(
                 f"cannot use a {type(result).__name__}: give a result of map_to_sphere, or vertices, faces and sphere"
             ) from error

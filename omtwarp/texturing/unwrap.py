@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.maps.torus_map import TorusMap
+from omtwarp.maps.domains import is_torus_map
+from omtwarp.maps.result import MapResult
 from omtwarp.mesh.arrays import TINY, Floats, Ints
 from omtwarp.mesh.surface import plane_areas, triangle_areas
 from omtwarp.texturing.atlas import CUBE_FRAMES
@@ -29,7 +30,7 @@ _Charts: TypeAlias = tuple[Floats, NDArray[np.intp]]
 
 
 def unwrap_uv(
-    result: SphereMap | TorusMap | tuple[ArrayLike, ArrayLike, ArrayLike],
+    result: SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike],
     *,
     aspect: float = 1.0,
     margin: float = MARGIN,
@@ -48,7 +49,7 @@ def unwrap_uv(
       as fill the picture best; texels are of the same size and square where the map is.
 
     Args:
-        result: a :class:`~omtwarp.MapResult`, a :class:`~omtwarp.TorusMap`, anything with ``vertices``, ``faces`` and
+        result: a :class:`~omtwarp.MapResult`, anything with ``vertices``, ``faces`` and
             ``sphere``, or the three as a tuple; a map that is one to one.
         aspect: width of the picture over its height; for one sphere 1.5 leaves no part of the cells unused, 1 is what
             game engines expect.
@@ -80,7 +81,7 @@ def laid_out(result: MapLike, aspect: float = 1.0, margin: float = MARGIN) -> tu
     """
     if not ASPECTS[0] <= aspect <= ASPECTS[1] or not 0.0 <= margin <= MOST_MARGIN:
         raise OmtwarpError(f"aspect {aspect}, margin {margin}: give 0.1 to 10, and 0 to 0.1")
-    if isinstance(result, TorusMap):
+    if is_torus_map(result):
         vertices, faces = result.vertices, result.faces
         charts = _strips(result, aspect)
     else:
@@ -140,7 +141,7 @@ def _scales(on_surface: Floats, on_map: Floats, parts: NDArray[np.intp]) -> Floa
     return np.sqrt(np.bincount(parts, on_surface) / np.maximum(np.bincount(parts, on_map), TINY))
 
 
-def _strips(result: TorusMap, aspect: float) -> _Charts:
+def _strips(result: MapResult, aspect: float) -> _Charts:
     """Return the charts of a map to a torus: strips of a rectangle along the longer of the lattice's vectors.
 
     A triangle lies where its centroid is in the rectangle; no two overlap, as the map is one to one.

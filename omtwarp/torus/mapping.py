@@ -11,15 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
-from omtwarp.maps.result import StageReport, origin_arrays
-from omtwarp.maps.torus_map import TorusMap
+from omtwarp.maps.result import MapResult, StageReport, origin_arrays
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.quarter import PARTS, QuarteredSurface, quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics.optimality import torus_optimality
 from omtwarp.optimal.refinement import not_matched
 from omtwarp.optimal.solver import OptimalMap
-from omtwarp.options import AreaMatch, Progress, Record, continued, parse_refinement, tell
+from omtwarp.options import AreaMatch, Domain, Progress, Record, continued, parse_refinement, tell
 from omtwarp.torus.harmonic import QUANTUM, FlatTorus, conformal_torus, embedded_torus, quantised
 from omtwarp.torus.transport import Report, eased_on_torus, exact_on_torus, refine_on_torus, transport_on_torus
 
@@ -35,7 +34,7 @@ def map_to_torus(
     strict: bool = False,
     progress: Progress | None = None,
     device: str | None = "auto",
-) -> TorusMap:
+) -> MapResult:
     """Map a closed surface of genus 1 to a flat torus, areas around vertices kept, by optimal transport.
 
     Args:
@@ -144,11 +143,12 @@ class _TorusComputation:
         self.stages.append({"name": name, "seconds": now - self.clock, **details, **shown})
         self.clock = now
 
-    def made(self, torus: FlatTorus) -> TorusMap:
+    def made(self, torus: FlatTorus) -> MapResult:
         """Make the result with these coordinates."""
         surface = self.surface
         area = float(triangle_areas(surface.vertices, surface.faces).sum())
-        return TorusMap(
+        return MapResult(
+            domain=Domain.TORUS,
             vertices=surface.vertices,
             faces=surface.faces,
             coordinates=torus.coordinates,
@@ -158,7 +158,7 @@ class _TorusComputation:
             history=self.history,
         ).with_arrays(origin_arrays(surface.origins))
 
-    def result(self, strict: bool) -> TorusMap:
+    def result(self, strict: bool) -> MapResult:
         """Return the finished map; with a warning, or an error if strict, where areas are wrong.
 
         Raises:

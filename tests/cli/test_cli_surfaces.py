@@ -13,7 +13,6 @@ from scipy import sparse
 import omtwarp
 from omtwarp.commands._cli import main
 from omtwarp.commands._work import quality
-from omtwarp.maps.torus_map import read_map
 from omtwarp.mesh import shapes
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.write import write_mesh
@@ -172,13 +171,13 @@ def test_torus(capsys, tmp_path):
         status, out, err = run(capsys, "map", tmp_path / "ring.ply", "-o", tmp_path / name, "--torus")
         assert status == 0, err
         assert "flips 0, degree 1" in out
-    assert omtwarp.TorusMap.load(tmp_path / "m.npz").bijective
+    assert omtwarp.MapResult.load(tmp_path / "m.npz").bijective
     status, _, err = run(capsys, "preview", tmp_path / "m.glb", "-o", tmp_path / "m.png", "--quiet")
     assert status == 0, err
     status, _, err = run(capsys, "map", tmp_path / "ring.ply", "-o", tmp_path / "m.ply", "--torus")
     assert status == 0, err
     ring = read_mesh(tmp_path / "m.ply")
-    assert len(ring.faces) == len(omtwarp.TorusMap.load(tmp_path / "m.npz").faces)
+    assert len(ring.faces) == len(omtwarp.MapResult.load(tmp_path / "m.npz").faces)
     assert np.ptp(ring.vertices[:, 2]) < 0.7 * np.ptp(ring.vertices[:, 0])
     whole = tmp_path / "m.npz"
     for words in (
@@ -292,7 +291,7 @@ def test_commands_take_a_kind_of_map_or_say_why_not(capsys, maps, tmp_path, kind
         assert not list(tmp_path.iterdir())
     else:
         assert shown
-        result = read_map(words["map"])
+        result = omtwarp.MapResult.load(words["map"])
         for word in command.split():
             if word.startswith("{out}"):
                 look_at(tmp_path / word.format(out="out"), command, result)

@@ -19,7 +19,6 @@ from PIL import Image
 
 from omtwarp.cohort.page import write_page
 from omtwarp.maps.result import MapResult
-from omtwarp.maps.torus_map import TorusMap
 from omtwarp.mesh import shapes
 from omtwarp.reporting import report_page, scene, write_report
 from omtwarp.reporting.stages import REPORT
@@ -142,12 +141,12 @@ def torus_page(folder, words):
     ring = trimesh.creation.torus(1.0, 0.4, major_sections=8, minor_sections=5)
     count = len(ring.vertices)
     report = filled(REPORT, words) | {words: words, "certificate": {words: words}}
-    made = TorusMap(
-        ring.vertices, ring.faces, np.zeros((count, 2)), np.zeros((len(ring.faces), 3, 2), int), np.eye(2),
-        np.zeros((count, 2)), report=report,
+    made = MapResult(
+        ring.vertices, ring.faces, coordinates=np.zeros((count, 2)), wraps=np.zeros((len(ring.faces), 3, 2), int),
+        lattice=np.eye(2), conformal=np.zeros((count, 2)), domain="torus", report=report,
     )  # fmt: skip
     made.save(folder / "torus.npz")
-    return write_report(TorusMap.load(folder / "torus.npz"), folder / "page.html", title=words)
+    return write_report(MapResult.load(folder / "torus.npz"), folder / "page.html", title=words)
 
 
 def open_surface_page(folder, words):

@@ -94,7 +94,7 @@ def test_data_of_the_file_follow_a_map_to_a_torus(tmp_path):
         with pytest.raises(SystemExit) as end:
             main(line.split())
         assert not end.value.code
-    result = omtwarp.TorusMap.load(tmp_path / "map.npz")
+    result = omtwarp.MapResult.load(tmp_path / "map.npz")
     assert np.array_equal(result.origins.prolong(np.asarray(ring.vertices)), result.vertices)
 
 

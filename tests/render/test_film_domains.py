@@ -17,7 +17,7 @@ CAMERA = Camera()
 
 
 @pytest.fixture(scope="module")
-def ring() -> omtwarp.TorusMap:
+def ring() -> omtwarp.MapResult:
     """A ring with a thick side, so that the conformal map is not the optimal one."""
     mesh = trimesh.creation.torus(1.0, 0.3, major_sections=32, minor_sections=12)
     thick = mesh.vertices * np.where(mesh.vertices[:, :1] > 0, 1.3, 1.0)

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 import omtwarp
 from omtwarp import OmtwarpError, align, resample, shapes
 from omtwarp.mesh.surface import triangle_areas
+from omtwarp.render import comparison
 from omtwarp.resampling import SpherePoints, as_points
 from omtwarp.resampling.resample import overlap_areas
 from omtwarp.shape_analysis import shape_distance, study_group
@@ -201,6 +202,18 @@ def test_maps_to_a_torus_are_named():
     result = omtwarp.map_surface((ring.vertices, ring.faces))
     for use in (lambda: align(result), lambda: resample("ico2", result), lambda: shape_distance(result, result)):
         with pytest.raises(OmtwarpError, match="a map to a torus, where one to the sphere is needed"):
+            use()
+    ball = shapes.icosphere(2)
+    sphere = omtwarp.MapResult(ball.vertices, ball.faces, ball.vertices, ball.vertices, np.ones(ball.vertex_count))
+    painted = omtwarp.unwrap_uv(sphere)
+    for use in (
+        lambda: result.sphere,
+        lambda: result.turned(TURN),
+        lambda: align(sphere).turned(result),
+        lambda: omtwarp.transfer_texture(painted, sphere, result),
+        lambda: comparison(result),
+    ):
+        with pytest.raises(OmtwarpError, match="the domain of this map is 'torus': it has no 'sphere'"):
             use()
     with pytest.raises(OmtwarpError, match=r"see report\['optimality'\]"):
         omtwarp.map_optimality(result)

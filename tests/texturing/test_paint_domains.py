@@ -14,7 +14,7 @@ from omtwarp.texturing.patterns.checker import Checker
 
 
 @pytest.fixture(scope="module")
-def ring() -> omtwarp.TorusMap:
+def ring() -> omtwarp.MapResult:
     mesh = trimesh.creation.torus(1.0, 0.4, major_sections=32, minor_sections=16)
     return omtwarp.map_surface(mesh, domain="torus")
 

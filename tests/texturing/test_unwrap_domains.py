@@ -13,7 +13,7 @@ from omtwarp.texturing.unwrap import MARGIN, laid_out, pack_rows, unwrap_uv
 
 
 @pytest.fixture(scope="module")
-def ring() -> omtwarp.TorusMap:
+def ring() -> omtwarp.MapResult:
     """A ring four times as long as it is thick, mapped to a torus."""
     mesh = trimesh.creation.torus(1.0, 0.25, major_sections=48, minor_sections=12)
     return omtwarp.map_surface(mesh, domain="torus")
