@@ -15,7 +15,7 @@ from omtwarp.geometry.axes import fitted_rotation
 from omtwarp.geometry.harmonics import check_degree, harmonics_in_parts
 from omtwarp.geometry.sphere_hierarchy import triangle_solid_angles
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.arrays import TINY, Floats, in_range, real_numbers
+from omtwarp.mesh.arrays import TINY, Floats, in_range, norms, real_numbers
 from omtwarp.mesh.surface import sums_around
 from omtwarp.options import AlignBy, AlignByLike
 from omtwarp.resampling import SpherePoints, as_points
@@ -52,7 +52,7 @@ def own_features(points: SpherePoints) -> dict[str, Floats]:
         )
     masses = points.surface_areas()
     centre = masses @ points.vertices / masses.sum()
-    features = {"radius": np.linalg.norm(points.vertices - centre, axis=1)}
+    features = {"radius": norms(points.vertices - centre)}
     weights = sphere_weights(points)
     here, there = (np.maximum(areas / areas.sum(), smallest_share) for areas in (masses, weights))
     ratio = np.log(here / there)
@@ -454,7 +454,7 @@ def _onto_directions(points: SpherePoints) -> tuple[Floats, float]:
     assert points.vertices is not None  # of own_features
     masses = points.surface_areas()
     radial = points.vertices - masses @ points.vertices / masses.sum()
-    radial /= np.maximum(np.linalg.norm(radial, axis=1, keepdims=True), TINY)
+    radial /= np.maximum(norms(radial)[..., None], TINY)
     rotation, agreement = fitted_rotation((points.grid.points * masses[:, None]).T @ radial)
     return rotation, agreement / float(masses.sum())
 

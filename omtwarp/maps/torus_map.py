@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from omtwarp.flips.exact import flipped_faces
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Floats, norms
 from omtwarp.mesh.surface import plane_areas
 
 
@@ -56,7 +56,7 @@ def certify_torus(corners: Floats) -> TorusCertificate:
 def tube_radius(lattice: Floats) -> float:
     """Return the radius of the tube of a lattice's ring torus; that of the ring is 1."""
     most_tube = 0.8  # radius of the tube over the ring's: a fatter one hides its inside
-    along = np.linalg.norm(lattice, axis=1)
+    along = norms(lattice)
     return min(float(along.min() / along.max()), most_tube)
 
 
@@ -71,7 +71,7 @@ def ring_torus(coordinates: Floats, lattice: Floats) -> Floats:
         coordinates: in multiples of the lattice's vectors, shape [N, 2].
         lattice: the vectors, as rows, shape [2, 2].
     """
-    along = np.linalg.norm(lattice, axis=1)
+    along = norms(lattice)
     share = tube_radius(lattice)
     tube, ring = (coordinates.T if along[0] <= along[1] else coordinates.T[::-1]) * (2.0 * np.pi)
     angle = tube.copy()

@@ -3,7 +3,7 @@
 import numpy as np
 
 from omtwarp.location import Locator
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Floats, cross, dots
 from omtwarp.mesh.surface import Surface
 from omtwarp.refine.further import VertexDerivatives
 
@@ -41,21 +41,21 @@ class FeatureField:
         # w_k = n_k x / n x, n_k the cross product of the other corners, n their sum: its slope is (n_k - w_k n) / n x.
         mean = 0.5 * np.einsum("pk,pkdc->pdc", shares, slopes)
         factors = at_corners + np.einsum("pkd,pdc->pkc", places, mean)
-        normals = np.stack([np.cross(places[:, k - 2], places[:, k - 1]) for k in range(3)], axis=1)
+        normals = np.stack([cross(places[:, k - 2], places[:, k - 1]) for k in range(3)], axis=1)
         whole = normals.sum(axis=1)
         change = np.einsum("pkd,pkc->pdc", normals, factors)
         change -= whole[:, :, None] * np.einsum("pk,pkc->pc", shares, factors)[:, None]
-        return values, change / (whole * points).sum(axis=1)[:, None, None]
+        return values, change / dots(whole, points)[:, None, None]
 
 
 def _slopes(surface: Surface, values: Floats) -> Floats:
     """Return the gradients of functions at vertices, [N, K], that are linear in each triangle, shape [F, 3, K]."""
     corner = surface.vertices[surface.faces]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    square = (normal * normal).sum(axis=1)[:, None, None]
+    normal = cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    square = dots(normal, normal)[:, None, None]
     slopes = np.zeros((surface.face_count, 3, values.shape[1]))
     for k in range(3):
-        across = np.cross(normal, corner[:, k - 1] - corner[:, k - 2])
+        across = cross(normal, corner[:, k - 1] - corner[:, k - 2])
         slopes += across[:, :, None] * values[surface.faces[:, k]][:, None, :] / square
     return slopes
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import read_bytes
 from omtwarp.location import Locator
-from omtwarp.mesh.arrays import TINY, Floats, normalised, real_number, real_numbers, whole_numbers
+from omtwarp.mesh.arrays import TINY, Floats, normalised, norms, real_number, real_numbers, whole_numbers
 from omtwarp.mesh.surface import Surface
 from omtwarp.refine.further import VertexDerivatives, VertexTerm
 
@@ -74,7 +74,7 @@ class Pairs:
 
     def distances(self, images: Floats) -> dict[str, float]:
         """Return how far landmarks are from their places, in degrees, root mean square over curves."""
-        angles = np.degrees(2.0 * np.arcsin(np.clip(0.5 * np.linalg.norm(images - self.places, axis=1), 0.0, 1.0)))
+        angles = np.degrees(2.0 * np.arcsin(np.clip(0.5 * norms(images - self.places), 0.0, 1.0)))
         squares = np.bincount(self.owners, angles**2) / np.bincount(self.owners)
         return {label: float(np.sqrt(square)) for label, square in zip(self.labels, squares, strict=True)}
 
@@ -125,7 +125,7 @@ def _on_sphere(given: ArrayLike, sphere: Floats, count: int, name: str) -> Float
         points = real_numbers(array, name, (None, 3))
     if len(points) == 0:
         raise OmtwarpError(f"{name} has no points")
-    if np.linalg.norm(points, axis=1).min() < TINY:
+    if norms(points).min() < TINY:
         raise OmtwarpError(f"{name} has a point at the centre of the sphere")
     return normalised(points)
 
@@ -134,7 +134,7 @@ def _even(curve: Floats, count: int) -> Floats:
     """Return so many points at equal shares of the length of a curve, from its first point to its last."""
     if len(curve) == 1:
         return curve
-    ways = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
+    ways = np.concatenate([[0.0], np.cumsum(norms(np.diff(curve, axis=0)))])
     shares = np.linspace(0.0, ways[-1], count)
     return normalised(np.column_stack([np.interp(shares, ways, column) for column in curve.T]))
 
@@ -167,7 +167,7 @@ class LandmarkTerm:
         """
         met = 1e-5  # radians that exact landmarks are left apart at most
         left = np.where(self._exact[:, None], self._places - self._images(points)[0], 0.0)
-        farthest = float(np.linalg.norm(left, axis=1).max())
+        farthest = float(norms(left).max())
         if farthest < met or self._rounds == ROUNDS or farthest > 0.9 * self._last:
             return False
         self._rounds, self._last, self._pull = self._rounds + 1, farthest, self._pull + left
@@ -176,7 +176,7 @@ class LandmarkTerm:
     def _images(self, points: Floats) -> tuple[Floats, Floats]:
         """Return where a warp takes the points, shape [P, 3], and their lengths before they are scaled, [P, 1]."""
         sums = np.einsum("pk,pkd->pd", self._shares, points[self._corners])
-        lengths = np.linalg.norm(sums, axis=1, keepdims=True)
+        lengths = norms(sums)[..., None]
         return sums / lengths, lengths
 
     def at(self, points: Floats) -> VertexDerivatives:

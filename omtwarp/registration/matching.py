@@ -16,7 +16,7 @@ from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
 from omtwarp.location import Locator, combined
-from omtwarp.mesh.arrays import ROUND_OFF, Floats, normalised
+from omtwarp.mesh.arrays import ROUND_OFF, Floats, cross, normalised
 from omtwarp.mesh.surface import Surface
 from omtwarp.registration.landmarks import Pairs
 
@@ -209,8 +209,8 @@ class Matching:
 def _frames(points: Floats) -> Floats:
     """Return two tangents and the normal at unit vectors, as columns, shape [P, 3, 3]."""
     across = np.where(np.abs(points[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
-    along = normalised(np.cross(across, points))
-    return np.stack([along, np.cross(points, along), points], axis=2)
+    along = normalised(cross(across, points))
+    return np.stack([along, cross(points, along), points], axis=2)
 
 
 def _turns() -> Floats:

@@ -17,7 +17,7 @@ from omtwarp.files.inputs import write_arrays
 from omtwarp.files.output import as_path, folder_of_results
 from omtwarp.location import Locator
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Floats, norms
 from omtwarp.mesh.data import VertexData, write_data
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics.certificate import certify_triangles
@@ -131,8 +131,8 @@ def _step(one: Member, before: Member, first: Member, options: Options, output: 
     joined.registered(MapResult.load(one.path)).save(output)
     turned = chained.sphere @ registration.start.rotation.T
     ends = here.grid.points[here.grid.own_triangles]
-    edges = np.linalg.norm(ends - np.roll(ends, 1, axis=1), axis=2)
-    way = np.linalg.norm(joined.sphere - turned, axis=1)
+    edges = norms(ends - np.roll(ends, 1, axis=1))
+    way = norms(joined.sphere - turned)
     facts = {"drift": np.degrees(np.sqrt((way**2).mean())), "edge": np.degrees(edges.mean())}
     return {**joined.facts(), **facts, **growth(start.points, here.moved(joined.closed_sphere))}
 

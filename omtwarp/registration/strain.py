@@ -7,7 +7,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.flips.exact import flipped_faces
 from omtwarp.geometry.sphere_hierarchy import triangle_solid_angles
-from omtwarp.mesh.arrays import TINY, Floats
+from omtwarp.mesh.arrays import TINY, Floats, dots
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.surface import Surface, sums_around, triangle_areas
 from omtwarp.optimal.cells import MeasuredRings, RingCells
@@ -33,8 +33,8 @@ def octaves(before: Floats, after: Floats, faces: NDArray[np.int32]) -> tuple[Fl
         faces: triangles, shape [F, 3].
     """
     (p, q), (u, v) = ((x[faces[:, 1]] - x[faces[:, 0]], x[faces[:, 2]] - x[faces[:, 0]]) for x in (before, after))
-    pp, pq, qq = ((a * b).sum(axis=1) for a, b in ((p, p), (p, q), (q, q)))
-    uu, uv, vv = ((a * b).sum(axis=1) for a, b in ((u, u), (u, v), (v, v)))
+    pp, pq, qq = (dots(a, b) for a, b in ((p, p), (p, q), (q, q)))
+    uu, uv, vv = (dots(a, b) for a, b in ((u, u), (u, v), (v, v)))
     square = np.maximum(pp * qq - pq**2, TINY)
     areas = np.sqrt(np.maximum(uu * vv - uv**2, TINY) / square)
     # The squares of the stretches have this sum, and the square of the ratio of areas as their product.

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from omtwarp.errors import OmtwarpError, check_word
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Floats, cross
 
 # Azimuth and elevation in degrees.
 VIEWS: dict[str, tuple[float, float]] = {
@@ -153,13 +153,13 @@ def camera_axes(camera: Camera, up: str = "y", front: str | None = None) -> Floa
     forward = axis_vector(front or DEFAULT_FRONT[up[-1].lower()])
     if abs(upward @ forward) > 0.5:
         raise OmtwarpError(f"the upward axis '{up}' and the front axis '{front}' must be different axes")
-    right = np.cross(upward, forward)
+    right = cross(upward, forward)
     azimuth, elevation, roll = np.radians([camera.azimuth, camera.elevation, camera.roll])
     level = np.cos(azimuth) * forward + np.sin(azimuth) * right
     backward = np.cos(elevation) * level + np.sin(elevation) * upward
     # The derivative of `backward` along the meridian: it stays defined straight above and below.
     above = np.cos(elevation) * upward - np.sin(elevation) * level
-    side = np.cross(above, backward)
+    side = cross(above, backward)
     side, above = np.cos(roll) * side + np.sin(roll) * above, np.cos(roll) * above - np.sin(roll) * side
     return np.column_stack([side, above, backward])
 

@@ -26,7 +26,7 @@ from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.limits import MOST_FILM_PIXELS, MOST_FRAMES
 from omtwarp.location import combined
 from omtwarp.maps.domains import is_torus_map
-from omtwarp.mesh.arrays import Bytes, Floats, Ints
+from omtwarp.mesh.arrays import Bytes, Floats, Ints, cross, norms
 from omtwarp.mesh.surface import SPHERE_AREA, as_unit_vectors, sums_around, triangle_areas
 from omtwarp.options import Backend, BackendLike, PatternLike, Progress, tell
 from omtwarp.render import annotate, output
@@ -328,7 +328,7 @@ class Story:
             # During the second part, added points also move to the domain, not to the flat triangles inside it.
             fill = max(time - 1.0, 0.0) * (self.domain_points - self.weights @ self.domain)
             places, normals = self.weights @ places + fill, self.weights @ normals
-            normals /= np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)[:, None]
+            normals /= np.maximum(norms(normals), np.finfo(float).tiny)[:, None]
         look = Appearance(kind="uv" if self.on_torus else "sphere", value=points, image=self.image)
         look.repeat_rows = self.on_torus
         return Part(positions=places, normals=normals, faces=self.parts, **vars(look))
@@ -348,14 +348,14 @@ def along_great_circles(first: Floats, last: Floats, time: float) -> Floats:
     if time >= 1.0:
         return last
     cosine = np.einsum("ij,ij->i", first, last)
-    angle = np.arctan2(np.linalg.norm(np.cross(first, last), axis=1), cosine)[:, None]
+    angle = np.arctan2(norms(cross(first, last)), cosine)[:, None]
     sine = np.maximum(np.sin(angle), smallest_sine)
     # Near, radians: between points nearer than this the great circle is a straight line
     near = angle < 1e-6
     ahead = np.where(near, time, np.sin(time * angle) / sine)
     behind = np.where(near, 1.0 - time, np.sin((1.0 - time) * angle) / sine)
     points = behind * first + ahead * last
-    return points / np.maximum(np.linalg.norm(points, axis=1, keepdims=True), smallest_sine)
+    return points / np.maximum(norms(points)[..., None], smallest_sine)
 
 
 def story_of(
@@ -444,7 +444,7 @@ def _on_torus(
     surface = _centred(shown)
     weights = vertex_areas(surface, cut.faces)
     middle = np.average(surface, axis=0, weights=weights)
-    tube = int(np.argmin(np.linalg.norm(result.lattice, axis=1)))  # the vector that goes around the tube
+    tube = int(np.argmin(norms(result.lattice)))  # the vector that goes around the tube
     # Fitted: vertices, at most, that they are compared at
     chosen = np.linspace(0, len(surface) - 1, min(4000, len(surface))).astype(int)
     steps = np.zeros((tube_turns, 2))
@@ -545,19 +545,19 @@ def _facing(surface: Floats, faces: Ints, here: Floats, there: Floats, weights: 
         weights: of the vertices, shape [N].
     """
     corner = surface[faces]
-    normal = 0.5 * np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]).sum(axis=0)
+    normal = 0.5 * cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]).sum(axis=0)
     length = float(np.linalg.norm(normal))
     # Flat, of a surface's area: the length of its mean normal below which it has no side
     if length < 1e-3 * triangle_areas(surface, faces).sum():
         return None
     normal /= length
-    across = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    across = cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     across /= np.linalg.norm(across)
-    above = np.cross(normal, across)
+    above = cross(normal, across)
     x, y = here @ across, here @ above
     angle = math.atan2(weights @ (there[:, 0] * y - there[:, 1] * x), weights @ (there[:, 0] * x + there[:, 1] * y))
     right = math.cos(angle) * across + math.sin(angle) * above
-    return np.column_stack([right, np.cross(normal, right), normal])
+    return np.column_stack([right, cross(normal, right), normal])
 
 
 def _apart(centres: Floats, radii: Floats, axes: Floats) -> Floats:
@@ -581,7 +581,7 @@ def _apart(centres: Floats, radii: Floats, axes: Floats) -> Floats:
     # Pushes, of domains that hide each other, at most: 50 random ones took 41
     for _ in range(300):
         between = flat[:, None] - flat[None]
-        far = np.linalg.norm(between, axis=2)
+        far = norms(between)
         lack = np.maximum(wanted - far, 0.0)
         if lack.max() <= 0.5 * (SPACING - 1.0) * radii.min():
             break

@@ -16,7 +16,9 @@ from omtwarp.mesh.arrays import (
     Bytes,
     Floats,
     Ints,
+    cross,
     normalised,
+    norms,
     real_numbers,
     require_unit_length,
     summed,
@@ -313,7 +315,7 @@ def welded_normals(vertices: Floats, faces: Ints) -> Floats:
     group, members = weld(vertices)
     ends = vertices[members][group[faces]]
     sides = np.roll(ends, -1, axis=1) - ends
-    normal = np.cross(sides[:, 0], ends[:, 2] - ends[:, 0])
+    normal = cross(sides[:, 0], ends[:, 2] - ends[:, 0])
     squares = np.einsum("fkj,fkj->fk", sides, sides)
     weighted = normal[:, None] / np.maximum(squares * np.roll(squares, 1, axis=1), np.finfo(float).tiny)[..., None]
     normals = normalised(summed(weighted.reshape(-1, 3), group[faces].ravel(), len(members)))
@@ -338,7 +340,7 @@ def normalisation(view: SurfaceView) -> tuple[Floats, float]:
     low, high = used.min(axis=0), used.max(axis=0)
     centre = low / 2 + high / 2
     extent = max(float((high / 2 - low / 2).max()), np.finfo(float).tiny)
-    radius = extent * float(np.linalg.norm((used - centre) / extent, axis=1).max())
+    radius = extent * float(norms((used - centre) / extent).max())
     return centre, radius if radius > 0 else 1.0
 
 
@@ -395,7 +397,7 @@ def _build_part(view: SurfaceView, edges: bool = False, whole: SurfaceView | Non
         value, positions = value.reshape(len(flat), -1), positions[flat]
         if normals is None:
             a, b, c = (positions[k::3] for k in range(3))
-            normals = np.repeat(normalised(np.cross(b - a, c - a)), 3, axis=0)
+            normals = np.repeat(normalised(cross(b - a, c - a)), 3, axis=0)
         else:
             normals = normals[flat]
         faces = np.arange(len(flat), dtype=np.int32).reshape(-1, 3)
@@ -478,8 +480,8 @@ def arrow_part(view: SurfaceView, arrows: Arrows) -> Part | None:
     if len(vectors) != len(vertices):
         positions = positions[faces].mean(axis=1)
         normals = normals[faces].mean(axis=1)
-        normals /= np.maximum(np.linalg.norm(normals, axis=1), TINY)[:, None]
-    lengths = np.linalg.norm(vectors, axis=1)
+        normals /= np.maximum(norms(normals), TINY)[:, None]
+    lengths = norms(vectors)
     longest = lengths.max(initial=0.0)
     if longest == 0.0:
         return None
@@ -527,11 +529,11 @@ def _solid_arrows(feet: Floats, way: Floats, normal: Floats, size: Floats, longe
 
     sides = 8  # of an arrow's shaft and head: at the size of an arrow, corners are invisible
     across = 1e-6  # sine: an arrow that stands on the surface at right angles to within this takes another side
-    side = np.cross(normal, way)
-    weak = np.linalg.norm(side, axis=1) < across
-    side[weak] = np.cross(way[weak], np.eye(3)[np.argmin(np.abs(way[weak]), axis=1)])
-    side /= np.linalg.norm(side, axis=1)[:, None]
-    over = np.cross(way, side)
+    side = cross(normal, way)
+    weak = norms(side) < across
+    side[weak] = cross(way[weak], np.eye(3)[np.argmin(np.abs(way[weak]), axis=1)])
+    side /= norms(side)[:, None]
+    over = cross(way, side)
     # Thickness grows with the square root of the length: short arrows stay visible, long ones slim.
     thick = 0.045 * longest * np.sqrt(size / longest)
     head = np.minimum(0.45 * size, 5.5 * thick)

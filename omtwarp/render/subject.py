@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.colors import to_srgb
 from omtwarp.errors import OmtwarpError
 from omtwarp.maps.domains import is_torus_map
-from omtwarp.mesh.arrays import Bytes, Floats, HasTriangles, Ints
+from omtwarp.mesh.arrays import Bytes, Floats, HasTriangles, Ints, cross, norms
 from omtwarp.render.camera import axis_vector
 from omtwarp.render.scene import SurfaceMaterial, SurfaceView
 from omtwarp.texturing.export import WHITE
@@ -264,8 +264,8 @@ def upright(vertices: Floats, faces: Ints) -> tuple[str, str | None]:
     extent = max(float((high - low).max()), np.finfo(float).tiny)
     places = (vertices - low) / extent
     corner = places[faces]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    area = np.linalg.norm(normal, axis=1)
+    normal = cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    area = norms(normal)
     # Flat, of the extent: a flat sheet, which has no front of its own, is seen from +z
     if not area.sum() > 0.0 or (high - low).min() < 0.01 * extent:
         return "y", None
@@ -365,7 +365,7 @@ def _detail(places: Floats, faces: Ints, normal: Floats, area: Floats, axis: int
     one, other = order[pair] // 3, order[pair + 1] // 3
     ends = ends[order[pair]]
     angle = np.arccos(np.clip(np.einsum("ij,ij->i", normal[one], normal[other]), -1.0, 1.0))
-    bend = angle * np.linalg.norm(places[ends[:, 0]] - places[ends[:, 1]], axis=1)
+    bend = angle * norms(places[ends[:, 0]] - places[ends[:, 1]])
     sides = []
     for sign in (1.0, -1.0):
         facing = sign * normal[:, axis] > 0.5

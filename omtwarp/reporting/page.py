@@ -16,7 +16,7 @@ from omtwarp.files.output import as_path, check_output, write_text
 from omtwarp.maps.domains import is_torus_map
 from omtwarp.maps.result import MapReport, MapResult, StageReport
 from omtwarp.maps.torus_map import ring_torus, tube_radius
-from omtwarp.mesh.arrays import Bytes
+from omtwarp.mesh.arrays import Bytes, norms
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.options import PatternLike
 from omtwarp.render import Camera, ScalarField, SurfaceView, preview
@@ -246,7 +246,7 @@ def torus_scene(
     area = float(triangle_areas(placed, cut.faces).sum())
     # Largest ring: radius of the ring torus with its tube; that of the surface is 1
     radius = min(float(np.sqrt(area / (4.0 * np.pi**2 * ring**2 * share))), 1.0)
-    along = np.linalg.norm(result.lattice, axis=1)
+    along = norms(result.lattice)
     header = {
         "radius": radius,
         "ring": {"radius": ring, "lines": np.maximum(np.rint(lines * along / along.min()), 1.0).tolist()},
@@ -299,7 +299,7 @@ def _torus_pictures(
 def _certificate(result: MapResult) -> Markup:
     """Return the certificate of a map to a torus, and the torus."""
     words = "The map is one to one" if result.certificate.bijective else "The map is not one to one"
-    along = np.linalg.norm(result.lattice, axis=1)
+    along = norms(result.lattice)
     angle = np.degrees(np.arccos(np.clip(result.lattice[0] @ result.lattice[1] / along.prod(), -1.0, 1.0)))
     return fill_page(
         "torus_certificate.html", words=words, certificate=result.certificate, one=f"{along[0]:.6g}",

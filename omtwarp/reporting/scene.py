@@ -18,7 +18,7 @@ from omtwarp.colors import colormap_table
 from omtwarp.device.policy import resolve_device
 from omtwarp.geometry.axes import fitted_rotation
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.arrays import Bytes, Floats, Ints
+from omtwarp.mesh.arrays import Bytes, Floats, Ints, cross, norms
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, sums_around, triangle_areas, vertex_normals
 from omtwarp.render.camera import DEFAULT_FRONT, VIEWS, Camera, axis_vector, camera_axes
 from omtwarp.render.films import fits_of
@@ -111,7 +111,7 @@ def view_axes(pose: SurfaceView) -> Floats:
     """Return as rows the axes of a surface that point right, up and towards the viewer, shape [3, 3]."""
     upward = pose.up or "y"
     above, forward = axis_vector(upward), axis_vector(pose.front or DEFAULT_FRONT[upward.lstrip("+-")])
-    return np.stack([np.cross(above, forward), above, forward])
+    return np.stack([cross(above, forward), above, forward])
 
 
 def placed_in_view(vertices: Floats, used: NDArray[np.integer], axes: Floats) -> Floats:
@@ -119,7 +119,7 @@ def placed_in_view(vertices: Floats, used: NDArray[np.integer], axes: Floats) ->
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     centred = (vertices - 0.5 * (low + high)) / max(float((high - low).max()), np.finfo(float).tiny)
     placed = centred[used] @ axes.T
-    placed /= np.linalg.norm(placed, axis=1).max()
+    placed /= norms(placed).max()
     return placed
 
 
@@ -195,7 +195,7 @@ def domain_places(
     points = stage.sphere[used]
     seen, kind = camera_axes(Camera(azimuth=AZIMUTH, elevation=ELEVATION)), stage.domain.rstrip("s")
     matrices, shifts = fits_of(placed, points, triangles, own[triangles[:, 0]], kind, seen)
-    radii = np.linalg.norm(matrices[:, 0], axis=1)
+    radii = norms(matrices[:, 0])
     return np.column_stack([shifts, radii])[own].astype(np.float32)
 
 
@@ -232,7 +232,7 @@ def log2_angle_ratio(stage: Stage) -> Floats:
 def alignment(directions: Floats, placed: Floats) -> Floats:
     """Return the rotation [3, 3] that best aligns points of the sphere with the surface (Kabsch 1976)."""
     # Least radius, of a vertex at the centre, which no direction leads to
-    radial = placed / np.maximum(np.linalg.norm(placed, axis=1, keepdims=True), 1e-12)
+    radial = placed / np.maximum(norms(placed)[..., None], 1e-12)
     return fitted_rotation(directions.T @ radial)[0]
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.maps.result import MapReport, MapResult, StageReport
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Floats, norms
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.metrics.distortion import Distortion
 from omtwarp.open_surfaces.caps import disk_to_cap
@@ -152,7 +152,7 @@ def stages_of(result: MapResult) -> list[Stage]:
         stages.append(Stage(key, label, colour, sphere, result.distortion(attribute), record, weights, domain, own))
     disk = getattr(result, "disk", None)
     if disk is not None:
-        lifted = disk_to_cap(disk / np.maximum(1.0, np.linalg.norm(disk, axis=1))[:, None], 0.5)
+        lifted = disk_to_cap(disk / np.maximum(1.0, norms(disk))[:, None], 0.5)
         measured, record = result.distortion("disk"), records.get("disk", {})
         stages.append(Stage("disk", "Disk", "--flat", lifted, measured, record, weights, "disk" + plural, number, disk))
     return stages

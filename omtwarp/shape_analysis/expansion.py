@@ -15,7 +15,7 @@ from omtwarp.errors import OmtwarpError, check_word
 from omtwarp.files.inputs import read_bytes
 from omtwarp.files.output import write_text
 from omtwarp.geometry.harmonics import check_degree, degree_of, harmonics_in_parts, power_per_degree
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Floats, cross, norms
 from omtwarp.mesh.shapes import icosphere
 from omtwarp.mesh.surface import Surface, sums_around, triangle_areas
 
@@ -123,7 +123,7 @@ def expand(
         raise OmtwarpError(f"data of shape {list(data.shape)} at points of shape {list(points.shape)}: they do not fit")
     if not (np.isfinite(points).all() and np.isfinite(data).all()):
         raise OmtwarpError("the points or the data on them are not all finite")
-    lengths = np.linalg.norm(points, axis=1)
+    lengths = norms(points)
     # Most off sphere, of a radius of 1: points written with four digits pass, and those of another radius do not
     if np.abs(lengths - 1.0).max() > 1e-3:
         span = f"{lengths.min():.4g} to {lengths.max():.4g}"
@@ -164,7 +164,7 @@ def _least_squares(points: Floats, data: Floats, weights: Floats, degree: int) -
 def _integrals(points: Floats, data: Floats, faces: NDArray[np.int64], degree: int) -> Floats:
     """Return ∫ f Y_lm over spherical triangles, f linear in the barycentric coordinates of the flat ones."""
     corners, at_corners = points[faces], data[faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2.0  # its length is the area
+    normal = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2.0  # its length is the area
     right = np.zeros(((degree + 1) ** 2, data.shape[1]))
     for a, weight in _RULE:
         for k in range(3):
@@ -172,7 +172,7 @@ def _integrals(points: Floats, data: Floats, faces: NDArray[np.int64], degree: i
             shares[k] = 1.0 - 2.0 * a
             inner = np.einsum("k,fkc->fc", shares, corners)
             # The ray's projection stretches the flat area by cos / r² = (n · p) / r³.
-            stretch = np.einsum("fc,fc->f", normal, inner) / np.linalg.norm(inner, axis=1) ** 3
+            stretch = np.einsum("fc,fc->f", normal, inner) / norms(inner) ** 3
             values = np.einsum("k,fkc->fc", shares, at_corners) * (weight * stretch)[:, None]
             for part, basis in harmonics_in_parts(inner, degree):
                 right += basis.T @ values[part]

@@ -9,7 +9,7 @@ import numpy as np
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import make_folder, write_table
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.arrays import Floats, Ints
+from omtwarp.mesh.arrays import Floats, Ints, dots
 from omtwarp.mesh.data import VertexData, write_data
 from omtwarp.mesh.neuro import structure_of
 from omtwarp.mesh.surface import Surface, vertex_normals
@@ -129,7 +129,7 @@ def _body(study: GroupStudy, columns: Sequence[str], rows: Sequence[Sequence[str
     # Drawn: components with pictures on the page
     for k in range(min(3, len(known.deviations))):
         normals = vertex_normals(study.alignment.mean, study.alignment.faces)
-        outward = SHOWN * known.deviations[k] * (known.directions[k] * normals).sum(axis=1)
+        outward = SHOWN * known.deviations[k] * dots(known.directions[k], normals)
         pair = [(f"component {k + 1}, {word}", sign) for word, sign in (("minus", -1.0), ("plus", 1.0))]
         drawn = [_picture(study.along(k, sign * SHOWN), name, sign * outward) for name, sign in pair]
         body.append(pictures(drawn))

@@ -16,7 +16,7 @@ from omtwarp.device.sums import SparseProduct
 from omtwarp.device.threads import FIRST_THREAD, Each, each, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.sphere_hierarchy import SphereHierarchy
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Floats, cross, norms
 from omtwarp.mesh.surface import transposed_rows
 from omtwarp.wavelets import kernels
 
@@ -73,7 +73,7 @@ class SphereSampler:
         rows = transposed_rows(levels[-1], self.node_count)
         self._corner_rows = [Each(send(rows[0]), more=1), send(rows[1])]
         first, second, third = (nodes[levels[-1][:, k]] for k in range(3))
-        weights = np.linalg.norm(np.cross(second - first, third - first), axis=1)
+        weights = norms(cross(second - first, third - first))
         at_nodes = np.bincount(levels[-1].ravel(), np.repeat(weights, 3), minlength=self.node_count)
         self._weights = send(at_nodes if density is None else at_nodes * density)
         self._level_sums: list[wp.array] = []
