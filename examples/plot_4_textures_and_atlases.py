@@ -39,9 +39,8 @@ for axis, atlas in zip(axes, ("cube", "octahedral", "equirectangular"), strict=T
     textured = omtwarp.texture(result, pattern="globe", atlas=atlas, size=512)
     height, width = textured.image.shape[:2]
     axis.imshow(textured.image)
-    axis.triplot(
-        textured.uv[:, 0] * width, (1 - textured.uv[:, 1]) * height, textured.faces, color="white", lw=0.15, alpha=0.7
-    )
-    axis.set_title(f"{atlas}: {len(textured.vertices) - len(result.vertices)} vertices more", fontsize=10)
+    faces, vertex, uv = textured.split()
+    axis.triplot(uv[:, 0] * width, (1 - uv[:, 1]) * height, faces, color="white", lw=0.15, alpha=0.7)
+    axis.set_title(f"{atlas}: {len(vertex) - len(result.vertices)} vertices more", fontsize=10)
     axis.axis("off")
 plt.show()

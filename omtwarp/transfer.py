@@ -110,11 +110,10 @@ def transfer_texture(
         material = _material(source, baked)
         return replace(own, uv=coordinates, materials=(material,), face_material=None, vertex_colors=None, notes=())
     cut = unwrap(points, triangles, layout)
-    _, first = np.unique(cut.welded, return_index=True)
     return PaintedMesh(
-        (cut.weights @ there)[first],
-        cut.welded[cut.faces],
-        cut.uv[cut.faces],
+        cut.weights @ there,
+        cut.faces,
+        cut.uv,
         (_material(source, picture),),
         wraps_rows=False,
         objects=() if own is None else own.objects,

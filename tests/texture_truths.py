@@ -32,7 +32,8 @@ def jumps_across_edges(textured: Any) -> tuple[np.ndarray, np.ndarray]:
     Returns:
         The ends, shape [E, 2, 3], and the differences of 255, shape [E], of edges that two triangles have.
     """
-    points, faces = textured.vertices, textured.faces
+    points, uv_of = textured.vertices[textured.faces].reshape(-1, 3), textured.uv.reshape(-1, 2)
+    faces = np.arange(len(points)).reshape(-1, 3)
     _, name = np.unique(np.round(points / np.ptp(points, axis=0).max(), 9), axis=0, return_inverse=True)
     tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     turned = name[tail] > name[head]
@@ -44,7 +45,7 @@ def jumps_across_edges(textured: Any) -> tuple[np.ndarray, np.ndarray]:
     first = first[count == 2]
     worst = np.zeros(len(first))
     for share in SHARES:
-        uv = (1.0 - share) * textured.uv[one] + share * textured.uv[other]
+        uv = (1.0 - share) * uv_of[one] + share * uv_of[other]
         colours = shown(textured.image, uv)
         worst = np.maximum(worst, np.abs(colours[first] - colours[first + 1]).max(axis=1))
     return points[np.stack([one[first], other[first]], axis=1)], worst

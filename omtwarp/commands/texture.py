@@ -17,7 +17,6 @@ from omtwarp.options import Coordinates, Device, Domain, MapOptions
 
 if TYPE_CHECKING:
     from omtwarp.maps.result import MapResult
-    from omtwarp.texturing import TexturedSurface
 
 
 def read_sound_painted(path: Path, repair: bool) -> tuple[omtwarp.PaintedMesh, omtwarp.Surface]:
@@ -284,7 +283,6 @@ def run_texture(
     def texture_one(mesh: Path | None, target: Path) -> tuple[dict[str, object], str]:
         painted, result = _mapped(mesh, source, painting, mapping, printing)
         result = standing(result, source.finished or mesh, picture.up, picture.front)
-        made: omtwarp.PaintedMesh | TexturedSurface
         with step_times(printing.verbose) as done:
             if by_materials:
                 painted = painted or omtwarp.PaintedMesh(result.vertices, result.faces, **objects_of(mesh, result))
@@ -293,8 +291,11 @@ def run_texture(
                 pictures, words = _drawn(made, width)
             else:
                 size, blurred = _size_of(result, picture, look.atlas)
-                textured = omtwarp.texture(result, image, seam_longitude=seam, size=size, **looks)
-                made, (rows, columns) = replace(textured, **objects_of(mesh, result)), textured.image.shape[:2]
+                made = omtwarp.texture(result, image, seam_longitude=seam, size=size, **looks)
+                names = objects_of(mesh, result)
+                if names and made.layout is not None:
+                    names["face_object"] = names["face_object"][made.layout.cut.source_face]
+                made, (rows, columns) = replace(made, **names), made.image.shape[:2]
                 pictures = [{"what": "colour", "width": columns, "height": rows}]
                 words = f"textured, {columns} x {rows} texels{blurred}"
             done("paint" if by_materials else "texture")

@@ -441,8 +441,9 @@ def _on_torus(
 
     cut = texture_torus(result, image, None if image is not None else pattern, size=texels)
     shown = posed(torus_view(result, cut.image), up, front)
-    surface = _centred(shown)
-    weights = vertex_areas(surface, cut.faces)
+    corners, vertex, last = cut.split()
+    surface = _centred(shown)[vertex]
+    weights = vertex_areas(surface, corners)
     middle = np.average(surface, axis=0, weights=weights)
     tube = int(np.argmin(norms(result.lattice)))  # the vector that goes around the tube
     # Fitted: vertices, at most, that they are compared at
@@ -452,29 +453,28 @@ def _on_torus(
     fits = [
         Rotation.align_vectors(
             surface[chosen] - middle,
-            ring_torus(result.coordinates[cut.welded[chosen]] + step, result.lattice),
+            ring_torus(result.coordinates[vertex[chosen]] + step, result.lattice),
             weights=weights[chosen],
         )
         for step in steps
     ]
     best = int(np.argmin([off for _, off in fits]))
-    area = float(triangle_areas(surface, cut.faces).sum())
+    area = float(triangle_areas(surface, corners).sum())
     scale = math.sqrt(area / (4.0 * math.pi**2 * tube_radius(result.lattice)))
     to_ring = scale * fits[best][0].as_matrix().T
-    first = cut.uv - result.coordinates[cut.welded] + result.conformal[cut.welded]
-    last, parts, shares = cut.uv, cut.faces, None
-    divisions = smooth_parts(len(cut.faces))
+    first, parts, shares = last - result.coordinates[vertex] + result.conformal[vertex], corners, None
+    divisions = smooth_parts(len(corners))
     if divisions > 1:
-        share, corners = grid_shares(divisions), cut.faces
+        share = grid_shares(divisions)
         shares = combined(np.repeat(corners, len(share), axis=0), np.tile(share, (len(corners), 1)), len(surface))
         parts = (np.arange(len(corners))[:, None, None] * len(share) + grid_triangles(divisions)).reshape(-1, 3)
         first, last = shares @ first, shares @ last
     # Of equal coordinates up to whole numbers, so that the two sides of a seam are at the same place to the last bit.
-    domain = (ring_torus(result.coordinates + steps[best], result.lattice) @ to_ring)[cut.welded] + middle
+    domain = (ring_torus(result.coordinates + steps[best], result.lattice) @ to_ring)[vertex] + middle
     ends = domain if shares is None else ring_torus(last + steps[best], result.lattice) @ to_ring + middle
     flat = np.zeros((len(last), 1))
     return Story(
-        surface, domain, ends, np.hstack([first, flat]), np.hstack([last, flat]), cut.faces, parts, shares,
+        surface, domain, ends, np.hstack([first, flat]), np.hstack([last, flat]), corners, parts, shares,
         np.asarray(cut.image[..., :3]), "torus", on_torus=True,
     ), shown  # fmt: skip
 

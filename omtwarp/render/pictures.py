@@ -199,7 +199,7 @@ def preview(
     """Draw a surface and, if a path is given, write the picture there.
 
     Args:
-        subject: a mesh file, a ``trimesh.Trimesh``, a ``MapResult`` or its .npz file, a ``TexturedSurface``,
+        subject: a mesh file, a ``trimesh.Trimesh``, a ``MapResult`` or its .npz file, a ``PaintedMesh``,
             (vertices, faces), or a :class:`SurfaceView`. Textures and colours of files and meshes are kept.
         path: .png, .jpg, .webp, .tif, .gif or .mp4; the file appears whole or not at all. With ``frames`` a .webp is
             a film, too.

@@ -46,18 +46,12 @@ class FinishedMap(HasTriangles, Protocol):
         """Images of the vertices by the conformal map, shape [V, 3]."""
 
 
-@runtime_checkable
-class _Textured(HasTriangles, Protocol):
-    uv: ArrayLike
-    image: Picture
-
-
 Picture: TypeAlias = PictureLike
 Subject: TypeAlias = "str | os.PathLike[str] | HasTriangles | SurfaceView | tuple[ArrayLike, ArrayLike]"
 
 
 def as_surface_view(subject: Subject, image: Picture | None = None) -> SurfaceView:
-    """Make a view of a file, a ``trimesh.Trimesh``, a ``MapResult``, ``TexturedSurface``, (vertices, faces) or a view.
+    """Make a view of a file, a ``trimesh.Trimesh``, a ``MapResult``, ``PaintedMesh``, (vertices, faces) or a view.
 
     Args:
         subject: what to look at. Textures, texture coordinates and colours of files and trimesh meshes are kept.
@@ -88,8 +82,6 @@ def as_surface_view(subject: Subject, image: Picture | None = None) -> SurfaceVi
         view = painted_view(cast("PaintedMesh", subject))
     elif isinstance(subject, (tuple, list)) and len(subject) == 2:
         view = SurfaceView(*subject)
-    elif isinstance(subject, _Textured):
-        view = SurfaceView(subject.vertices, subject.faces, image=subject.image, uv=subject.uv)
     elif isinstance(subject, HasTriangles):
         view = SurfaceView(subject.vertices, subject.faces)
     else:
@@ -159,7 +151,7 @@ def torus_view(
     from omtwarp.texturing.textured import texture_torus
 
     cut = texture_torus(shown, image, None if image is not None else pattern)
-    places = cut.vertices if on == "surface" else shown.ring()[cut.welded]
+    places = cut.vertices if on == "surface" else shown.ring()
     return SurfaceView(places, cut.faces, image=cut.image, uv=cut.uv, up=None if on == "surface" else "z")
 
 

@@ -17,7 +17,7 @@ from omtwarp.maps.domains import is_torus_map
 from omtwarp.maps.result import MapReport, MapResult, StageReport
 from omtwarp.maps.torus_map import ring_torus, tube_radius
 from omtwarp.mesh.arrays import Bytes, norms
-from omtwarp.mesh.surface import triangle_areas
+from omtwarp.mesh.surface import triangle_areas, unit_normals, vertex_normals
 from omtwarp.options import PatternLike
 from omtwarp.render import Camera, ScalarField, SurfaceView, preview
 from omtwarp.render.subject import posed, torus_view
@@ -235,15 +235,16 @@ def torus_scene(
     """
     lines = 12  # of the lattice along its shorter vector
     cut = texture_torus(result, image, None if image is not None else pattern)
-    used, axes = cut.welded, views.view_axes(pose)
+    faces, used, uv = cut.split()
+    axes = views.view_axes(pose)
     placed = views.placed_in_view(result.vertices, used, axes)
-    shift = np.round(cut.uv - result.coordinates[used])  # whole turns, the same for both maps
+    shift = np.round(uv - result.coordinates[used])  # whole turns, the same for both maps
     maps = zip(stages, (result.conformal, result.coordinates), strict=True)
     own = {f"lattice-{stage.key}": (places[used] + shift).astype(np.float32) for stage, places in maps}
     share = tube_radius(result.lattice)
     ring = 1.0 / (1.0 + share)
     # A ring torus of the surface's own area, unless that is too large for the view.
-    area = float(triangle_areas(placed, cut.faces).sum())
+    area = float(triangle_areas(placed, faces).sum())
     # Largest ring: radius of the ring torus with its tube; that of the surface is 1
     radius = min(float(np.sqrt(area / (4.0 * np.pi**2 * ring**2 * share))), 1.0)
     along = norms(result.lattice)
@@ -253,7 +254,8 @@ def torus_scene(
         "picture": [_picture(cut.image)],
     }
     turn = views.alignment(stages[-1].sphere[used], placed)
-    return views.packed_scene(stages, result.faces, used, (placed, cut.normals @ axes.T, cut.faces), own, header, turn)
+    normals = unit_normals(vertex_normals(cut.vertices, cut.faces))[used] @ axes.T
+    return views.packed_scene(stages, result.faces, used, (placed, normals, faces), own, header, turn)
 
 
 def _picture(image: Bytes) -> str:

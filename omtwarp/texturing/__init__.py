@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from omtwarp.texturing.patterns import Pattern as Pattern, pattern as pattern
     from omtwarp.texturing.read import read_painted_mesh as read_painted_mesh
     from omtwarp.texturing.seams import unwrap as unwrap
-    from omtwarp.texturing.textured import TexturedSurface as TexturedSurface, texture as texture
+    from omtwarp.texturing.textured import texture as texture
     from omtwarp.texturing.unwrap import unwrap_uv as unwrap_uv
 
 __all__, __getattr__, __dir__ = _at_first_use(__name__)

@@ -140,7 +140,7 @@ class BentLook(Look):
         cut = cutting.result()
         faces, given = curves.faces, curves.given @ rotation
         across, down = -(-atlas.width // hint_block), -(-atlas.height // hint_block)
-        corners = in_texels(cut.uv[cut.faces], atlas.width / hint_block, atlas.height / hint_block, where)
+        corners = in_texels(cut.uv, atlas.width / hint_block, atlas.height / hint_block, where)
         part = claimed(corners, across, down, GROW, where)
         # Hint reach: blocks past the borders of charts to which the hints go, which is more than a gutter
         part = np.where(part == NOBODY, claimed(corners, across, down, 1.0, where), part)

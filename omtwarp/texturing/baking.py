@@ -450,7 +450,7 @@ def sphere_layout(
 ) -> tuple[Layout, NDArray[np.int64]]:
     """Lay parts of faces out on an atlas's picture; return the layout and the part of each of its triangles, [K]."""
     chords = (cut.weights @ np.asarray(sphere, dtype=np.float64))[cut.faces]
-    corner_uv, part = cut.uv[cut.faces], np.arange(len(cut.faces))
+    corner_uv, part = cut.uv, np.arange(len(cut.faces))
     if atlas.wraps:
         # On the picture a pole is the whole top or bottom edge. A triangle at a pole has one point of it, but owns the
         # rectangle up to the edge; only the ownership is used.
@@ -474,7 +474,7 @@ def own_at_parts(cut: Unwrapped, faces: NDArray, own: Floats) -> Floats:
     Each corner is a combination of vertices of its source face; its coordinates are the same combination of that
     face's corners.
     """
-    shares = shares_of_corners(cut.weights, cut.faces, cut.source_face, faces)
+    shares = shares_of_corners(cut, faces)
     return np.einsum("tij,tjc->tic", shares, own[cut.source_face])
 
 

@@ -3,20 +3,40 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
+from omtwarp.files.output import as_path
 from omtwarp.mesh.arrays import WELD, Bytes, Floats, Ints, real_numbers, whole_numbers
 from omtwarp.mesh.read import compressed, seam_copies
 from omtwarp.mesh.surface import unit_normals, vertex_normals
+from omtwarp.mesh.write import write_mesh
 from omtwarp.options import TextureFormat
-from omtwarp.texturing.export import Material, Model, Part, corner_tangents, export, split_corners, uv_of_corners
+from omtwarp.texturing.export import (
+    Material,
+    Model,
+    Part,
+    corner_tangents,
+    export,
+    format_for,
+    linear,
+    split_corners,
+    uv_of_corners,
+)
+from omtwarp.texturing.image import as_bytes
+
+if TYPE_CHECKING:
+    import trimesh
+    from PIL.Image import Image
+
+    from omtwarp.texturing.atlas import Atlas
+    from omtwarp.texturing.seams import Unwrapped
 
 # Of the extent of the mesh: corners of two copies of a mesh that are farther apart are not the same corner.
 SAME_PLACE = 1e-5
@@ -33,6 +53,26 @@ def corners_of(faces: ArrayLike, count: int) -> Ints:
 
 
 @dataclass(frozen=True, eq=False)
+class SphereLayout:
+    """How a texture is laid out on a surface, by its map to the sphere.
+
+    Attributes:
+        cut: the surface, divided along the charts of the texture.
+        atlas: how the sphere is laid out on the picture.
+        rotation: the texture's rotation on the sphere, shape [3, 3].
+        vertices, faces: the surface before, shapes [V, 3] and [F, 3].
+        sampled: returns the colours of a picture at the surface's vertices, shape [V, channels].
+    """
+
+    cut: Unwrapped
+    atlas: Atlas
+    rotation: Floats
+    vertices: Floats
+    faces: Ints
+    sampled: Callable[[Bytes], NDArray[np.generic]]
+
+
+@dataclass(frozen=True, eq=False)
 class PaintedMesh:
     """A triangle mesh with its texture coordinates and materials.
 
@@ -45,10 +85,14 @@ class PaintedMesh:
         face_material: number of the material of every triangle, int32, shape [F].
         vertex_colors: sRGB and opacity at the vertices, uint8, shape [V, 4]; None where the file has none.
         notes: decisions made while reading, in words.
-        wraps_rows: whether pictures repeat upwards; they always repeat to the right.
+        wraps: whether pictures repeat to the right.
+        wraps_rows: whether they repeat upwards.
         source_files: files that an export must not replace.
         objects: names of object and group of an OBJ file, empty ones for none.
         face_object: number of these of every triangle, int32, shape [F]; None where there are none.
+        normals: unit vectors at the vertices, shape [V, 3]; None for those of the triangles around each.
+        layout: of a texture that was made through a map to the sphere; the vertices of the surface come first, those
+            that divide triangles along the texture's charts follow.
 
     Raises:
         OmtwarpError: the arrays do not belong together.
@@ -69,10 +113,13 @@ class PaintedMesh:
     face_material: Ints | None = None
     vertex_colors: Bytes | None = None
     notes: tuple[str, ...] = ()
+    wraps: bool = True
     wraps_rows: bool = True
     source_files: tuple[Path, ...] = field(default=(), repr=False)
     objects: tuple[tuple[str, str], ...] = ()
     face_object: Ints | None = None
+    normals: Floats | None = None
+    layout: SphereLayout | None = None
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -99,6 +146,65 @@ class PaintedMesh:
         """Number of the material of every triangle, shape [F]."""
         assert self.face_material is not None  # of __post_init__
         return self.face_material
+
+    @property
+    def image(self) -> Bytes:
+        """The picture of the first material, uint8, shape [H, W, 3] or, where something is transparent, [H, W, 4].
+
+        Raises:
+            OmtwarpError: it has none.
+        """
+        picture = self.materials[0].picture
+        if picture is None:
+            raise OmtwarpError(f"the material '{self.materials[0].name}' has no picture")
+        return picture
+
+    def pil(self) -> Image:
+        """Return the picture of the first material as a PIL image."""
+        from PIL import Image
+
+        return Image.fromarray(self.image)
+
+    def trimesh(self) -> trimesh.Trimesh:
+        """Return the mesh, cut along the seams of its texture, as a :class:`trimesh.Trimesh` with its material.
+
+        Vertices keep their numbers; copies of those on seams follow.
+
+        Raises:
+            OmtwarpError: there are several materials, or there is no picture.
+        """
+        import trimesh
+
+        if len(self.materials) > 1:
+            raise OmtwarpError(f"a trimesh.Trimesh has one material, the mesh {len(self.materials)}: export it")
+        material, (rows, vertex, uv) = self.materials[0], self.split()
+        look = trimesh.visual.material.PBRMaterial(
+            name=material.name,
+            baseColorTexture=self.pil(),
+            baseColorFactor=np.rint(255 * linear(np.array(material.color))).astype(int).tolist(),
+            metallicFactor=material.metallic,
+            roughnessFactor=material.roughness,
+        )
+        return trimesh.Trimesh(
+            vertices=self.vertices[vertex],
+            faces=rows,
+            vertex_normals=self._normals()[vertex],
+            visual=trimesh.visual.TextureVisuals(uv=uv, material=look),
+            process=False,
+            validate=False,
+        )
+
+    def split(self) -> tuple[Ints, Ints, Floats]:
+        """Cut the mesh along the seams of its texture, so that every vertex has one pair of coordinates.
+
+        Returns:
+            The faces, shape [F, 3], the vertex that each new one is, shape [N], first the vertices in their order, and
+            the coordinates, shape [N, 2].
+
+        Raises:
+            OmtwarpError: some triangles, or all, have no texture coordinates.
+        """
+        return split_corners(self.faces, self.require_uv(), len(self.vertices))
 
     def require_uv(self, name: str = "the mesh") -> Floats:
         """Return the texture coordinates of every corner, shape [F, 3, 2].
@@ -156,7 +262,7 @@ class PaintedMesh:
             colors = np.full((len(points), 4), 255, dtype=np.uint8)
             colors[triangles[kept]] = self.vertex_colors[self.faces[origin[kept, None], corner]]
         moved = replace(self, vertices=points, faces=triangles, uv=uv, face_material=materials, face_object=objects)
-        return replace(moved, vertex_colors=colors)
+        return replace(moved, vertex_colors=colors, normals=None, layout=None)
 
     def export(
         self, path: str | os.PathLike[str], *, keep: Iterable[Path | None] = (), texture_format: str = TextureFormat.PNG
@@ -164,10 +270,12 @@ class PaintedMesh:
         """Write the mesh with its materials.
 
         ``.glb`` holds a primitive for every material, its pictures embedded; ``.obj`` is written with its ``.mtl`` and
-        a ``.png`` for every picture in the same folder.
+        a ``.png`` for every picture in the same folder; ``.ply``, for a mesh of one material with a picture, holds the
+        vertices and faces of the surface, undivided, with the picture's colour at every vertex.
 
         Args:
-            path: the file to write.
+            path: the file to write. The files of an ``.obj`` take its name where that is free or taken by them already,
+                and another name (``NAME-texture.png``) where the package did not write the file of that name.
             keep: more files that must not be replaced.
             texture_format: ``png``, or ``webp`` in a ``.glb``: the same texels in fewer bytes, for viewers that
                 read the extension ``EXT_texture_webp``.
@@ -178,11 +286,36 @@ class PaintedMesh:
         Raises:
             OmtwarpError: another suffix, or a place that cannot be written to. No file is left half written.
         """
-        normals = unit_normals(vertex_normals(self.vertices, self.faces))
+        suffix, drawn = as_path(path).suffix.lower(), self.materials[0].picture is not None
+        if suffix == ".ply" and drawn and len(self.materials) == 1:
+            format_for(".ply", texture_format)
+            surface = self.layout or self
+            channels = zip(("red", "green", "blue", "alpha"), self.colors_at_vertices().T, strict=True)
+            write_mesh(path, surface.vertices, surface.faces, beside=dict(channels))
+            return [as_path(path)]
+        normals = self._normals()
         parts = [self._part(int(number), normals) for number in np.unique(self.material_of)]
-        wraps = (True, self.wraps_rows)
+        wraps = (self.wraps, self.wraps_rows)
         model = Model(self.vertices, normals, parts, self.vertex_colors, wraps, self.objects)
         return export(path, model, (*keep, *self.source_files), texture_format)
+
+    def colors_at_vertices(self) -> Bytes:
+        """Return red, green, blue and alpha of the first picture at the surface's vertices, uint8, shape [V, 4]."""
+        if self.layout is None:
+            place = np.zeros((len(self.vertices), 2))
+            place[self.faces] = self.require_uv()
+            size = self.image.shape[1::-1]
+            at = np.floor(place * (1.0, -1.0) % 1.0 * size).astype(np.int64)
+            column, row = np.minimum(at, np.subtract(size, 1)).T
+            values: NDArray = self.image[row, column]
+        else:
+            values = self.layout.sampled(self.image)
+        colors = np.full((len(values), 4), 255, dtype=np.uint8)
+        colors[:, : values.shape[1]] = as_bytes(values)
+        return colors
+
+    def _normals(self) -> Floats:
+        return unit_normals(vertex_normals(self.vertices, self.faces)) if self.normals is None else self.normals
 
     def _part(self, number: int, normals: Floats) -> Part:
         """Return the triangles of one material; corners that agree in all attributes share a row."""

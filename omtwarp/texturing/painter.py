@@ -17,7 +17,7 @@ from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError, OmtwarpWarning, check_word
 from omtwarp.maps.domains import is_torus_map
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.arrays import Bytes, Floats, Ints
+from omtwarp.mesh.arrays import Floats, Ints
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.surface import plane_areas, triangle_areas, vertex_normals
 from omtwarp.options import AtlasLike, CoordinatesLike, KeepLike, PatternLike, ProjectionLike
@@ -30,7 +30,7 @@ from omtwarp.texturing.painted import PaintedMesh
 from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.seams import shares_of_corners
 from omtwarp.texturing.smooth import SmoothMap, grid_shares, grid_triangles, smooth_map
-from omtwarp.texturing.textured import MapLike, SphereMap, TexturedSurface, as_map, spheres_of, texture
+from omtwarp.texturing.textured import MapLike, SphereMap, as_map, spheres_of, texture
 from omtwarp.texturing.unwrap import pack_rows
 
 
@@ -167,32 +167,22 @@ class _Sheet:
     """A surface on one picture.
 
     Attributes:
-        vertices: shape [N, 3]; those of copies along seams are joined.
-        faces: shape [K, 3].
-        uv: coordinates of the corners, shape [K, 3, 2].
-        source_face: triangle of the surface that each is, or is a part of, shape [K].
+        mesh: with one material.
+        source_face: triangle of the surface that each of the mesh is, or is a part of, shape [K].
         weights: the corners as combinations of that triangle's corners, shape [K, 3, 3]; None where they are the same.
-        picture: uint8, shape [H, W, 3 or 4].
-        repeats: whether coordinates leave [0, 1], and the picture closes up both ways.
     """
 
-    vertices: Floats
-    faces: Ints
-    uv: Floats
+    mesh: PaintedMesh
     source_face: NDArray
     weights: Floats | None
-    picture: Bytes
-    repeats: bool = False
 
 
-def _sheet(made: TexturedSurface) -> _Sheet:
-    """Return a textured surface with its copies of vertices along seams joined."""
-    _, first = np.unique(made.welded, return_index=True)
-    weights = None
-    if made.weights is not None:
-        weights = shares_of_corners(made.weights, made.faces, made.source_face, made.original_faces)
-    faces, uv = made.welded[made.faces].astype(np.int32), made.uv[made.faces]
-    return _Sheet(made.vertices[first], faces, uv, made.source_face, weights, made.image, made.wraps_rows)
+def _sheet(made: PaintedMesh) -> _Sheet:
+    """Return a textured surface as a sheet."""
+    if made.layout is None:
+        return _Sheet(made, np.arange(len(made.faces)), None)
+    cut = made.layout.cut
+    return _Sheet(made, cut.source_face, shares_of_corners(cut, made.layout.faces))
 
 
 @dataclass
@@ -377,11 +367,12 @@ class _Painting:
         else:
             sheet = _sheet(self._textured((self.vertices, self.faces, self.sphere), self.size))
         mesh = self._mesh_of(sheet)
-        which, uv = baking.tiled_copies(sheet.uv) if sheet.repeats else (np.arange(len(sheet.faces)), sheet.uv)
-        height, width = sheet.picture.shape[:2]
+        uv, picture = sheet.mesh.require_uv(), sheet.mesh.image
+        which, uv = baking.tiled_copies(uv) if mesh.wraps_rows else (np.arange(len(uv)), uv)
+        height, width = picture.shape[:2]
         face, weights = sheet.source_face[which], None if sheet.weights is None else sheet.weights[which]
         target = bakes.Target(self.vertices, self.faces, uv, face, weights, (width, height), self.where)
-        color = pictures.with_opacity(pictures.as_floats(sheet.picture)) if self.drawn else None
+        color = pictures.with_opacity(pictures.as_floats(picture)) if self.drawn else None
         if color is not None and self.keep is not None and self.own is not None:
             color = self._together(color, self._atlas_base(self.own, target))
         tangents = self._tangents(mesh)
@@ -390,7 +381,7 @@ class _Painting:
         look = {name: getattr(shared, name) for name in common} | {"roughness_picture": None, "emission_picture": None}
         return replace(mesh, materials=tuple(replace(material, **look) for material in mesh.materials))
 
-    def _textured(self, result: MapLike, size: int | None) -> TexturedSurface:
+    def _textured(self, result: MapLike, size: int | None) -> PaintedMesh:
         """Return the texture of a map, with a picture of one colour where there are bakes alone."""
         if isinstance(self.pattern, Pattern) and is_torus_map(result):
             raise OmtwarpError("a Pattern is for the sphere: a torus takes circles, checker or a picture that repeats")
@@ -431,26 +422,27 @@ class _Painting:
             mine = np.flatnonzero(parts == part)
             used, own = np.unique(self.faces[mine], return_inverse=True)
             sheet = _sheet(self._textured((self.vertices[used], own.reshape(-1, 3), self.sphere[used]), width))
-            high, across = sheet.picture.shape[:2]
+            image = sheet.mesh.image
+            high, across = image.shape[:2]
             if picture is None:
-                picture = np.zeros((side, side, sheet.picture.shape[2]), dtype=np.uint8)
-                picture[:] = np.rint(sheet.picture.mean(axis=(0, 1)))
+                picture = np.zeros((side, side, image.shape[2]), dtype=np.uint8)
+                picture[:] = np.rint(image.mean(axis=(0, 1)))
             aside, none = (gap - 1, gap - 1), (0, 0)
-            drawn = np.pad(sheet.picture, (none, aside, none), "wrap" if one.wraps else "edge")
+            drawn = np.pad(image, (none, aside, none), "wrap" if one.wraps else "edge")
             drawn = np.pad(drawn, (aside, none, none), "edge")
             row, column = side - int(bottom[part]) - high - gap + 1, int(left[part]) - gap + 1
             picture[row : row + drawn.shape[0], column : column + drawn.shape[1]] = drawn
-            uv = (sheet.uv * (across, high) + (left[part], bottom[part])) / side
-            drawn_parts.append(replace(sheet, uv=uv, source_face=mine[sheet.source_face]))
-        before = np.cumsum([0, *(len(sheet.vertices) for sheet in drawn_parts)])
-        faces = [sheet.faces + at for sheet, at in zip(drawn_parts, before[:-1], strict=True)]
-        assert picture is not None  # there is a part
-
-        def joined(name: str) -> NDArray:
-            return np.concatenate([getattr(sheet, name) for sheet in drawn_parts])
-
-        corners = np.concatenate(faces).astype(np.int32)
-        return _Sheet(joined("vertices"), corners, joined("uv"), joined("source_face"), joined("weights"), picture)
+            uv = (sheet.mesh.require_uv() * (across, high) + (left[part], bottom[part])) / side
+            drawn_parts.append(_Sheet(replace(sheet.mesh, uv=uv), mine[sheet.source_face], sheet.weights))
+        meshes = [sheet.mesh for sheet in drawn_parts]
+        before = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+        faces = np.concatenate([mesh.faces + at for mesh, at in zip(meshes, before[:-1], strict=True)])
+        vertices, uv = (np.concatenate([getattr(mesh, name) for mesh in meshes]) for name in ("vertices", "uv"))
+        source, weights = (
+            np.concatenate([getattr(sheet, name) for sheet in drawn_parts]) for name in ("source_face", "weights")
+        )
+        whole = PaintedMesh(vertices, faces, uv, (Material("texture", picture=picture),), wraps_rows=False)
+        return _Sheet(whole, source, weights)
 
     def _mesh_of(self, sheet: _Sheet) -> PaintedMesh:
         """Return the mesh of a sheet, with the materials that are kept."""
@@ -458,12 +450,12 @@ class _Painting:
         # A light grey, on which ambient occlusion shows
         materials = (Material("texture", (0.8, 0.8, 0.8, 1.0)),) if own is None or self.keep is None else own.materials
         return PaintedMesh(
-            sheet.vertices,
-            sheet.faces,
-            sheet.uv,
+            sheet.mesh.vertices,
+            sheet.mesh.faces,
+            sheet.mesh.uv,
             materials,
             None if len(materials) == 1 or own is None else own.material_of[source],
-            wraps_rows=sheet.repeats,
+            wraps_rows=sheet.mesh.wraps_rows,
             source_files=() if own is None else own.source_files,
             objects=() if own is None else own.objects,
             face_object=None if own is None or own.face_object is None else own.face_object[source],

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from omtwarp.location import combined
 from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints, cross, normalised, norms
 from omtwarp.texturing.atlas import ON_CUT, Arc, Atlas
-from omtwarp.texturing.export import split_corners
 
 # Corners, edge midpoints and the centroid, where the linear coordinates are compared with the exact ones.
 PROBES = np.array([[0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5], [1 / 3, 1 / 3, 1 / 3]])
@@ -30,19 +29,16 @@ PROBES = np.array([[0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5], [1 / 3, 1 
 
 @dataclass
 class Unwrapped:
-    """A mesh cut along the charts of an atlas, with one pair of texture coordinates per vertex.
+    """A mesh whose faces are divided along the charts of an atlas, with texture coordinates at their corners.
 
-    The first V vertices are the original ones in their order; their copies and the vertices made by cuts follow.
+    The first V vertices are the original ones in their order; the vertices made by cuts follow.
 
     Attributes:
         faces: int32, shape [M, 3].
-        uv: float64, shape [N, 2], v up.
+        uv: of the corners, float64, shape [M, 3, 2], v up.
         sphere: unit vectors in the frame of the map (not turned), shape [N, 3].
-        source_vertex: the original vertex that each vertex is or is a copy of, -1 for one made by a cut, shape [N].
         source_face: the original face that each face is a part of, shape [M].
         chart: chart of each face, shape [M].
-        welded: for each vertex the vertex of the uncut mesh (original ones first, then those made), shape [N]: vertices
-            with the same number lie at the same place and differ only in their texture coordinates.
         weights: sparse, shape [N, V]: each vertex as a combination of original ones; ``weights @ x`` carries any
             quantity from the original vertices to all.
     """
@@ -50,15 +46,13 @@ class Unwrapped:
     faces: Ints
     uv: Floats
     sphere: Floats
-    source_vertex: Ints
     source_face: Ints
     chart: Ints
-    welded: Ints
     weights: sparse.csr_matrix
 
 
 def unwrap(sphere: Floats, faces: Ints, atlas: Atlas, *, rotation: Floats | None = None) -> Unwrapped:
-    """Cut a spherical mesh along the borders of an atlas and give every vertex its texture coordinates.
+    """Cut a spherical mesh along the borders of an atlas and give every corner its texture coordinates.
 
     Args:
         sphere: the map, unit vectors, shape [V, 3].
@@ -79,31 +73,20 @@ def unwrap(sphere: Floats, faces: Ints, atlas: Atlas, *, rotation: Floats | None
         mesh.cut(arc)
     _refine(mesh, atlas)
     chart = _face_charts(mesh, atlas)
-    corner_uv = atlas.corner_uv(mesh.points[mesh.faces], chart)
-    rows, welded, uv = split_corners(mesh.faces, corner_uv, len(mesh.points))
     return Unwrapped(
-        faces=rows,
-        uv=uv,
-        sphere=(normalised(mesh.points) @ turn.T)[welded],
-        source_vertex=np.where(welded < len(sphere), welded, -1).astype(np.int32),
+        faces=mesh.faces,
+        uv=atlas.corner_uv(mesh.points[mesh.faces], chart),
+        sphere=normalised(mesh.points) @ turn.T,
         source_face=mesh.source_face,
         chart=chart,
-        welded=welded,
-        weights=mesh.weights[welded],
+        weights=mesh.weights,
     )
 
 
-def shares_of_corners(weights: sparse.csr_matrix, parts: Ints, source_face: Ints, faces: Ints) -> Floats:
-    """Return the corners of parts of faces as combinations of the corners of these faces, shape [M, 3, 3].
-
-    Args:
-        weights: vertices as combinations of original ones, shape [N, V].
-        parts: corners of the parts, shape [M, 3].
-        source_face: the face that each is a part of, shape [M].
-        faces: corners of the faces, shape [F, 3].
-    """
-    rows, whole = parts.ravel(), faces[np.repeat(source_face, 3)]
-    shares = np.stack([np.asarray(weights[rows, column]).ravel() for column in whole.T], axis=1)
+def shares_of_corners(cut: Unwrapped, faces: Ints) -> Floats:
+    """Return the corners of parts of faces, shape [F, 3], as combinations of these faces' corners, shape [M, 3, 3]."""
+    rows, whole = cut.faces.ravel(), faces[np.repeat(cut.source_face, 3)]
+    shares = np.stack([np.asarray(cut.weights[rows, column]).ravel() for column in whole.T], axis=1)
     return shares.reshape(-1, 3, 3)
 
 

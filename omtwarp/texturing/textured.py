@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, TypeAlias
+from typing import Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,161 +18,18 @@ from omtwarp.maps.domains import is_torus_map
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.arrays import Bytes, Floats, HasTriangles, Ints, real_number, real_numbers
 from omtwarp.mesh.surface import as_faces, as_unit_vectors, unit_normals, vertex_normals
-from omtwarp.mesh.write import write_mesh
-from omtwarp.options import AtlasLike, PatternLike, ProjectionLike, ProjectionName, TextureFormat
+from omtwarp.options import AtlasLike, PatternLike, ProjectionLike, ProjectionName
 from omtwarp.texturing import atlas as layouts, image as pictures
 from omtwarp.texturing.adaptive import BentLook, bake_bytes
-from omtwarp.texturing.atlas import Atlas, Equirectangular
+from omtwarp.texturing.atlas import Equirectangular
 from omtwarp.texturing.bakes import least_visible_meridian
 from omtwarp.texturing.baking import Look, sample
-from omtwarp.texturing.export import Material, Model, Part, export, format_for, split_corners
+from omtwarp.texturing.export import Material
 from omtwarp.texturing.image import PictureLike
+from omtwarp.texturing.painted import PaintedMesh, SphereLayout
 from omtwarp.texturing.patterns import Pattern, pattern as by_name
 from omtwarp.texturing.seams import unwrap
 from omtwarp.texturing.smooth import smooth_curves
-
-if TYPE_CHECKING:
-    import trimesh
-    from PIL.Image import Image
-    from scipy.sparse import csr_matrix
-
-
-@dataclass(repr=False)
-class TexturedSurface:
-    """A mesh cut along the seams of its texture, and the texture.
-
-    The surface is the input's, to round-off. The input's vertices come first, in their order; copies of them at seams
-    and the few vertices made by cuts follow.
-
-    Attributes:
-        vertices: float64, shape [N, 3], in the units of the input.
-        faces: int32, shape [M, 3].
-        uv: texture coordinates, float64, shape [N, 2], v up (0 is the bottom row of the image); beyond [0, 1] where the
-            image repeats.
-        normals: unit vectors, shape [N, 3], from the uncut mesh: the same on both sides of a seam.
-        image: uint8, shape [H, W, 3], or [H, W, 4] where something is transparent; row 0 on top.
-        welded: vertices with the same number are the same point of the uncut mesh, shape [N].
-        source_vertex: the input's vertex that each vertex is or is a copy of, -1 for one made by a cut, shape [N].
-        source_face: the input's face that each face is a part of, shape [M].
-        original_vertices, original_faces: the input.
-        wraps: whether the image is periodic in u, so that a sampler has to repeat there.
-        wraps_rows: whether it is periodic in v, which it is on a torus alone.
-        source_image: the file that the texture was made from, if any; an export never replaces it.
-        sphere: the map at every vertex, unit vectors, shape [N, 3]; of textures on the sphere alone, as what follows.
-        chart: chart of the atlas that each face lies in, shape [M].
-        atlas: how the sphere is laid out on the image.
-        rotation: the texture's rotation on the sphere, shape [3, 3].
-        original_sphere: the map of the input's vertices, shape [V, 3].
-        weights: every vertex as a combination of the input's, sparse, shape [N, V].
-        objects: names of object and group for ``.obj``, empty ones for none.
-        face_object: number of these of every face of the input, shape [F]; None where there are none.
-    """
-
-    vertices: Floats
-    faces: Ints
-    uv: Floats
-    normals: Floats
-    image: Bytes
-    welded: Ints
-    source_vertex: Ints
-    source_face: Ints
-    original_vertices: Floats
-    original_faces: Ints
-    wraps: bool
-    wraps_rows: bool
-    source_image: Path | None
-    sphere: Floats | None = None
-    chart: Ints | None = None
-    atlas: Atlas | None = None
-    rotation: Floats | None = None
-    original_sphere: Floats | None = None
-    weights: csr_matrix | None = None
-    objects: tuple[tuple[str, str], ...] = ()
-    face_object: Ints | None = None
-
-    def __repr__(self) -> str:
-        height, width = self.image.shape[:2]
-        return (
-            f"{type(self).__name__}({self.original_vertex_count} vertices cut into {len(self.vertices)}, "
-            f"{len(self.faces)} faces, {'torus' if self.atlas is None else self.atlas.name} texture {width}x{height})"
-        )
-
-    @property
-    def original_vertex_count(self) -> int:
-        """The number of vertices of the input, which come first."""
-        return len(self.original_vertices)
-
-    @property
-    def vertex_colours(self) -> Bytes:
-        """Red, green, blue and alpha of the texture at the input's vertices, uint8, shape [V, 4]."""
-        if self.atlas is None or self.original_sphere is None or self.rotation is None:
-            at = np.floor(self.uv[: self.original_vertex_count] * (1.0, -1.0) % 1.0 * self.image.shape[1::-1])
-            column, row = np.minimum(at.astype(np.int64), np.subtract(self.image.shape[1::-1], 1)).T
-            values: NDArray = self.image[row, column]
-        else:
-            values = sample(self.image, self.original_sphere @ self.rotation, self.atlas, device="cpu")
-        colours = np.full((len(values), 4), 255, dtype=np.uint8)
-        colours[:, : values.shape[1]] = pictures.as_bytes(values)
-        return colours
-
-    def pil(self) -> Image:
-        """Return the texture as a PIL image."""
-        from PIL import Image
-
-        return Image.fromarray(self.image)
-
-    def trimesh(self) -> trimesh.Trimesh:
-        """Return the cut mesh as a :class:`trimesh.Trimesh` with its material, vertices in this object's order."""
-        import trimesh
-
-        look = trimesh.visual.material.PBRMaterial(
-            name="texture",
-            baseColorTexture=self.pil(),
-            baseColorFactor=[255, 255, 255, 255],
-            metallicFactor=Material.metallic,
-            roughnessFactor=Material.roughness,
-        )
-        return trimesh.Trimesh(
-            vertices=self.vertices,
-            faces=self.faces,
-            vertex_normals=self.normals,
-            visual=trimesh.visual.TextureVisuals(uv=self.uv, material=look),
-            process=False,
-            validate=False,
-        )
-
-    def export(
-        self, path: str | os.PathLike[str], *, keep: Iterable[Path | None] = (), texture_format: str = TextureFormat.PNG
-    ) -> list[Path]:
-        """Write the textured surface.
-
-        ``.glb`` embeds the texture in a PBR material; ``.obj`` is written with its ``.mtl`` and ``.png`` in the same
-        folder; ``.ply`` holds the input's vertices and faces unchanged, with the texture's colour at every vertex.
-
-        Args:
-            path: the file to write. The files of an ``.obj`` take its name where that is free or taken by them already,
-                and another name (``NAME-texture.png``) where the package did not write the file of that name.
-            keep: more files that must not be replaced, such as the mesh that the surface came from.
-            texture_format: ``png``, or ``webp`` in a ``.glb``: the same texels in fewer bytes, for viewers that
-                read the extension ``EXT_texture_webp``.
-
-        Returns:
-            The files written, the named one last.
-
-        Raises:
-            OmtwarpError: another suffix, or a place that cannot be written to. No file is left half written.
-        """
-        if as_path(path).suffix.lower() == ".ply":
-            format_for(".ply", texture_format)
-            channels = zip(("red", "green", "blue", "alpha"), self.vertex_colours.T, strict=True)
-            write_mesh(path, self.original_vertices, self.original_faces, beside=dict(channels))
-            return [as_path(path)]
-        _, first = np.unique(self.welded, return_index=True)
-        belongs = None if self.face_object is None else self.face_object[self.source_face]
-        part = Part(Material("texture", picture=self.image), self.faces, self.welded, self.uv, belongs=belongs)
-        wraps = (self.wraps, self.wraps_rows)
-        model = Model(self.vertices[first], self.normals[first], [part], None, wraps, self.objects)
-        return export(path, model, (*keep, self.source_image), texture_format)
 
 
 class SphereMap(HasTriangles, Protocol):
@@ -200,7 +56,7 @@ def texture(
     size: int | tuple[int, int] | str | None = None,
     smooth: bool = True,
     device: str | None = "auto",
-) -> TexturedSurface:
+) -> PaintedMesh:
     """Texture a surface through its map to the sphere (section 5 of the paper).
 
     Args:
@@ -277,19 +133,17 @@ def texture(
                 look = BentLook(smooth_curves(vertices, faces, sphere), layout, cutting, rotation, where)
             texels = bake_bytes(source, look, projection=projection)
         cut = cutting.result()
-    return TexturedSurface(
-        **vars(cut),
-        vertices=cut.weights @ vertices,
-        normals=unit_normals(cut.weights @ vertex_normals(vertices, faces)),
-        image=np.ascontiguousarray(pictures.without_full_opacity(texels)),
+    sampled = partial(sample, directions=sphere @ rotation, atlas=layout, device="cpu")
+    return PaintedMesh(
+        cut.weights @ vertices,
+        cut.faces,
+        cut.uv,
+        (Material("texture", picture=np.ascontiguousarray(pictures.without_full_opacity(texels))),),
         wraps=layout.wraps,
         wraps_rows=False,
-        atlas=layout,
-        rotation=rotation,
-        original_vertices=vertices,
-        original_faces=faces,
-        original_sphere=sphere,
-        source_image=Path(image) if isinstance(image, (str, os.PathLike)) else None,
+        source_files=(Path(image),) if isinstance(image, (str, os.PathLike)) else (),
+        normals=unit_normals(cut.weights @ vertex_normals(vertices, faces)),
+        layout=SphereLayout(cut, layout, rotation, vertices, faces, sampled),
     )
 
 
@@ -317,7 +171,7 @@ def _chosen_size(
 
 def texture_torus(
     result: MapResult, image: PictureLike | None, pattern: str | Pattern | None, size: int | None = None
-) -> TexturedSurface:
+) -> PaintedMesh:
     """Texture a surface with a picture that closes up both ways on its torus, cut where the coordinates jump."""
     if image is None:
         picture = torus_pattern(str(pattern or "circles"), result.lattice, size)
@@ -325,21 +179,12 @@ def texture_torus(
         picture = pictures.as_bytes(pictures.read_image(image))
     coordinates, wraps, faces = result.coordinates, result.wraps, result.faces
     whole = wraps - np.floor((coordinates[faces] + wraps).min(axis=1, keepdims=True))
-    rows, welded, uv = split_corners(faces, coordinates[faces] + whole, len(result.vertices))
-    return TexturedSurface(
-        vertices=result.vertices[welded],
-        faces=rows,
-        uv=uv,
-        normals=unit_normals(vertex_normals(result.vertices, faces))[welded],
-        image=picture,
-        welded=welded,
-        source_vertex=welded,
-        source_face=np.arange(len(faces), dtype=np.int32),
-        original_vertices=result.vertices,
-        original_faces=faces,
-        wraps=True,
-        wraps_rows=True,
-        source_image=as_path(image) if isinstance(image, str | os.PathLike) else None,
+    return PaintedMesh(
+        result.vertices,
+        faces,
+        coordinates[faces] + whole,
+        (Material("texture", picture=picture),),
+        source_files=(as_path(image),) if isinstance(image, str | os.PathLike) else (),
     )
 
 

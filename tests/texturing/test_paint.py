@@ -81,9 +81,9 @@ def test_lines_in_own_coordinates_are_as_smooth_as_on_an_atlas():
     rng = np.random.default_rng(0)
     chosen = rng.integers(len(atlas.faces), size=4000)
     weights = rng.dirichlet((2, 2, 2), len(chosen))
-    on_atlas = looked_up(atlas.image, np.einsum("fk,fkj->fj", weights, atlas.uv[atlas.faces[chosen]]))
+    on_atlas = looked_up(atlas.image, np.einsum("fk,fkj->fj", weights, atlas.uv[chosen]))
     points = np.einsum("fk,fkj->fj", weights, atlas.vertices[atlas.faces[chosen]])
-    face = atlas.source_face[chosen]
+    face = atlas.layout.cut.source_face[chosen]
     share = trimesh.triangles.points_to_barycentric(result.vertices[result.faces[face]], points)
     on_own = looked_up(own.materials[0].picture, np.einsum("fk,fkj->fj", share, own.uv[face]))
     linear = 255 * checker(np.einsum("fk,fkj->fj", share, result.sphere[result.faces[face]]))

@@ -178,8 +178,9 @@ def test_rotating_the_texture_moves_it_as_the_matrix_says():
     picture = np.zeros((64, 128, 3), dtype=np.uint8)
     picture[24:40, 56:72] = [255, 0, 0]
     turned = texture((vertices, faces, sphere), picture, rotate=(0, -90, 0), atlas="octahedral", size=256)
-    red = sample(turned.image, turned.sphere @ turned.rotation, "octahedral")[:, 0]
-    assert red[turned.sphere[:, 2] > 0.95].min() > 0.9 and red[turned.sphere[:, 0] > 0.8].max() < 0.1
+    places = turned.layout.cut.sphere
+    red = sample(turned.image, places @ turned.layout.rotation, "octahedral")[:, 0]
+    assert red[places[:, 2] > 0.95].min() > 0.9 and red[places[:, 0] > 0.8].max() < 0.1
 
 
 @pytest.mark.parametrize(

@@ -170,6 +170,6 @@ def test_a_smooth_texture_shows_what_the_exact_map_does(atlas):
         # (1024, 512) is not the picture's own size, which would be kept to the byte
         size = (1024, 512) if atlas == "equirectangular" else 768
         textured = texture((vertices, faces, exact(vertices)), picture, atlas=atlas, size=size, smooth=smooth)
-        seen = sample(textured.image, chord, textured.atlas, device="cpu")
+        seen = sample(textured.image, chord, textured.layout.atlas, device="cpu")
         worst[smooth] = np.quantile(np.abs(seen - shade(exact(place))), 0.99)
     assert worst[True] < 0.8 * worst[False]

@@ -12,7 +12,7 @@ from PIL import Image
 from texturing_shapes import ellipsoid, unit
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.texturing import pattern, texture
+from omtwarp.texturing import Material, PaintedMesh, pattern, texture
 from omtwarp.texturing.atlas import LARGEST_UNASKED, sharp_size
 from omtwarp.texturing.image import read_image, webp_bytes
 from omtwarp.texturing.patterns.checker import Checker
@@ -55,8 +55,8 @@ def look(textured, axis, sign, pixels=220):
         inside = (u >= 0) & (v >= 0) & (u + v <= 1)
         if inside.any():
             w = np.column_stack([u, v, 1 - u - v])[inside]
-            chord = textured.sphere[textured.faces[f]]
-            rows.append((w @ textured.uv[textured.faces[f]], unit(w @ chord)))
+            chord = textured.layout.cut.sphere[textured.faces[f]]
+            rows.append((w @ textured.uv[f], unit(w @ chord)))
     return np.concatenate([r[0] for r in rows]), np.concatenate([r[1] for r in rows])
 
 
@@ -96,7 +96,7 @@ def test_checker_from_six_sides(atlas, subdivisions):
             colours = [255 * checker(direction)]
             for reach in (0.8, 1.6, 2.6):
                 for angle in np.arange(8) * np.pi / 4:
-                    step = reach * widest * t.atlas.texel_angle * (np.cos(angle) * side + np.sin(angle) * up)
+                    step = reach * widest * t.layout.atlas.texel_angle * (np.cos(angle) * side + np.sin(angle) * up)
                     colours.append(255 * checker(direction + step))
             low, high = np.min(colours, axis=0) - 2, np.max(colours, axis=0) + 2
             wrong = np.any((seen < low) | (seen > high), axis=1)
@@ -109,14 +109,14 @@ def test_all_fields_of_the_checker_are_seen():
     """Every field of the checker appears on the surface, and the sphere's directions say which."""
     checker = pattern("checker", columns=8, rows=4)
     t = texture(ellipsoid(4, strength=0.3), pattern=checker, atlas="equirectangular", size=512)
-    assert set(cells(checker, t.sphere)) == set(range(32))
+    assert set(cells(checker, t.layout.cut.sphere)) == set(range(32))
 
 
 def test_normals_do_not_show_the_seam(surface, textured):
     """Copies of a vertex have its one normal, that of the uncut mesh."""
-    for group in np.unique(textured.welded[textured.original_vertex_count :]):
-        same = textured.normals[textured.welded == group]
-        assert np.array_equal(same, np.repeat(same[:1], len(same), axis=0))
+    _, vertex, _ = textured.split()
+    assert len(vertex) > len(textured.vertices)
+    assert np.array_equal(textured.trimesh().vertex_normals, textured.normals[vertex])
     np.testing.assert_allclose(np.linalg.norm(textured.normals, axis=1), 1.0, atol=1e-12)
     whole = trimesh.Trimesh(surface[0], surface[1], process=False)
     first = textured.normals[: len(surface[0])]
@@ -158,14 +158,17 @@ def test_glb_is_valid_and_carries_everything(textured, tmp_path):
 
     primitive = document.meshes[0].primitives[0]
     position = read(primitive.attributes.POSITION)
-    np.testing.assert_array_equal(position, textured.vertices.astype(np.float32))
+    faces, vertex, own_uv = textured.split()
+    np.testing.assert_array_equal(position, textured.vertices[vertex].astype(np.float32))
+    np.testing.assert_array_equal(textured.vertices[vertex[faces]], textured.vertices[textured.faces])
+    np.testing.assert_array_equal(own_uv[faces], textured.uv)
     accessor = document.accessors[primitive.attributes.POSITION]
     np.testing.assert_array_equal(np.float32(accessor.min), position.min(axis=0))
     np.testing.assert_array_equal(np.float32(accessor.max), position.max(axis=0))
     np.testing.assert_allclose(np.linalg.norm(read(primitive.attributes.NORMAL), axis=1), 1, atol=1e-6)
     uv = read(primitive.attributes.TEXCOORD_0)
-    np.testing.assert_allclose(uv, np.column_stack([textured.uv[:, 0], 1 - textured.uv[:, 1]]), atol=1e-7)
-    np.testing.assert_array_equal(read(primitive.indices).reshape(-1, 3), textured.faces)
+    np.testing.assert_allclose(uv, np.column_stack([own_uv[:, 0], 1 - own_uv[:, 1]]), atol=1e-7)
+    np.testing.assert_array_equal(read(primitive.indices).reshape(-1, 3), faces)
     assert read(primitive.indices).max() < len(position)
 
     material = document.materials[primitive.material]
@@ -184,11 +187,12 @@ def test_glb_in_trimesh(textured, tmp_path):
     textured.export(tmp_path / "surface.glb")
     (loaded,) = trimesh.load(tmp_path / "surface.glb", process=False).geometry.values()
     assert loaded.faces.shape == textured.faces.shape
-    np.testing.assert_allclose(loaded.visual.uv, textured.uv, atol=1e-6)
+    faces, vertex, uv = textured.split()
+    np.testing.assert_allclose(loaded.visual.uv, uv, atol=1e-6)
     np.testing.assert_array_equal(np.asarray(loaded.visual.material.baseColorTexture.convert("RGB")), textured.image)
-    np.testing.assert_allclose(loaded.vertex_normals, textured.normals, atol=1e-3)
+    np.testing.assert_allclose(loaded.vertex_normals, textured.normals[vertex], atol=1e-3)
     own = textured.trimesh()
-    assert np.array_equal(own.faces, textured.faces) and np.array_equal(own.visual.uv, textured.uv)
+    assert np.array_equal(own.faces, faces) and np.array_equal(own.visual.uv, uv)
 
 
 def test_webp_holds_the_same_texels(textured, tmp_path):
@@ -217,7 +221,7 @@ def test_without_a_size_no_texel_of_a_pattern_shows(surface):
     assert texture(surface, pattern="checker", smooth=False).image.shape[1::-1] == wanted
     found = texture(surface, np.zeros((200, 400, 3), dtype=np.uint8))
     assert found.image.shape[1::-1] == (512, 256)
-    assert np.pi / 2 / found.atlas.texel_angle >= 100  # as the picture has along a right angle of its equator
+    assert np.pi / 2 / found.layout.atlas.texel_angle >= 100  # as the picture has along a right angle of its equator
 
 
 def test_glb_header_by_hand(textured, tmp_path):
@@ -256,9 +260,9 @@ def test_obj_mtl_and_png_agree(surface, textured, tmp_path):
     v, vt = np.array(rows["v"], dtype=float), np.array(rows["vt"], dtype=float)
     corners = np.array([[c.split("/") for c in f] for f in rows["f"]], dtype=int) - 1
     np.testing.assert_allclose(v[: len(surface[0])], surface[0], rtol=1e-8, atol=1e-9)
-    assert len(v) == len(rows["vn"]) and len(v) < len(vt) == len(textured.uv)
+    assert len(v) == len(rows["vn"]) and len(v) < len(vt) == len(textured.split()[1])
     np.testing.assert_allclose(v[corners[..., 0]], textured.vertices[textured.faces], rtol=1e-8, atol=1e-9)
-    np.testing.assert_allclose(vt[corners[..., 1]], textured.uv[textured.faces], atol=1e-8)
+    np.testing.assert_allclose(vt[corners[..., 1]], textured.uv, atol=1e-8)
     assert np.array_equal(corners[..., 0], corners[..., 2])
     welded = trimesh.Trimesh(v, corners[..., 0], process=False)
     assert welded.is_watertight, "an OBJ keeps the surface closed"
@@ -279,6 +283,33 @@ def test_ply_is_the_input_with_colours(surface, tmp_path):
     colours = loaded.visual.vertex_colors
     np.testing.assert_array_equal(colours[sphere[:, 2] > 0.1], [[250, 120, 30, 255]] * np.sum(sphere[:, 2] > 0.1))
     np.testing.assert_array_equal(colours[sphere[:, 2] < -0.1], [[10, 60, 200, 255]] * np.sum(sphere[:, 2] < -0.1))
+
+
+def test_a_painted_mesh_has_what_a_texture_has(surface, tmp_path):
+    """Colours at the vertices, from any corner there, and a mesh of trimesh's, where there is one picture."""
+    vertices, faces, sphere = surface
+    picture = np.full((16, 16, 3), (10, 60, 200), dtype=np.uint8)
+    picture[:, 8:] = (250, 120, 30)
+    uv = sphere[:, :2] * 0.5 + 0.5
+    mesh = PaintedMesh(vertices, faces, uv, (Material("two", (1.0, 0.5, 1.0, 1.0), picture),))
+    mesh.export(tmp_path / "c.ply")
+    loaded = trimesh.load(tmp_path / "c.ply", process=False)
+    np.testing.assert_array_equal(
+        loaded.visual.vertex_colors[:, :3], np.where(uv[:, :1] < 0.5, picture[0, 0], picture[0, 8])
+    )
+    own = mesh.trimesh()
+    np.testing.assert_array_equal(own.vertices, vertices)
+    np.testing.assert_array_equal(own.visual.uv, uv)
+    assert own.visual.material.baseColorFactor.tolist() == [255, 55, 255, 255]
+    red = Material("red", (1, 0, 0, 1))
+    two = PaintedMesh(vertices, faces, uv, (red, red), np.arange(len(faces)) % 2)
+    with pytest.raises(OmtwarpError, match="one material, the mesh 2"):
+        two.trimesh()
+    for plain in (two, PaintedMesh(vertices, faces, uv, (red,))):
+        with pytest.raises(OmtwarpError, match=r"use \.glb, \.obj"):
+            plain.export(tmp_path / "d.ply")
+    with pytest.raises(OmtwarpError, match="'red' has no picture"):
+        PaintedMesh(vertices, faces, uv, (red,)).pil()
 
 
 def test_export_is_the_same_twice(surface, tmp_path):
@@ -309,7 +340,7 @@ def test_an_equirectangular_image_is_kept_to_the_byte(surface, tmp_path):
     moved = texture(surface, Image.fromarray(picture), atlas="equirectangular", seam_longitude=40.0)
     shift = round((40 - 180) / 360 * 128)
     np.testing.assert_array_equal(moved.image, np.roll(picture, -shift, axis=1))
-    np.testing.assert_array_equal(moved.vertex_colours, plain.vertex_colours)
+    np.testing.assert_array_equal(moved.colors_at_vertices(), plain.colors_at_vertices())
 
 
 def test_result_objects_tuples_and_defaults(surface):
@@ -317,17 +348,17 @@ def test_result_objects_tuples_and_defaults(surface):
         vertices, faces, sphere = surface
 
     one, two = texture(Result(), size=96), texture(surface, pattern="circles", size=96)
-    assert np.array_equal(one.image, two.image) and one.atlas.name == "cube"
-    assert "642 vertices" in repr(one)
+    assert np.array_equal(one.image, two.image) and one.layout.atlas.name == "cube"
+    assert f"{len(one.vertices)} vertices" in repr(one) and len(one.layout.vertices) == 642
 
 
 def test_the_least_visible_places_can_be_asked_for(surface):
     t = texture(surface, pattern="globe", atlas="equirectangular", seam_longitude="auto", size=64)
-    assert -np.pi <= t.atlas.seam <= np.pi
+    assert -np.pi <= t.layout.atlas.seam <= np.pi
     turned = texture(surface, pattern="globe", atlas="equirectangular", rotate="auto", size=64)
-    np.testing.assert_allclose(turned.rotation @ [0, 0, 1], [0, 0, 1], atol=1e-12)
-    expected = np.angle(np.exp(1j * (t.atlas.seam - np.pi)))
-    assert np.angle(turned.rotation[0, 0] + 1j * turned.rotation[1, 0]) == pytest.approx(expected)
+    np.testing.assert_allclose(turned.layout.rotation @ [0, 0, 1], [0, 0, 1], atol=1e-12)
+    expected = np.angle(np.exp(1j * (t.layout.atlas.seam - np.pi)))
+    assert np.angle(turned.layout.rotation[0, 0] + 1j * turned.layout.rotation[1, 0]) == pytest.approx(expected)
 
 
 def broken_files(folder):
