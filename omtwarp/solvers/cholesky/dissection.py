@@ -294,14 +294,14 @@ def _fewer(
     for _ in range(BAND_RINGS):
         ends = band[one] | band[other]
         band[one[ends]] = band[other[ends]] = True
-    found, second = least_separators(edges, band, side[chosen])
+    fewest, second = least_separators(edges, band, side[chosen])
     # A cut is kept where that leaves nothing on one side.
     empty = np.zeros(parts, dtype=bool)
     for which in (False, True):
-        empty |= np.bincount(of_chosen[~found & (second == which)], minlength=parts) == 0
+        empty |= np.bincount(of_chosen[~fewest & (second == which)], minlength=parts) == 0
     taken = ~empty[of_chosen]
     separates, side = separates.copy(), side.copy()
-    separates[chosen[taken]], side[chosen[taken]] = found[taken], second[taken]
+    separates[chosen[taken]], side[chosen[taken]] = fewest[taken], second[taken]
     return separates, side
 
 
