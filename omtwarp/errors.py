@@ -12,6 +12,7 @@ OPTIONS = {
     "omtwarp.repair": "--repair",
     "map_surface with ": "'omtwarp map' with ",
     "domain='sphere', fill_area='natural' or 'small'": "--fill-area natural or small",
+    "domain='sphere' makes": "--cut makes",  # of a surface with handles
     "domain='sphere'": "--fill-area natural",
     "map_to_sphere and save": "'omtwarp map MESH -o MAP.npz'",
     "by align with mirror=True": "with 'omtwarp align MAP --to FIRST --mirror'",

@@ -440,7 +440,7 @@ class MapResult(Displayable):
             (MapResult(642 vertices, 1279 faces, omt, bijective), MapResult(643 vertices, 1282 faces, omt))
         """
         if self.domain == Domain.TORUS:
-            raise OmtwarpError("this is a map to a torus, where one to the sphere is needed, as cut=True makes")
+            raise OmtwarpError("this is a map to a torus, where one to the sphere is needed, as domain='sphere' makes")
         if self.part is not None:
             raise OmtwarpError("several parts do not cover one sphere: map each part by itself")
         if self.domain != Domain.SPHERE:

@@ -136,9 +136,10 @@ class PaintedMesh:
 
     def __repr__(self) -> str:
         coordinates = "without texture coordinates" if self.uv is None else "with texture coordinates"
+        several = "s" * (len(self.materials) != 1)
         return (
             f"{type(self).__name__}({len(self.vertices)} vertices, {len(self.faces)} faces {coordinates}, "
-            f"{len(self.materials)} materials)"
+            f"{len(self.materials)} material{several})"
         )
 
     @property
