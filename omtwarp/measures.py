@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.geometry.sphere_hierarchy import sphere_hierarchy
-from omtwarp.mesh.arrays import Floats, Ints, norms, real_numbers
+from omtwarp.mesh.arrays import Floats, Ints, normalised, real_numbers
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_surface, triangle_areas
 from omtwarp.options import WeightsAt, WeightsAtLike
 
@@ -64,8 +64,7 @@ class TargetDensity:
     def on_triangles(self, sphere: Floats, faces: Ints) -> Floats:
         """Return the mean density over every spherical triangle, shape [F], exact for plane quadratics."""
         corners = sphere[faces]
-        centres = corners.sum(axis=1)
-        centres /= np.maximum(norms(centres)[..., None], np.finfo(float).tiny)
+        centres = normalised(corners.sum(axis=1))
         return 3.0 / 4.0 * self.at(centres) + self.at(sphere)[faces].sum(axis=1) / 12.0
 
     def goal(self, surface: Surface, sphere: Floats) -> Surface:

@@ -15,7 +15,7 @@ from omtwarp.geometry.axes import fitted_rotation
 from omtwarp.geometry.harmonics import check_degree, harmonics_in_parts
 from omtwarp.geometry.sphere_hierarchy import triangle_solid_angles
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.arrays import TINY, Floats, in_range, norms, real_numbers
+from omtwarp.mesh.arrays import TINY, Floats, in_range, normalised, norms, real_numbers
 from omtwarp.mesh.surface import sums_around
 from omtwarp.options import AlignBy, AlignByLike
 from omtwarp.resampling import SpherePoints, as_points
@@ -454,7 +454,7 @@ def _onto_directions(points: SpherePoints) -> tuple[Floats, float]:
     assert points.vertices is not None  # of own_features
     masses = points.surface_areas()
     radial = points.vertices - masses @ points.vertices / masses.sum()
-    radial /= np.maximum(norms(radial)[..., None], TINY)
+    radial = normalised(radial)
     rotation, agreement = fitted_rotation((points.grid.points * masses[:, None]).T @ radial)
     return rotation, agreement / float(masses.sum())
 

@@ -12,7 +12,7 @@ from omtwarp.geometry.limbs import thinnest_ring, vertices_needed
 from omtwarp.geometry.sphere_hierarchy import triangle_solid_angles
 from omtwarp.maps.result import StageReport, Warned
 from omtwarp.measures import mass_distortion
-from omtwarp.mesh.arrays import TINY, Floats, cross, dots, norms
+from omtwarp.mesh.arrays import Floats, cross, dots, normalised, norms
 from omtwarp.mesh.origins import named
 from omtwarp.mesh.quarter import PARTS
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
@@ -116,7 +116,7 @@ def _coarse_findings(surface: Surface, long: Floats) -> list[Finding]:
     share = surface.own_areas / SPHERE_AREA
     corners = surface.scaled_vertices[surface.faces]
     across = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = across / np.maximum(norms(across)[..., None], TINY)
+    normals = normalised(across)
     bend = np.clip(dots(normals[:, None], normals[surface.face_neighbours]).min(axis=1), -1.0, 1.0)
     folded = bend < np.cos(np.radians(fold))
     if share[folded].sum() > folded_share:

@@ -354,7 +354,7 @@ def squared_norms(vectors: Floats) -> Floats:
 
 def norms(vectors: Floats) -> Floats:
     """Return the lengths of vectors, shape [...], from shape [..., 2] or [..., 3]."""
-    return np.asarray(np.sqrt(dots(vectors, vectors)))
+    return np.asarray(np.sqrt(squared_norms(vectors)))
 
 
 def cross(first: Floats, second: Floats) -> Floats:

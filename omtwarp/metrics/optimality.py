@@ -436,7 +436,7 @@ def map_curl(
     x, y = (p.numpy() if isinstance(p, wp.array) else as_sphere(p, surface) for p in (start, sphere))
     log = log_maps(y, x)
     if cost == Cost.GEODESIC:
-        log /= np.maximum(norms(log)[..., None], TINY)
+        log = normalised(log)
     return _curl(surface, y[surface.faces], log)
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
 from omtwarp.geometry.space_order import in_strips
-from omtwarp.mesh.arrays import Floats, Ints, norms
+from omtwarp.mesh.arrays import Floats, Ints, normalised, norms
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -278,8 +278,7 @@ def narrow_parts(points: Floats, faces: Ints) -> tuple[NDArray[np.int64], Floats
     finished: list[tuple[NDArray[np.int64], Floats]] = []
     # Rounds: two cut a triangle both ways, others what is uneven; more need ends of edges that are nearly opposite
     for _ in range(8):
-        places = corners @ points[faces[triangles]]
-        places /= np.maximum(norms(places), np.finfo(float).tiny)[:, :, None]
+        places = normalised(corners @ points[faces[triangles]])
         arcs = 2.0 * np.arcsin(np.minimum(0.5 * norms(places - np.roll(places, -1, axis=1)), 1.0))
         long = arcs.max(axis=1) > LONGEST_EDGE
         finished.append((triangles[~long], corners[~long]))

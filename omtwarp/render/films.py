@@ -26,7 +26,7 @@ from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.limits import MOST_FILM_PIXELS, MOST_FRAMES
 from omtwarp.location import combined
 from omtwarp.maps.domains import is_torus_map
-from omtwarp.mesh.arrays import Bytes, Floats, Ints, cross, norms
+from omtwarp.mesh.arrays import Bytes, Floats, Ints, cross, normalised, norms
 from omtwarp.mesh.surface import SPHERE_AREA, as_unit_vectors, sums_around, triangle_areas
 from omtwarp.options import Backend, BackendLike, PatternLike, Progress, tell
 from omtwarp.render import annotate, output
@@ -328,7 +328,7 @@ class Story:
             # During the second part, added points also move to the domain, not to the flat triangles inside it.
             fill = max(time - 1.0, 0.0) * (self.domain_points - self.weights @ self.domain)
             places, normals = self.weights @ places + fill, self.weights @ normals
-            normals /= np.maximum(norms(normals), np.finfo(float).tiny)[:, None]
+            normals = normalised(normals)
         look = Appearance(kind="uv" if self.on_torus else "sphere", value=points, image=self.image)
         look.repeat_rows = self.on_torus
         return Part(positions=places, normals=normals, faces=self.parts, **vars(look))

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.colors import colormap_table, parse_color
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import (
-    TINY,
     Bytes,
     Floats,
     Ints,
@@ -480,7 +479,7 @@ def arrow_part(view: SurfaceView, arrows: Arrows) -> Part | None:
     if len(vectors) != len(vertices):
         positions = positions[faces].mean(axis=1)
         normals = normals[faces].mean(axis=1)
-        normals /= np.maximum(norms(normals), TINY)[:, None]
+        normals = normalised(normals)
     lengths = norms(vectors)
     longest = lengths.max(initial=0.0)
     if longest == 0.0:
@@ -532,7 +531,7 @@ def _solid_arrows(feet: Floats, way: Floats, normal: Floats, size: Floats, longe
     side = cross(normal, way)
     weak = norms(side) < across
     side[weak] = cross(way[weak], np.eye(3)[np.argmin(np.abs(way[weak]), axis=1)])
-    side /= norms(side)[:, None]
+    side = normalised(side)
     over = cross(way, side)
     # Thickness grows with the square root of the length: short arrows stay visible, long ones slim.
     thick = 0.045 * longest * np.sqrt(size / longest)

@@ -17,7 +17,7 @@ from omtwarp.maps.domains import is_torus_map
 from omtwarp.maps.result import MapReport, MapResult, StageReport
 from omtwarp.maps.torus_map import ring_torus, tube_radius
 from omtwarp.mesh.arrays import Bytes, norms
-from omtwarp.mesh.surface import triangle_areas, unit_normals, vertex_normals
+from omtwarp.mesh.surface import triangle_areas
 from omtwarp.options import PatternLike
 from omtwarp.render import Camera, ScalarField, SurfaceView, preview
 from omtwarp.render.subject import posed, torus_view
@@ -254,7 +254,7 @@ def torus_scene(
         "picture": [_picture(cut.image)],
     }
     turn = views.alignment(stages[-1].sphere[used], placed)
-    normals = unit_normals(vertex_normals(cut.vertices, cut.faces))[used] @ axes.T
+    normals = cut.unit_normals()[used] @ axes.T
     return views.packed_scene(stages, result.faces, used, (placed, normals, faces), own, header, turn)
 
 

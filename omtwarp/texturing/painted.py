@@ -189,7 +189,7 @@ class PaintedMesh:
         return trimesh.Trimesh(
             vertices=self.vertices[vertex],
             faces=rows,
-            vertex_normals=self._normals()[vertex],
+            vertex_normals=self.unit_normals()[vertex],
             visual=trimesh.visual.TextureVisuals(uv=uv, material=look),
             process=False,
             validate=False,
@@ -294,7 +294,7 @@ class PaintedMesh:
             channels = zip(("red", "green", "blue", "alpha"), self.colors_at_vertices().T, strict=True)
             write_mesh(path, surface.vertices, surface.faces, beside=dict(channels))
             return [as_path(path)]
-        normals = self._normals()
+        normals = self.unit_normals()
         parts = [self._part(int(number), normals) for number in np.unique(self.material_of)]
         wraps = (self.wraps, self.wraps_rows)
         model = Model(self.vertices, normals, parts, self.vertex_colors, wraps, self.objects)
@@ -315,7 +315,8 @@ class PaintedMesh:
         colors[:, : values.shape[1]] = as_bytes(values)
         return colors
 
-    def _normals(self) -> Floats:
+    def unit_normals(self) -> Floats:
+        """Return the normals at the vertices, shape [V, 3]: those given, or the mean of the triangles around each."""
         return unit_normals(vertex_normals(self.vertices, self.faces)) if self.normals is None else self.normals
 
     def _part(self, number: int, normals: Floats) -> Part:
