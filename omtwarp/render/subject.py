@@ -116,7 +116,8 @@ def map_view(
     """
     if which not in ("optimal", "conformal") or on not in ("surface", "sphere"):
         raise OmtwarpError(f"unknown view ('{which}', '{on}'): use optimal or conformal, and surface or sphere")
-    sphere = result.sphere if which == "optimal" else result.conformal
+    # Both are read, so that a map to a torus, which has a conformal map too, says that it has no sphere.
+    sphere = {"optimal": result.sphere, "conformal": result.conformal}[which]
     if sphere is None:
         raise OmtwarpError(f"this map has no {which} stage to show")
     picture = checker_image() if image is None else image
