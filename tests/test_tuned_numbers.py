@@ -79,6 +79,7 @@ OTHERS = {
     },
     # Of line searches and barriers, which say how a minimum is reached and not which.
     "safeguard": {
+        "optimal/solver.py": "CORRECTED",
         "refine/energy.py": "NEEDLE_SHARE",
         "refine/kernels.py": "STEEP_COSINE",
         "solvers/motion_kernels.py": "MIN_VOLUME_SHARE LEAST_SHARE",

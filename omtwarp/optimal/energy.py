@@ -128,8 +128,11 @@ class Shape(Protocol):
     def gradient(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
         """Return the gradient by the vertices of the total of ``terms``."""
 
-    def hessian(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
-        """Return every triangle's Hessian in its corners' frames, semidefinite: on and above the diagonal, [F, 21]."""
+    def hessian(self, points: wp.array, terms: ShapeTerms, weight: float, damping: float) -> wp.array:
+        """Return every triangle's Hessian in its corners' frames, semidefinite: on and above the diagonal, [F, 21].
+
+        With ``damping``, 0 to 1, triangles resist turning as a whole, which costs no energy.
+        """
 
 
 SHAPE_WEIGHT = 0.01  # β: on scans the optimal cost rises by some 0.04 %, and the map is smooth
@@ -294,7 +297,7 @@ class TransportEnergy:
         further = self.shape.gradient(points, terms.shape, self.area_weight)
         return self.vertex_cost.gradient(points, masses, potential, further, self.shape_weight)
 
-    def blocks(self, points: wp.array, terms: MapTerms) -> None:
+    def blocks(self, points: wp.array, terms: MapTerms, damping: float = 1.0) -> None:
         """Write the second derivative of the Lagrangian and the areas' first derivatives to :attr:`matrix`.
 
         Both are in the points' frames; of the second derivative a positive semidefinite part is taken.
@@ -302,10 +305,12 @@ class TransportEnergy:
         Args:
             points: the map, shape [V].
             terms: the terms of the map.
+            damping: as of :meth:`Shape.hessian`.
         """
         matrix, mesh = self.matrix, self.surface.on(self.device)
         matrix.points = points
-        hessians, weight = self.shape.hessian(points, terms.shape, self.area_weight), wp.float64(self.shape_weight)
+        hessians = self.shape.hessian(points, terms.shape, self.area_weight, damping)
+        weight = wp.float64(self.shape_weight)
         metric, diagonal = self.vertex_metric(points, terms), matrix.diagonal.reshape((-1, COORDINATES))
         inputs = [*mesh.vertex_corners, hessians, weight, metric, FIRST_THREAD]
         launch_parts(vertex_entries, matrix.vertices, inputs, [diagonal, matrix.inner], self.device)
@@ -319,18 +324,25 @@ class TransportEnergy:
         masses = self.cells.masses(terms.areas, self.cost_weight / SPHERE_AREA)
         return self.vertex_cost.hessian(points, masses, LEAST_EIGENVALUE)
 
-    def factorise(self, factor: SaddlePointFactor, points: wp.array, terms: MapTerms, compliance: wp.array) -> None:
+    def factorise(
+        self,
+        factor: SaddlePointFactor,
+        points: wp.array,
+        terms: MapTerms,
+        compliance: wp.array,
+        damping: float = 1.0,
+    ) -> None:
         """Factorise the matrix of a map, with a larger diagonal where rounding made a pivot's sign wrong.
 
         Args:
             factor: as of :meth:`saddle_factor`.
-            points, terms: as of :meth:`blocks`.
+            points, terms, damping: as of :meth:`blocks`.
             compliance: how far areas may be off, C of the saddle-point system, float64 on the device, shape [N].
 
         Raises:
             OmtwarpError: the second derivative is not finite.
         """
-        self.blocks(points, terms)
+        self.blocks(points, terms, damping)
         matrix = self.matrix
         if matrix.compliance.size:
             scaled(compliance, -1.0, matrix.compliance)

@@ -518,8 +518,8 @@ class PlaneShape:
         plane.at_vertices(sum_at_vertices, [*plane.mesh.vertex_corners, out.flatten()], [sums])
         return sums
 
-    def hessian(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
-        """Return every triangle's Hessian without the areas' own curvature, shape [F, 21]."""
+    def hessian(self, points: wp.array, terms: ShapeTerms, weight: float, damping: float) -> wp.array:
+        """Return every triangle's Hessian without the areas' own curvature, shape [F, 21], which needs no damping."""
         hessians = self._plane.empty(wp.float64, self._plane.surface.face_count, 21)
         weights = [self._frames, self._weights, wp.float64(weight)]
         self._plane.launch(plane_hessians, points, weights, [hessians])

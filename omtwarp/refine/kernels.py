@@ -185,6 +185,7 @@ def distortion_hessian(
     b: wp.vec3d,
     c: wp.vec3d,
     pressures: wp.vec3d,
+    damping: wp.float64,
     # Data out:
     hessian: wp.array2d[wp.float64],
 ):
@@ -208,8 +209,9 @@ def distortion_hessian(
     fro = s1 * s1 + s2 * s2
 
     by_det = pressures[0] - (fro + pressures[1]) / (d * d)
-    twist = wp.max(TWO / d + by_det, ZERO)
-    flip = wp.max(TWO / d - by_det, ZERO)
+    of_twist = wp.sqrt(HALF * damping * wp.max(TWO / d + by_det, ZERO))
+    of_flip = wp.sqrt(HALF * damping * wp.max(TWO / d - by_det, ZERO))
+    of_shear = wp.sqrt(TWO * (ONE - damping) * wp.max(fro / d - d * by_det, ZERO)) / fro
     h11 = TWO * (s2 * s2 + pressures[1]) / (s1 * s1 * d)
     h22 = TWO * (s1 * s1 + pressures[1]) / (s2 * s2 * d)
     h12 = TWO * pressures[1] / (d * d) + by_det
@@ -218,8 +220,6 @@ def distortion_hessian(
     stiff = half_sum + half_gap
     soft = wp.max(half_sum - half_gap, ZERO)
     lean = half_angle(h11 - h22, TWO * h12)
-    of_twist = wp.sqrt(HALF * twist)
-    of_flip = wp.sqrt(HALF * flip)
     of_stiff = wp.sqrt(stiff) * lean
     of_soft = wp.sqrt(soft) * lean
 
@@ -230,7 +230,7 @@ def distortion_hessian(
     tilt = oriented_volume(a, b, c) * scale / d
     upright = wp.sqrt(pressures[2] * needle_curvature(tilt)) / d
     normals = wp.matrix_from_rows(scale * wp.cross(b, c), scale * wp.cross(c, a), scale * wp.cross(a, b))
-    modes = wp.matrix(dtype=wp.float64, shape=(6, 5))
+    modes = wp.matrix(dtype=wp.float64, shape=(6, 6))
     for i in range(3):
         yi = points[i]
         ti = first_tangent(yi)
@@ -250,10 +250,11 @@ def distortion_hessian(
             modes[2 * i + u, 2] = of_stiff[0] * m11 + of_stiff[1] * m22
             modes[2 * i + u, 3] = of_soft[0] * m22 - of_soft[1] * m11
             modes[2 * i + u, 4] = upright * (solid - tilt * (s2 * m11 + s1 * m22))
+            modes[2 * i + u, 5] = of_shear * (s2 * m21 + s1 * m12)
     for i in range(6):
         for j in range(i, 6):
             entry = ZERO
-            for k in range(5):
+            for k in range(6):
                 entry += modes[i, k] * modes[j, k]
             hessian[t, packed(i, j)] = share * entry
 
@@ -265,20 +266,28 @@ def triangle_hessian(
     frames: wp.array[wp.vec3d],
     areas: wp.array[wp.float64],
     pressures: wp.vec3d,
+    damping: wp.float64,
     divisor: wp.float64,
     # Data out:
     hessian: wp.array2d[wp.float64],
 ):
     """Compute the Hessian of A [fro / D + p0 D + p1 / D + p2 needle] in tangent bases, divided, shape [F, 21].
 
-    The energy depends on the singular values of the Jacobian alone, so that its second derivative by the Jacobian has
-    known eigenvectors (Smith, De Goes, Kim: "Analytic eigensystems for isotropic distortion energies", 2019): twist,
-    flip and two scalings. Negative eigenvalues are cut off, which makes the matrix positive semidefinite.
+    The energy depends on the singular values s1, s2 of the Jacobian alone. Between their directions its second
+    derivative has two scalings (Smith, De Goes, Kim: "Analytic eigensystems for isotropic distortion energies", 2019),
+    of whose eigenvalues a negative one is cut off. Across them, with m = Uᵀ dJ V, there are two semidefinite parts:
+
+    * The eigenvalues twist, of m21 - m12, and flip, of m21 + m12, less those that are negative. A triangle that turns,
+      m21 : m12 = s1 : -s2, keeps its energy; but without twist, which is negative, flip resists the turn, and the more
+      the longer and thinner the image is. Limbs that have yet to turn around their axes then do so in tiny steps.
+    * The curvature along the shear s2 m21 + s1 m12 alone, which leaves triangles free to turn.
+
+    ``damping``, 0 to 1, is the share of the first, which keeps steps short far from the optimum.
     """
     t, _compiled_once = wp.tid()
     a, b, c = corners_of(sphere, faces[t])
     share = areas[t] / divisor
-    distortion_hessian(t, frames[t], share, a, b, c, pressures, hessian)
+    distortion_hessian(t, frames[t], share, a, b, c, pressures, damping, hessian)
 
 
 SPHERE_AREA = wp.constant(wp.float64(surface.SPHERE_AREA))  # of the unit sphere, 4π

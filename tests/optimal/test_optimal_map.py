@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.integrate import cumulative_trapezoid
+from scipy.spatial.transform import Rotation
 
 import omtwarp
 from omtwarp import OmtwarpError
@@ -255,3 +256,17 @@ def test_no_exchange_of_vertex_masses_costs_less(seed):
     shown = [report["optimality"]["cost"], report["stages"][-2]["transport_cost"]]
     shown.append(omtwarp.transport_cost(surface, result.sphere, start=result.conformal))
     np.testing.assert_allclose(shown, least, rtol=1e-6)
+
+
+@pytest.mark.parametrize("angle", [0.1, 0.3, 0.6])
+def test_a_map_that_was_turned_turns_back_in_whole_steps(angle):
+    """Straight steps would stretch what they turn: corrected, they keep the areas and need no halving."""
+    surface = blob(seed=3, amplitude=0.3, degree=5, sphere=1280)
+    x = conformal_map(surface, device="cpu").sphere
+    best = optimal_map(surface, moser_map(surface, x, device="cpu").sphere, start=x, device="cpu").sphere
+    turned = Rotation.from_rotvec(angle * np.array([0.0, 0.6, 0.8])).apply(best)
+    found = optimal_map(surface, turned, start=x, device="cpu")
+    assert found.converged and len(found.history) <= 1 + 4
+    assert {record["length"] for record in found.history[1:]} == {1.0}
+    assert is_bijective(found.sphere, surface.faces)
+    np.testing.assert_allclose(found.sphere, best, atol=1e-3)
