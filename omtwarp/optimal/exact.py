@@ -29,6 +29,7 @@ from omtwarp.mesh.surface import as_unit_vectors
 from omtwarp.optimal.cells import TriangleCells
 from omtwarp.optimal.energy import SHAPE_WEIGHT, MapTerms, TransportEnergy
 from omtwarp.optimal.solver import (
+    GAIN,
     PENALTY,
     OptimalMap,
     minimise,
@@ -95,10 +96,7 @@ def _step(
     direction = energy.direction(points, solution)
     before, length = np.sqrt(terms.squares), 1.0
     for _ in range(MAX_HALVINGS):
-        moved, marks, troubled = steps.tried(points, direction, terms.shape.d_volume, length, energy.reading)
-        held: tuple[wp.array, int] | None = (moved, 0)
-        if energy.reading.read()[troubled] > 0.0:
-            held = steps.held_back(points, direction, terms.shape.d_volume, length, marks)
+        held = steps.taken(points, direction, terms.shape.d_volume, length)
         if held is not None:
             after = energy.terms(held[0])
             if np.sqrt(after.squares) <= (1.0 - SUFFICIENT * length) * before:
@@ -118,9 +116,6 @@ ITERATIONS = 200  # largest number of steps; a map that needs more reports that 
 # ask slivers for several times their area, and those after them are shortened to a sixteenth.
 MAX_START_RMS = 0.06
 GROWING_PENALTIES, STEPS_OF_ROUND = (3.0, PENALTY), 12  # most steps with each before the last
-CELL_GAIN = (
-    1e-4  # share of the cost that the last step would gain: the valleys of cost and shape are longer than at rings
-)
 EXACT = 1e-6  # largest relative error after the remaining errors were corrected
 
 
@@ -172,7 +167,7 @@ def minimise_cells(energy: TransportEnergy, points: Floats, progress: Progress |
             points,
             area_penalty=penalty,
             multipliers=multipliers,
-            gain=CELL_GAIN,
+            gain=GAIN,
             iterations=min(steps, ITERATIONS),
             progress=progress,
         )

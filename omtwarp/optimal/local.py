@@ -51,8 +51,8 @@ MAX_HALVINGS = 12  # of a patch's step before the patch stays where it is
 REGULARISATION = 1e-6  # added to the diagonal, relative to each entry, as the second derivative is only semidefinite
 
 
-def freed_vertices(faces: NDArray[np.int32], gains: Floats, expected: float) -> NDArray[np.bool_] | None:
-    """Choose the vertices that local steps move, as a mask of shape [V], or None where none has anything to gain.
+def freed_vertices(faces: NDArray[np.int32], gains: Floats, expected: float) -> NDArray[np.bool_]:
+    """Choose the vertices that local steps move, as a mask of shape [V]: none where none has anything to gain.
 
     Args:
         faces: of the surface, shape [F, 3].
@@ -63,9 +63,9 @@ def freed_vertices(faces: NDArray[np.int32], gains: Floats, expected: float) -> 
     order = np.argsort(-gains, kind="stable")
     total = np.cumsum(gains[order])
     count = min(int(np.searchsorted(total, GAIN_SHARE * total[-1])) + 1, int(MAX_CHOSEN_SHARE * len(gains)))
-    if not total[-1] > 0.0 or count == 0:
-        return None
     chosen = np.zeros(len(gains), dtype=bool)
+    if not total[-1] > 0.0 or count == 0:
+        return chosen
     chosen[order[:count]] = True
     return grow(faces, chosen, FREED_RINGS)
 

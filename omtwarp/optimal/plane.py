@@ -24,6 +24,7 @@ from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.cells import Cells
 from omtwarp.optimal.energy import ShapeTerms
 from omtwarp.optimal.kernels import Fit, raised_fit, weighted_fit
+from omtwarp.refine.kernels import Bases, add_squares, distortion_modes
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
 from omtwarp.solvers.motion_kernels import keeps_volume
 from omtwarp.solvers.triangle import triangle_frames
@@ -64,24 +65,6 @@ def jacobian(frame: wp.vec3d, b: wp.vec2d, c: wp.vec2d):
     one = frame[0] * b
     two = frame[1] * b + frame[2] * c
     return one, two, one[0] * two[1] - one[1] * two[0]
-
-
-@wp.func
-def column_weights(frame: wp.vec3d, k: int):
-    """Return the derivatives of the two columns of the Jacobian by a coordinate of corner k."""
-    if k == 0:
-        return -frame[0], -frame[1] - frame[2]
-    if k == 1:
-        return frame[0], frame[1]
-    return ZERO, frame[2]
-
-
-@wp.func
-def determinant_slope(first: wp.float64, second: wp.float64, one: wp.vec2d, two: wp.vec2d, axis: int) -> wp.float64:
-    """Return the derivative of the determinant where a coordinate moves the columns of the Jacobian so much."""
-    if axis == 0:
-        return first * two[1] - second * one[1]
-    return second * one[0] - first * two[0]
 
 
 @wp.kernel
@@ -149,37 +132,28 @@ def plane_hessians(
     frames: wp.array[wp.vec3d],
     weights: wp.array[wp.float64],
     area_weight: wp.float64,
+    damping: wp.float64,
     # Data out:
     hessians: wp.array2d[wp.float64],
 ):
     """Compute positive semidefinite Hessians of the distortion, entries on and above the diagonal, shape [F, 21].
 
-    With the Jacobian J and its determinant D the energy is |J|² / D + λ (D + 1 / D). Both terms are convex in (J, D);
-    the Hessian leaves out the curvature of D, which is not.
+    With the Jacobian J and its determinant D the energy is |J|² / D + λ (D + 1 / D): see
+    :func:`omtwarp.refine.kernels.triangle_hessian`.
     """
     f = wp.tid()
-    frame = frames[f]
     b, c = sides(points, shift, faces, f)
-    one, two, d = jacobian(frame, b, c)
-    square = wp.dot(one, one) + wp.dot(two, two)
-    twice = TWO * area_weight / (d * d * d)
-    at = int(0)
-    for p in range(6):
-        first, second = column_weights(frame, p // 2)
-        x = p % 2
-        slope = determinant_slope(first, second, one, two, x)
-        along = first * one[x] + second * two[x]
-        for q in range(p, 6):
-            first_q, second_q = column_weights(frame, q // 2)
-            y = q % 2
-            slope_q = determinant_slope(first_q, second_q, one, two, y)
-            along_q = first_q * one[y] + second_q * two[y]
-            both = ZERO
-            if x == y:
-                both = first * first_q + second * second_q
-            mixed = both - (along * slope_q + along_q * slope) / d + square * slope * slope_q / (d * d)
-            hessians[f, at] = weights[f] * (TWO * mixed / d + twice * slope * slope_q)
-            at += 1
+    one, two, _d = jacobian(frames[f], b, c)
+    c1, c2 = wp.vec3d(one[0], one[1], ZERO), wp.vec3d(two[0], two[1], ZERO)
+    bases = Bases()
+    for k in range(3):
+        bases[2 * k] = wp.vec3d(ONE, ZERO, ZERO)
+        bases[2 * k + 1] = wp.vec3d(ZERO, ONE, ZERO)
+    pressures = wp.vec3d(area_weight, area_weight, ZERO)
+    modes = distortion_modes(frames[f], c1, c2, bases, pressures, damping)
+    for k in range(6):
+        modes[k, 4] = ZERO
+    add_squares(f, modes, weights[f], hessians)
 
 
 @wp.kernel
@@ -519,8 +493,8 @@ class PlaneShape:
         return sums
 
     def hessian(self, points: wp.array, terms: ShapeTerms, weight: float, damping: float) -> wp.array:
-        """Return every triangle's Hessian without the areas' own curvature, shape [F, 21], which needs no damping."""
+        """Return every triangle's Hessian, as :meth:`omtwarp.optimal.energy.Shape.hessian` describes it."""
         hessians = self._plane.empty(wp.float64, self._plane.surface.face_count, 21)
-        weights = [self._frames, self._weights, wp.float64(weight)]
+        weights = [self._frames, self._weights, wp.float64(weight), wp.float64(damping)]
         self._plane.launch(plane_hessians, points, weights, [hessians])
         return hessians

@@ -262,7 +262,8 @@ class _Newton:
         self.multipliers = wp.zeros(len(energy.wanted), dtype=wp.float64, device=self.device)
         self.max_rms, self.max_error = energy.cells.tolerances
         # Of triangles that turn, as of omtwarp.optimal.energy.Shape: it falls with the gain that steps are expected to
-        # have, so that far steps are short, and the last ones turn what has yet to turn.
+        # have, so that far steps are short, and the last ones turn what has yet to turn. Where no cost says how the
+        # whole map is turned, it stays.
         self.damping = 1.0
 
     def run(
@@ -294,7 +295,8 @@ class _Newton:
                 ended = "optimal" if converged else "no step lowers the cost"
                 break
             before, points, terms, self.multipliers, settled = points, step.points, step.terms, step.multipliers, 0
-            self.damping = min(1.0, decrement / self._scale(terms))
+            if energy.cost_weight > 0.0:
+                self.damping = min(1.0, decrement / self._scale(terms))
             converged = self._reached(terms, decrement)
             if not converged:
                 points, terms, settled = self._settled(before, points, terms, decrement)
@@ -337,14 +339,17 @@ class _Newton:
         ]
         gains = wp.empty(count, dtype=wp.float64, device=self.device)
         wp.launch(single_gains, dim=count, inputs=inputs, outputs=[gains], device=self.device)
-        freed = freed_vertices(self.surface.faces, gains.numpy(), expected)
-        if freed is None:
+        assert isinstance(self.domain, Sphere)
+        alone = self.domain.alone
+        freed = alone & freed_vertices(self.surface.faces, np.where(alone, gains.numpy(), 0.0), expected)
+        if not freed.any():
             return points, terms, 0
         patches = Patches.of_vertices(self.surface.faces, freed)
         steps = LocalSteps(energy, patches, self.stiffness / energy.wanted, constrained=self.constrained)
         if not steps.worthwhile:
             return points, terms, 0
         moved, multipliers = steps.run(points, terms, self.multipliers, LOCAL_GAIN_SHARE * self._enough(terms))
+        moved, multipliers = self.domain.completed(moved, multipliers)
         after = energy.terms(moved)
         if not self._penalised_energy(after) < self._penalised_energy(terms):
             return points, terms, 0
@@ -453,10 +458,7 @@ class _Newton:
             missing = combine(1.0, step.terms.missing, step.length - 1.0, terms.missing)
             _, solution = energy.newton_step(self.factor, points, None, missing)
             direction, q = energy.direction(points, solution), solution[-self.multipliers.size :]
-            moved, marks, troubled = self.steps.tried(step.points, direction, volume, 1.0, energy.reading)
-            held: tuple[wp.array, int] | None = (moved, 0)
-            if energy.reading.read()[troubled] > 0.0:
-                held = self.steps.held_back(step.points, direction, volume, 1.0, marks)
+            held = self.steps.taken(step.points, direction, volume, 1.0)
             if held is None:
                 return None
             after, change = energy.terms(held[0], self.multipliers), 1.0 if self.constrained else 0.0

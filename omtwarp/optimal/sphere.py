@@ -29,6 +29,9 @@ class Sphere:
     Args:
         surface: V vertices, F faces.
         device: a Warp device.
+
+    Attributes:
+        alone: vertices that may move on their own, shape [V].
     """
 
     def __init__(self, surface: Surface, device: wp.Device):
@@ -36,6 +39,7 @@ class Sphere:
         self._faces = surface.on(device).faces
         self._examined = surface.face_count  # the first triangles, which are looked at after a step
         self._areas = empty(surface.face_count, wp.float64, device)
+        self.alone: NDArray[np.bool_] = np.ones(surface.vertex_count, dtype=bool)
 
     def sent(self, values: Floats) -> wp.array:
         """Return points or tangent vectors, shape [V, 3], as vec3d on the device."""
@@ -82,6 +86,10 @@ class Sphere:
         inputs = [moved, self._faces, volume]
         wp.launch(triangle_trouble, dim=self._examined, inputs=inputs, outputs=[marks], device=self.device)
         return marks
+
+    def completed(self, points: wp.array, multipliers: wp.array) -> tuple[wp.array, wp.array]:
+        """Return a map and its multipliers where some vertices moved on their own, with those that depend on them."""
+        return points, multipliers
 
     def factor(self, cells: Cells, workspace: Workspace | None) -> SaddlePointFactor:
         """Return what factorises matrices with a multiplier for every cell."""
@@ -171,7 +179,7 @@ def energy_on_sphere(
     cost, shape = GeodesicCost(surface, start, device, softness), DistortionEnergy(surface, device)
     where = Sphere(surface, device) if domain is None else domain
     energy = TransportEnergy(where, kept, cost, shape, shape_weight, area_weight=area_weight, workspace=shape.workspace)
-    energy.has_local_steps = domain is None and isinstance(kept, RingCells)
+    energy.has_local_steps = isinstance(kept, RingCells)
     return energy
 
 

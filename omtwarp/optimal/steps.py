@@ -53,6 +53,15 @@ class FlipFreeSteps:
         marks = self._domain.spoilt(moved, volume)
         return moved, marks, reading.largest(marks)
 
+    def taken(
+        self, points: wp.array, direction: wp.array, volume: wp.array, length: float
+    ) -> tuple[wp.array, int] | None:
+        """Move points by a step, held back where it spoils triangles; arguments and result as of :meth:`held_back`."""
+        moved, marks, troubled = self.tried(points, direction, volume, length, self._reading)
+        if self._reading.read()[troubled] > 0.0:
+            return self.held_back(points, direction, volume, length, marks)
+        return moved, 0
+
     def held_back(
         self, points: wp.array, direction: wp.array, volume: wp.array, length: float, marks: wp.array
     ) -> tuple[wp.array, int] | None:

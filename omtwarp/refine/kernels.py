@@ -4,6 +4,7 @@ With c1, c2 the columns of a triangle's Jacobian, fro = |c1|² + |c2|² and D = 
 brings the image's total flat area to 4π. Angle distortion is fro / D, area distortion scale D + 1 / (scale D).
 """
 
+# mypy: ignore-errors
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, THREE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import corners_of, oriented_volume
 from omtwarp.mesh import surface
@@ -176,22 +177,25 @@ def gather_tangent(
     gradient[i] = (total - wp.dot(total, y) * y) / divisor
 
 
+Bases = wp.types.matrix(shape=(6, 3), dtype=wp.float64)
+Modes = wp.types.matrix(shape=(6, 6), dtype=wp.float64)
+
+
 @wp.func
-def distortion_hessian(
-    t: int,
-    frame: wp.vec3d,
-    share: wp.float64,
-    a: wp.vec3d,
-    b: wp.vec3d,
-    c: wp.vec3d,
-    pressures: wp.vec3d,
-    damping: wp.float64,
-    # Data out:
-    hessian: wp.array2d[wp.float64],
-):
-    """Compute row t of the Hessian as :func:`triangle_hessian` describes it; ``share`` is area over divisor."""
-    c1 = first_column(frame, a, b)
-    c2 = second_column(frame, a, b, c)
+def distortion_modes(
+    frame: wp.vec3d, c1: wp.vec3d, c2: wp.vec3d, bases: Bases, pressures: wp.vec3d, damping: wp.float64
+) -> Modes:
+    """Return the modes m of which Σ m mᵀ is the Hessian of fro / D + p0 D + p1 / D, as :func:`triangle_hessian` has it.
+
+    Args:
+        frame: of the triangle.
+        c1, c2: columns of its Jacobian.
+        bases: what each of its six coordinates moves its corner along.
+        pressures, damping: as of :func:`triangle_hessian`.
+
+    Returns:
+        A row for every coordinate, five modes and what s1 s2 gains by the coordinate.
+    """
     normal = wp.normalize(wp.cross(c1, c2))
     # Right singular vectors from the angle that diagonalises JᵀJ, left ones from J and the normal.
     p = wp.dot(c1, c1)
@@ -225,38 +229,66 @@ def distortion_hessian(
 
     first = first_weights(frame)
     second = second_weights(frame)
-    points = wp.matrix_from_rows(a, b, c)
-    scale = frame[0] * frame[2]
-    tilt = oriented_volume(a, b, c) * scale / d
-    upright = wp.sqrt(pressures[2] * needle_curvature(tilt)) / d
-    normals = wp.matrix_from_rows(scale * wp.cross(b, c), scale * wp.cross(c, a), scale * wp.cross(a, b))
-    modes = wp.matrix(dtype=wp.float64, shape=(6, 6))
+    modes = Modes()
     for i in range(3):
-        yi = points[i]
-        ti = first_tangent(yi)
         along = cosine * first[i] + sine * second[i]
         across = cosine * second[i] - sine * first[i]
-        for u in range(2):
-            bi = ti
-            if u == 1:
-                bi = wp.cross(yi, ti)
-            m11 = wp.dot(bi, u1) * along
-            m12 = wp.dot(bi, u1) * across
-            m21 = wp.dot(bi, u2) * along
-            m22 = wp.dot(bi, u2) * across
-            solid = wp.dot(bi, normals[i])
-            modes[2 * i + u, 0] = of_twist * (m21 - m12)
-            modes[2 * i + u, 1] = of_flip * (m21 + m12)
-            modes[2 * i + u, 2] = of_stiff[0] * m11 + of_stiff[1] * m22
-            modes[2 * i + u, 3] = of_soft[0] * m22 - of_soft[1] * m11
-            modes[2 * i + u, 4] = upright * (solid - tilt * (s2 * m11 + s1 * m22))
-            modes[2 * i + u, 5] = of_shear * (s2 * m21 + s1 * m12)
+        for k in range(2 * i, 2 * i + 2):
+            m11 = wp.dot(bases[k], u1) * along
+            m12 = wp.dot(bases[k], u1) * across
+            m21 = wp.dot(bases[k], u2) * along
+            m22 = wp.dot(bases[k], u2) * across
+            modes[k, 0] = of_twist * (m21 - m12)
+            modes[k, 1] = of_flip * (m21 + m12)
+            modes[k, 2] = of_stiff[0] * m11 + of_stiff[1] * m22
+            modes[k, 3] = of_soft[0] * m22 - of_soft[1] * m11
+            modes[k, 4] = s2 * m11 + s1 * m22
+            modes[k, 5] = of_shear * (s2 * m21 + s1 * m12)
+    return modes
+
+
+@wp.func
+def add_squares(t: int, modes: Modes, share: wp.float64, hessian: wp.array2d[wp.float64]):
+    """Write a share of Σ m mᵀ, the entries on and above the diagonal, to row t."""
     for i in range(6):
         for j in range(i, 6):
             entry = ZERO
             for k in range(6):
                 entry += modes[i, k] * modes[j, k]
             hessian[t, packed(i, j)] = share * entry
+
+
+@wp.func
+def distortion_hessian(
+    t: int,
+    frame: wp.vec3d,
+    share: wp.float64,
+    a: wp.vec3d,
+    b: wp.vec3d,
+    c: wp.vec3d,
+    pressures: wp.vec3d,
+    damping: wp.float64,
+    # Data out:
+    hessian: wp.array2d[wp.float64],
+):
+    """Compute row t of the Hessian as :func:`triangle_hessian` describes it; ``share`` is area over divisor."""
+    c1 = first_column(frame, a, b)
+    c2 = second_column(frame, a, b, c)
+    points = wp.matrix_from_rows(a, b, c)
+    bases = Bases()
+    for i in range(3):
+        tangent = first_tangent(points[i])
+        bases[2 * i] = tangent
+        bases[2 * i + 1] = wp.cross(points[i], tangent)
+    modes = distortion_modes(frame, c1, c2, bases, pressures, damping)
+    scale = frame[0] * frame[2]
+    d = wp.length(wp.cross(c1, c2))
+    tilt = oriented_volume(a, b, c) * scale / d
+    upright = wp.sqrt(pressures[2] * needle_curvature(tilt)) / d
+    normals = wp.matrix_from_rows(scale * wp.cross(b, c), scale * wp.cross(c, a), scale * wp.cross(a, b))
+    for k in range(6):
+        modes[k, 4] = upright * (wp.dot(bases[k], normals[k // 2]) - tilt * modes[k, 4])
+    add_squares(t, modes, share, hessian)
 
 
 @wp.kernel

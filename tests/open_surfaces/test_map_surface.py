@@ -150,7 +150,8 @@ def test_limbs_that_the_conformal_map_shrinks_begin_with_a_map_from_coarse_to_fi
     result = omtwarp.map_surface((kept.vertices, kept.faces), domain="hemisphere", device="cpu")
     measured, stages = result.distortion(), {stage["name"]: stage for stage in result.report["stages"]}
     assert stages["omt"]["ended"] == "optimal" and stages["omt"]["road"] == "embedded"
-    assert measured.flips == 0 and result.certificate.bijective and measured.area["surface"] < 2.03
+    assert stages["omt"]["iterations"] <= 15  # single vertices of symmetric maps take steps of their own too
+    assert measured.flips == 0 and result.certificate.bijective and measured.area["surface"] < 2.025
     rims = boundary_loops(result.faces, len(result.vertices))  # of the cut limbs, one on the equator
     assert len(rims) == 2 and any(not result.sphere[rim, 2].any() for rim in rims)
 
