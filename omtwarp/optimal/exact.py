@@ -30,14 +30,13 @@ from omtwarp.optimal.cells import TriangleCells
 from omtwarp.optimal.energy import SHAPE_WEIGHT, MapTerms, TransportEnergy
 from omtwarp.optimal.solver import (
     GAIN,
-    PENALTY,
     OptimalMap,
     minimise,
     softness,
 )
 from omtwarp.optimal.sphere import Sphere, energy_on_sphere
 from omtwarp.optimal.steps import FlipFreeSteps
-from omtwarp.options import Cost, CostLike, Progress, Record
+from omtwarp.options import Cost, CostLike, Progress
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
 
 ROUNDS = 30  # largest number of steps
@@ -112,10 +111,6 @@ def _right(energy: TransportEnergy, terms: MapTerms) -> bool:
 
 
 ITERATIONS = 200  # largest number of steps; a map that needs more reports that it has not converged
-# Where the root mean square error of the areas is larger to begin with, penalties on them grow: the first steps would
-# ask slivers for several times their area, and those after them are shortened to a sixteenth.
-MAX_START_RMS = 0.06
-GROWING_PENALTIES, STEPS_OF_ROUND = (3.0, PENALTY), 12  # most steps with each before the last
 EXACT = 1e-6  # largest relative error after the remaining errors were corrected
 
 
@@ -157,22 +152,8 @@ def exact_map(
 
 def minimise_cells(energy: TransportEnergy, points: Floats, progress: Progress | None) -> OptimalMap:
     """Minimise an energy of cells, then correct their areas to 1e-6; arguments and result as of :func:`exact_map`."""
-    history: list[Record] = []
-    multipliers: Floats | None = None
-    rms, _ = energy.area_errors(energy.terms(energy.domain.sent(points)))
-    for penalty in GROWING_PENALTIES if rms > MAX_START_RMS else GROWING_PENALTIES[-1:]:
-        steps = ITERATIONS if penalty == PENALTY else STEPS_OF_ROUND
-        optimal = minimise(
-            energy,
-            points,
-            area_penalty=penalty,
-            multipliers=multipliers,
-            gain=GAIN,
-            iterations=min(steps, ITERATIONS),
-            progress=progress,
-        )
-        points, multipliers = optimal.points, optimal.multipliers
-        history += optimal.history
+    optimal = minimise(energy, points, gain=GAIN, iterations=ITERATIONS, progress=progress)
+    history = list(optimal.history)
 
     def notify(number: int, terms: MapTerms) -> None:
         rms, largest = energy.area_errors(terms)

@@ -195,7 +195,6 @@ def minimise(
     energy: TransportEnergy,
     points: Floats,
     *,
-    area_penalty: float = PENALTY,
     multipliers: ArrayLike | None = None,
     gain: float,
     iterations: int,
@@ -207,8 +206,6 @@ def minimise(
     Args:
         energy: what is minimised.
         points: a map without flips to begin with, shape [V, 3], or [V, 2] in the plane.
-        area_penalty: μ, the weight of area errors beside the cost during the minimisation. It does not change the
-            result: a smaller one allows longer steps while a map is far from optimal, and corrects areas later.
         multipliers, iterations, progress: as of :func:`optimal_map`.
         gain: end where a step is expected to gain less than this share of the cost; with a penalty, less than this
             number.
@@ -226,7 +223,7 @@ def minimise(
     if flipped.any():
         raise OmtwarpError(f"the map to optimise has {int(flipped.sum())} flipped triangles: untangle it first")
     known = None if multipliers is None else np.array(multipliers, dtype=np.float64)
-    return _Newton(energy, gain, area_penalty, penalty).run(given, known, iterations, progress)
+    return _Newton(energy, gain, penalty).run(given, known, iterations, progress)
 
 
 class _Newton:
@@ -236,14 +233,13 @@ class _Newton:
     and where single vertices go on alone what these read of the map.
 
     Args:
-        energy, gain, area_penalty, penalty: as of :func:`minimise`.
+        energy, gain, penalty: as of :func:`minimise`.
     """
 
     def __init__(
         self,
         energy: TransportEnergy,
         gain: float,
-        area_penalty: float = PENALTY,
         penalty: float | None = None,
     ):
         self.constrained, self.stage = penalty is None, "omt" if penalty is None else "refine"
@@ -253,12 +249,9 @@ class _Newton:
         self.factor = energy.saddle_factor()
         # Weights of the squared area errors in the augmented Lagrangian: μ over the wanted areas, which sum to 12π for
         # rings.
-        weight = area_penalty if penalty is None else max(penalty, LEAST_PENALTY)
+        weight = PENALTY if penalty is None else max(penalty, LEAST_PENALTY)
         self.stiffness = weight / float(energy.wanted.sum())  # of squares over wanted areas
         self.compliance = wp.array(energy.wanted / self.stiffness, dtype=wp.float64, device=self.device)
-        # With a light penalty steps may lower cost at the expense of areas; the map at the end must not be worse than
-        # the one given by the usual penalty.
-        self.strictness = max(1.0, PENALTY / area_penalty) if self.constrained else 1.0
         self.multipliers = wp.zeros(len(energy.wanted), dtype=wp.float64, device=self.device)
         self.max_rms, self.max_error = energy.cells.tolerances
         # Of triangles that turn, as of omtwarp.optimal.energy.Shape: it falls with the gain that steps are expected to
@@ -281,7 +274,7 @@ class _Newton:
             self.multipliers = wp.array(multipliers, dtype=wp.float64, device=self.device)
         elif self.constrained:  # estimated from a potential of zero
             self.multipliers = scaled(energy.potential(terms, self.multipliers), -1.0)
-        first = self._penalised_energy(terms, self.strictness)
+        first = self._penalised_energy(terms)
         history = [self._record(terms, 0.0, 0.0, 0, 0)]
         ended, converged, factorisations = "most steps taken", False, 0
         for number in range(iterations):
@@ -306,7 +299,7 @@ class _Newton:
             if converged:
                 ended = "optimal"
                 break
-        last = self._penalised_energy(terms, self.strictness)
+        last = self._penalised_energy(terms)
         better, as_good = last <= first, last <= first + MIN_COST
         return OptimalMap(
             points.numpy().copy() if better else given,
@@ -383,11 +376,11 @@ class _Newton:
         small = self.energy.area_errors(terms)[1] <= self.max_error
         return small and left > (1.0 - LEAST_AREA_GAIN) * self.stiffness * terms.squares
 
-    def _penalised_energy(self, terms: MapTerms, strictness: float = 1.0) -> float:
-        """Return cost plus shape plus penalty on area errors, times strictness; it needs no multipliers."""
+    def _penalised_energy(self, terms: MapTerms) -> float:
+        """Return cost plus shape plus penalty on area errors; it needs no multipliers."""
         energy = self.energy
         cost = energy.cost_weight * energy.cost(terms) / SPHERE_AREA
-        penalty = 0.5 * strictness * self.stiffness * terms.squares
+        penalty = 0.5 * self.stiffness * terms.squares
         return cost + energy.shape_weight * terms.shape.total(energy.area_weight) + penalty
 
     def _merit(self, terms: MapTerms) -> float:
