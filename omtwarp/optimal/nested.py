@@ -42,9 +42,6 @@ LEAST_COST, LEAST_BEND = 1e-4, 1e-3
 VERTICES_PER_COARSE = 8
 LEAST_COARSE, MOST_COARSE = 200, 20_000  # vertices of the coarse triangulation
 STEPS = 40  # most of a minimisation
-# Of Moser's flow from an embedding: a second halves the area error that the first leaves, and takes as long. With one
-# 120 made surfaces end with the same areas and angles, and four more with a warning.
-MOSER_PASSES = 2
 # Weight of area against angle, and tolerance and most steps, of smoothing an embedding: its slivers stop the
 # minimisation; more smoothing costs time and gains nothing. With a weight of 10 four more of 120 made surfaces end with
 # a warning.
@@ -177,11 +174,10 @@ def embedded_start(
     sphere = hierarchical_embedding(surface, device=device).sphere if embedding is None else embedding
     turned = normalised(turned_towards(sphere, start, surface.vertex_areas))
     sphere = turned if is_bijective(turned, surface.faces, device=device) else sphere
-    for _ in range(MOSER_PASSES):
-        try:
-            sphere = untangled(surface, moser_map(surface, sphere, device=device).sphere, device=device)
-        except OmtwarpError:
-            break  # the flow flips more than can be repaired: the map before stays
+    try:
+        sphere = untangled(surface, moser_map(surface, sphere, device=device).sphere, device=device)
+    except OmtwarpError:
+        pass  # the flow flips more than can be repaired: the map before stays
     return smoothed(surface, sphere, device=device)
 
 
