@@ -42,7 +42,7 @@ from omtwarp.solvers.triangle import AREA_WEIGHT
 PENALTY = 1000.0
 LEAST_PENALTY = 1e-12  # in place of 0, by which saddle-point systems divide
 MIN_COST = 1e-6  # radians²: gains are compared with the cost, or with this where the cost is smaller
-MAX_HALVINGS = 20  # of a step, down to a millionth
+MAX_HALVINGS = 6  # of a step: smaller ones lower the merit of drawn parts, and tear their triangles
 CORRECTED = 0.1  # share of the squared errors of areas that a correction may leave: after one that leaves more, halve
 # Share of the squared errors of areas that a step has to take away to be worth taking for that alone.
 LEAST_AREA_GAIN = 0.1
