@@ -28,12 +28,7 @@ from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.mesh.surface import as_unit_vectors
 from omtwarp.optimal.cells import TriangleCells
 from omtwarp.optimal.energy import SHAPE_WEIGHT, MapTerms, TransportEnergy
-from omtwarp.optimal.solver import (
-    GAIN,
-    OptimalMap,
-    minimise,
-    softness,
-)
+from omtwarp.optimal.solver import GAIN, OptimalMap, minimise, softness
 from omtwarp.optimal.sphere import Sphere, energy_on_sphere
 from omtwarp.optimal.steps import FlipFreeSteps
 from omtwarp.options import Cost, CostLike, Progress

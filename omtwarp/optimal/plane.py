@@ -24,7 +24,7 @@ from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.cells import Cells
 from omtwarp.optimal.energy import ShapeTerms
 from omtwarp.optimal.kernels import Fit, raised_fit, weighted_fit
-from omtwarp.refine.kernels import Bases, add_squares, distortion_modes
+from omtwarp.refine.kernels import distortion_modes, write_squares
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
 from omtwarp.solvers.motion_kernels import keeps_volume
 from omtwarp.solvers.triangle import triangle_frames
@@ -145,15 +145,13 @@ def plane_hessians(
     b, c = sides(points, shift, faces, f)
     one, two, _d = jacobian(frames[f], b, c)
     c1, c2 = wp.vec3d(one[0], one[1], ZERO), wp.vec3d(two[0], two[1], ZERO)
-    bases = Bases()
-    for k in range(3):
-        bases[2 * k] = wp.vec3d(ONE, ZERO, ZERO)
-        bases[2 * k + 1] = wp.vec3d(ZERO, ONE, ZERO)
+    axis, other = wp.vec3d(ONE, ZERO, ZERO), wp.vec3d(ZERO, ONE, ZERO)
+    axes, others = wp.matrix_from_rows(axis, axis, axis), wp.matrix_from_rows(other, other, other)
     pressures = wp.vec3d(area_weight, area_weight, ZERO)
-    modes = distortion_modes(frames[f], c1, c2, bases, pressures, damping)
+    modes = distortion_modes(frames[f], c1, c2, axes, others, pressures, damping)
     for k in range(6):
         modes[k, 4] = ZERO
-    add_squares(f, modes, weights[f], hessians)
+    write_squares(f, modes, weights[f], hessians)
 
 
 @wp.kernel

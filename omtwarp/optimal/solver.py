@@ -421,8 +421,7 @@ class _Newton:
                 held = self.steps.held_back(points, direction, volume, length, marks)
             if held is not None:
                 after = energy.terms(held[0], self.multipliers) if held[1] else finish(numbers)
-                change = length if self.constrained else 0.0
-                step = _Step(held[0], after, length, held[1], combine(1.0, self.multipliers, change, q))
+                step = _Step(held[0], after, length, held[1], self._changed(self.multipliers, length, q))
                 corrected = self._corrected(points, terms, step, enough)
                 if corrected is not None:
                     return corrected, q, decrement
@@ -442,9 +441,8 @@ class _Newton:
             enough: what the merit has to fall to.
         """
         energy, volume, left = self.energy, terms.shape.d_volume, np.inf
-        while (merit := self._merit(step.terms)) > enough:
-            areas_alone = merit - 0.5 * self.stiffness * step.terms.squares <= enough
-            if not areas_alone or step.terms.squares > left:
+        while self._merit(step.terms) > enough:
+            if energy.lagrangian(step.terms) > enough or step.terms.squares > left:
                 return None
             left = CORRECTED * step.terms.squares
             # Of the errors of before, a step of this length was to leave the rest.
@@ -454,10 +452,13 @@ class _Newton:
             held = self.steps.taken(step.points, direction, volume, 1.0)
             if held is None:
                 return None
-            after, change = energy.terms(held[0], self.multipliers), 1.0 if self.constrained else 0.0
-            multipliers = combine(1.0, step.multipliers, change, q)
+            after, multipliers = energy.terms(held[0], self.multipliers), self._changed(step.multipliers, 1.0, q)
             step = _Step(held[0], after, step.length, step.corrected + held[1], multipliers)
         return step
+
+    def _changed(self, multipliers: wp.array, length: float, q: wp.array) -> wp.array:
+        """Return multipliers after a share of their change; with a penalty in place of constraints they stay."""
+        return combine(1.0, multipliers, length, q) if self.constrained else multipliers
 
     def _record(self, terms: MapTerms, decrement: float, length: float, corrected: int, settled: int) -> Record:
         """Return the entry of the history for a step, as :class:`OptimalMap` describes it."""

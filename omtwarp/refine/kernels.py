@@ -4,7 +4,6 @@ With c1, c2 the columns of a triangle's Jacobian, fro = |c1|² + |c2|² and D = 
 brings the image's total flat area to 4π. Angle distortion is fro / D, area distortion scale D + 1 / (scale D).
 """
 
-# mypy: ignore-errors
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, THREE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import corners_of, oriented_volume
 from omtwarp.mesh import surface
@@ -177,20 +176,22 @@ def gather_tangent(
     gradient[i] = (total - wp.dot(total, y) * y) / divisor
 
 
-Bases = wp.types.matrix(shape=(6, 3), dtype=wp.float64)
-Modes = wp.types.matrix(shape=(6, 6), dtype=wp.float64)
-
-
 @wp.func
 def distortion_modes(
-    frame: wp.vec3d, c1: wp.vec3d, c2: wp.vec3d, bases: Bases, pressures: wp.vec3d, damping: wp.float64
-) -> Modes:
+    frame: wp.vec3d,
+    c1: wp.vec3d,
+    c2: wp.vec3d,
+    axes: wp.mat33d,
+    others: wp.mat33d,
+    pressures: wp.vec3d,
+    damping: wp.float64,
+) -> wp.spatial_matrixd:
     """Return the modes m of which Σ m mᵀ is the Hessian of fro / D + p0 D + p1 / D, as :func:`triangle_hessian` has it.
 
     Args:
         frame: of the triangle.
         c1, c2: columns of its Jacobian.
-        bases: what each of its six coordinates moves its corner along.
+        axes, others: what the first and the second coordinate of each corner moves it along, as rows.
         pressures, damping: as of :func:`triangle_hessian`.
 
     Returns:
@@ -229,15 +230,19 @@ def distortion_modes(
 
     first = first_weights(frame)
     second = second_weights(frame)
-    modes = Modes()
+    modes = wp.spatial_matrixd()
     for i in range(3):
         along = cosine * first[i] + sine * second[i]
         across = cosine * second[i] - sine * first[i]
-        for k in range(2 * i, 2 * i + 2):
-            m11 = wp.dot(bases[k], u1) * along
-            m12 = wp.dot(bases[k], u1) * across
-            m21 = wp.dot(bases[k], u2) * along
-            m22 = wp.dot(bases[k], u2) * across
+        for u in range(2):
+            k = 2 * i + u
+            axis = axes[i]
+            if u == 1:
+                axis = others[i]
+            m11 = wp.dot(axis, u1) * along
+            m12 = wp.dot(axis, u1) * across
+            m21 = wp.dot(axis, u2) * along
+            m22 = wp.dot(axis, u2) * across
             modes[k, 0] = of_twist * (m21 - m12)
             modes[k, 1] = of_flip * (m21 + m12)
             modes[k, 2] = of_stiff[0] * m11 + of_stiff[1] * m22
@@ -248,7 +253,7 @@ def distortion_modes(
 
 
 @wp.func
-def add_squares(t: int, modes: Modes, share: wp.float64, hessian: wp.array2d[wp.float64]):
+def write_squares(t: int, modes: wp.spatial_matrixd, share: wp.float64, hessian: wp.array2d[wp.float64]):
     """Write a share of Σ m mᵀ, the entries on and above the diagonal, to row t."""
     for i in range(6):
         for j in range(i, 6):
@@ -274,21 +279,18 @@ def distortion_hessian(
     """Compute row t of the Hessian as :func:`triangle_hessian` describes it; ``share`` is area over divisor."""
     c1 = first_column(frame, a, b)
     c2 = second_column(frame, a, b, c)
-    points = wp.matrix_from_rows(a, b, c)
-    bases = Bases()
-    for i in range(3):
-        tangent = first_tangent(points[i])
-        bases[2 * i] = tangent
-        bases[2 * i + 1] = wp.cross(points[i], tangent)
-    modes = distortion_modes(frame, c1, c2, bases, pressures, damping)
+    axes = wp.matrix_from_rows(first_tangent(a), first_tangent(b), first_tangent(c))
+    others = wp.matrix_from_rows(wp.cross(a, axes[0]), wp.cross(b, axes[1]), wp.cross(c, axes[2]))
+    modes = distortion_modes(frame, c1, c2, axes, others, pressures, damping)
     scale = frame[0] * frame[2]
     d = wp.length(wp.cross(c1, c2))
     tilt = oriented_volume(a, b, c) * scale / d
     upright = wp.sqrt(pressures[2] * needle_curvature(tilt)) / d
     normals = wp.matrix_from_rows(scale * wp.cross(b, c), scale * wp.cross(c, a), scale * wp.cross(a, b))
-    for k in range(6):
-        modes[k, 4] = upright * (wp.dot(bases[k], normals[k // 2]) - tilt * modes[k, 4])
-    add_squares(t, modes, share, hessian)
+    for i in range(3):
+        modes[2 * i, 4] = upright * (wp.dot(axes[i], normals[i]) - tilt * modes[2 * i, 4])
+        modes[2 * i + 1, 4] = upright * (wp.dot(others[i], normals[i]) - tilt * modes[2 * i + 1, 4])
+    write_squares(t, modes, share, hessian)
 
 
 @wp.kernel
