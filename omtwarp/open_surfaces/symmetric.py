@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from omtwarp.device.arrays import Workspace, vectors
 from omtwarp.device.start import wp
 from omtwarp.mesh.arrays import Floats, normalised
-from omtwarp.mesh.patches import grow
 from omtwarp.mesh.surface import Surface
 from omtwarp.optimal.cells import Cells, TriangleCells
 from omtwarp.optimal.sphere import Sphere
@@ -59,11 +58,14 @@ class MirroredSphere(Sphere):
     def __init__(self, double: Double, surface: Surface, device: wp.Device):
         super().__init__(surface, device)
         self._double, self._examined = double, surface.face_count // 2  # not the mirror images
-        self.alone = ~(double.copied | grow(surface.faces, double.on_boundary, 1))
 
     def moved(self, points: wp.array, direction: wp.array, share: wp.array, length: float) -> wp.array:
         """Return a symmetric map after a step of the surface's own vertices, vec3d, shape [W]."""
         return vectors(folded_map(self._double, super().moved(points, direction, share, length).numpy()), self.device)
+
+    def joined(self, freed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return vertices that move on their own, shape [W], with their mirror images."""
+        return freed | freed[self._double.mirror]
 
     def completed(self, points: wp.array, multipliers: wp.array) -> tuple[wp.array, wp.array]:
         """Return a map and its multipliers with those of the copies, where vertices of the surface moved."""

@@ -128,11 +128,8 @@ class Shape(Protocol):
     def gradient(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
         """Return the gradient by the vertices of the total of ``terms``."""
 
-    def hessian(self, points: wp.array, terms: ShapeTerms, weight: float, damping: float) -> wp.array:
-        """Return every triangle's Hessian in its corners' frames, semidefinite: on and above the diagonal, [F, 21].
-
-        With ``damping``, 0 to 1, triangles resist turning as a whole, which costs no energy.
-        """
+    def hessian(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
+        """Return every triangle's Hessian in its corners' frames, semidefinite: on and above the diagonal, [F, 21]."""
 
 
 SHAPE_WEIGHT = 0.01  # β: on scans the optimal cost rises by some 0.04 %, and the map is smooth
@@ -297,7 +294,7 @@ class TransportEnergy:
         further = self.shape.gradient(points, terms.shape, self.area_weight)
         return self.vertex_cost.gradient(points, masses, potential, further, self.shape_weight)
 
-    def blocks(self, points: wp.array, terms: MapTerms, damping: float = 1.0) -> None:
+    def blocks(self, points: wp.array, terms: MapTerms) -> None:
         """Write the second derivative of the Lagrangian and the areas' first derivatives to :attr:`matrix`.
 
         Both are in the points' frames; of the second derivative a positive semidefinite part is taken.
@@ -305,11 +302,10 @@ class TransportEnergy:
         Args:
             points: the map, shape [V].
             terms: the terms of the map.
-            damping: as of :meth:`Shape.hessian`.
         """
         matrix, mesh = self.matrix, self.surface.on(self.device)
         matrix.points = points
-        hessians = self.shape.hessian(points, terms.shape, self.area_weight, damping)
+        hessians = self.shape.hessian(points, terms.shape, self.area_weight)
         weight = wp.float64(self.shape_weight)
         metric, diagonal = self.vertex_metric(points, terms), matrix.diagonal.reshape((-1, COORDINATES))
         inputs = [*mesh.vertex_corners, hessians, weight, metric, FIRST_THREAD]
@@ -330,19 +326,18 @@ class TransportEnergy:
         points: wp.array,
         terms: MapTerms,
         compliance: wp.array,
-        damping: float = 1.0,
     ) -> None:
         """Factorise the matrix of a map, with a larger diagonal where rounding made a pivot's sign wrong.
 
         Args:
             factor: as of :meth:`saddle_factor`.
-            points, terms, damping: as of :meth:`blocks`.
+            points, terms: as of :meth:`blocks`.
             compliance: how far areas may be off, C of the saddle-point system, float64 on the device, shape [N].
 
         Raises:
             OmtwarpError: the second derivative is not finite.
         """
-        self.blocks(points, terms, damping)
+        self.blocks(points, terms)
         matrix = self.matrix
         if matrix.compliance.size:
             scaled(compliance, -1.0, matrix.compliance)

@@ -26,8 +26,9 @@ from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.moser import moser_map
 from omtwarp.optimal.refinement import least_distortion
 from omtwarp.optimal.solver import OptimalMap, optimal_map
+from omtwarp.optimal.turns import turned_back
 from omtwarp.transport.cost import transport_cost
-from omtwarp.untangling.untangle import untangle
+from omtwarp.untangling.untangle import untangled
 
 NESTED, EMBEDDED = "nested", "embedded"  # what the minimisation on the mesh begins with
 
@@ -158,7 +159,7 @@ def nested_start(surface: Surface, start: Floats, *, device: str | None = "auto"
 def embedded_start(
     surface: Surface, start: Floats, embedding: Floats | None = None, *, device: str | None = "auto"
 ) -> Floats:
-    """Return a map of even areas made from coarse to fine, turned towards the points x.
+    """Return a map of even areas made from coarse to fine, turned towards the points x limb by limb.
 
     Args:
         surface: closed, V vertices.
@@ -178,21 +179,7 @@ def embedded_start(
         sphere = untangled(surface, moser_map(surface, sphere, device=device).sphere, device=device)
     except OmtwarpError:
         pass  # the flow flips more than can be repaired: the map before stays
-    return smoothed(surface, sphere, device=device)
-
-
-def untangled(surface: Surface, sphere: Floats, *, device: str | None = "auto") -> Floats:
-    """Return a map without flipped triangles: the very array given where it has none.
-
-    Raises:
-        OmtwarpError: repair failed.
-    """
-    if is_bijective(sphere, surface.faces, device=device):
-        return sphere
-    repaired = untangle(surface, sphere, device=device)
-    if not repaired.bijective:
-        raise OmtwarpError(f"{repaired.flips_after} flipped triangles could not be repaired")
-    return repaired.sphere
+    return smoothed(surface, turned_back(surface, sphere, start, device=device), device=device)
 
 
 def smoothed(surface: Surface, sphere: Floats, *, device: str | None = "auto") -> Floats:

@@ -184,7 +184,7 @@ def differentiate(
         frame = patches.frames[t]
         share = given.shape_weight * patches.areas[t] / SPHERE_AREA
         rows = distortion_gradient(frame, share, a, b, c, given.pressures)
-        distortion_hessian(t, frame, share, a, b, c, given.pressures, ONE, scratch.blocks)
+        distortion_hessian(t, frame, share, a, b, c, given.pressures, scratch.blocks)
         potential = ZERO
         for k in range(3):
             potential += multipliers[face[k]] + given.cost_factor * scratch.cost[face[k]]

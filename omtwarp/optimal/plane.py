@@ -132,7 +132,6 @@ def plane_hessians(
     frames: wp.array[wp.vec3d],
     weights: wp.array[wp.float64],
     area_weight: wp.float64,
-    damping: wp.float64,
     # Data out:
     hessians: wp.array2d[wp.float64],
 ):
@@ -148,7 +147,7 @@ def plane_hessians(
     axis, other = wp.vec3d(ONE, ZERO, ZERO), wp.vec3d(ZERO, ONE, ZERO)
     axes, others = wp.matrix_from_rows(axis, axis, axis), wp.matrix_from_rows(other, other, other)
     pressures = wp.vec3d(area_weight, area_weight, ZERO)
-    modes = distortion_modes(frames[f], c1, c2, axes, others, pressures, damping)
+    modes = distortion_modes(frames[f], c1, c2, axes, others, pressures)
     for k in range(6):
         modes[k, 4] = ZERO
     write_squares(f, modes, weights[f], hessians)
@@ -490,9 +489,9 @@ class PlaneShape:
         plane.at_vertices(sum_at_vertices, [*plane.mesh.vertex_corners, out.flatten()], [sums])
         return sums
 
-    def hessian(self, points: wp.array, terms: ShapeTerms, weight: float, damping: float) -> wp.array:
+    def hessian(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
         """Return every triangle's Hessian, as :meth:`omtwarp.optimal.energy.Shape.hessian` describes it."""
         hessians = self._plane.empty(wp.float64, self._plane.surface.face_count, 21)
-        weights = [self._frames, self._weights, wp.float64(weight), wp.float64(damping)]
+        weights = [self._frames, self._weights, wp.float64(weight)]
         self._plane.launch(plane_hessians, points, weights, [hessians])
         return hessians

@@ -254,10 +254,6 @@ class _Newton:
         self.compliance = wp.array(energy.wanted / self.stiffness, dtype=wp.float64, device=self.device)
         self.multipliers = wp.zeros(len(energy.wanted), dtype=wp.float64, device=self.device)
         self.max_rms, self.max_error = energy.cells.tolerances
-        # Of triangles that turn, as of omtwarp.optimal.energy.Shape: it falls with the gain that steps are expected to
-        # have, so that far steps are short, and the last ones turn what has yet to turn. Where no cost says how the
-        # whole map is turned, it stays.
-        self.damping = 1.0
 
     def run(
         self,
@@ -278,7 +274,7 @@ class _Newton:
         history = [self._record(terms, 0.0, 0.0, 0, 0)]
         ended, converged, factorisations = "most steps taken", False, 0
         for number in range(iterations):
-            energy.factorise(self.factor, points, terms, self.compliance, self.damping)
+            energy.factorise(self.factor, points, terms, self.compliance)
             factorisations += 1
             if number == 0 and multipliers is None and self.constrained:
                 self._estimate(points, terms)
@@ -288,8 +284,6 @@ class _Newton:
                 ended = "optimal" if converged else "no step lowers the cost"
                 break
             before, points, terms, self.multipliers, settled = points, step.points, step.terms, step.multipliers, 0
-            if energy.cost_weight > 0.0:
-                self.damping = min(1.0, decrement / self._scale(terms))
             converged = self._reached(terms, decrement)
             if not converged:
                 points, terms, settled = self._settled(before, points, terms, decrement)
@@ -333,8 +327,7 @@ class _Newton:
         gains = wp.empty(count, dtype=wp.float64, device=self.device)
         wp.launch(single_gains, dim=count, inputs=inputs, outputs=[gains], device=self.device)
         assert isinstance(self.domain, Sphere)
-        alone = self.domain.alone
-        freed = alone & freed_vertices(self.surface.faces, np.where(alone, gains.numpy(), 0.0), expected)
+        freed = self.domain.joined(freed_vertices(self.surface.faces, gains.numpy(), expected))
         if not freed.any():
             return points, terms, 0
         patches = Patches.of_vertices(self.surface.faces, freed)

@@ -29,9 +29,6 @@ class Sphere:
     Args:
         surface: V vertices, F faces.
         device: a Warp device.
-
-    Attributes:
-        alone: vertices that may move on their own, shape [V].
     """
 
     def __init__(self, surface: Surface, device: wp.Device):
@@ -39,7 +36,6 @@ class Sphere:
         self._faces = surface.on(device).faces
         self._examined = surface.face_count  # the first triangles, which are looked at after a step
         self._areas = empty(surface.face_count, wp.float64, device)
-        self.alone: NDArray[np.bool_] = np.ones(surface.vertex_count, dtype=bool)
 
     def sent(self, values: Floats) -> wp.array:
         """Return points or tangent vectors, shape [V, 3], as vec3d on the device."""
@@ -86,6 +82,10 @@ class Sphere:
         inputs = [moved, self._faces, volume]
         wp.launch(triangle_trouble, dim=self._examined, inputs=inputs, outputs=[marks], device=self.device)
         return marks
+
+    def joined(self, freed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return vertices that move on their own, shape [V], with those that have to move with them."""
+        return freed
 
     def completed(self, points: wp.array, multipliers: wp.array) -> tuple[wp.array, wp.array]:
         """Return a map and its multipliers where some vertices moved on their own, with those that depend on them."""

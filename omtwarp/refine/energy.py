@@ -202,15 +202,14 @@ class DistortionEnergy:
             total += further - dots(further, here)[..., None] * here
         return vectors(total, self.device)
 
-    def hessian(self, points: wp.array, terms: ShapeTerms, weight: float, damping: float) -> wp.array:
+    def hessian(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
         """Return the Hessian of every triangle in its corners' tangent bases, positive semidefinite, shape [F, 21].
 
         Of each 6x6 matrix the entries on and above the diagonal, row by row. Valid until the workspace is taken again.
-        ``damping`` says how stiff triangles are against turning as a whole: :func:`.kernels.triangle_hessian`.
         """
         assert isinstance(terms, Terms)
         blocks = self._scratch(self._count, 21)
-        numbers = [self.pressures(terms, weight), wp.float64(damping), wp.float64(SPHERE_AREA)]
+        numbers = [self.pressures(terms, weight), wp.float64(SPHERE_AREA)]
         inputs = [points, *each(*self._mesh), *numbers]
         launch_parts(triangle_hessian, self._count, inputs, each(blocks), self.device)
         if self._barrier is not None:

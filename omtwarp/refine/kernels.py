@@ -184,7 +184,6 @@ def distortion_modes(
     axes: wp.mat33d,
     others: wp.mat33d,
     pressures: wp.vec3d,
-    damping: wp.float64,
 ) -> wp.spatial_matrixd:
     """Return the modes m of which Σ m mᵀ is the Hessian of fro / D + p0 D + p1 / D, as :func:`triangle_hessian` has it.
 
@@ -192,10 +191,10 @@ def distortion_modes(
         frame: of the triangle.
         c1, c2: columns of its Jacobian.
         axes, others: what the first and the second coordinate of each corner moves it along, as rows.
-        pressures, damping: as of :func:`triangle_hessian`.
+        pressures: as of :func:`triangle_hessian`.
 
     Returns:
-        A row for every coordinate, five modes and what s1 s2 gains by the coordinate.
+        A row for every coordinate: four modes and what s1 s2 gains by the coordinate.
     """
     normal = wp.normalize(wp.cross(c1, c2))
     # Right singular vectors from the angle that diagonalises JᵀJ, left ones from J and the normal.
@@ -214,9 +213,8 @@ def distortion_modes(
     fro = s1 * s1 + s2 * s2
 
     by_det = pressures[0] - (fro + pressures[1]) / (d * d)
-    of_twist = wp.sqrt(HALF * damping * wp.max(TWO / d + by_det, ZERO))
-    of_flip = wp.sqrt(HALF * damping * wp.max(TWO / d - by_det, ZERO))
-    of_shear = wp.sqrt(TWO * (ONE - damping) * wp.max(fro / d - d * by_det, ZERO)) / fro
+    of_twist = wp.sqrt(HALF * wp.max(TWO / d + by_det, ZERO))
+    of_flip = wp.sqrt(HALF * wp.max(TWO / d - by_det, ZERO))
     h11 = TWO * (s2 * s2 + pressures[1]) / (s1 * s1 * d)
     h22 = TWO * (s1 * s1 + pressures[1]) / (s2 * s2 * d)
     h12 = TWO * pressures[1] / (d * d) + by_det
@@ -248,7 +246,6 @@ def distortion_modes(
             modes[k, 2] = of_stiff[0] * m11 + of_stiff[1] * m22
             modes[k, 3] = of_soft[0] * m22 - of_soft[1] * m11
             modes[k, 4] = s2 * m11 + s1 * m22
-            modes[k, 5] = of_shear * (s2 * m21 + s1 * m12)
     return modes
 
 
@@ -258,7 +255,7 @@ def write_squares(t: int, modes: wp.spatial_matrixd, share: wp.float64, hessian:
     for i in range(6):
         for j in range(i, 6):
             entry = ZERO
-            for k in range(6):
+            for k in range(5):
                 entry += modes[i, k] * modes[j, k]
             hessian[t, packed(i, j)] = share * entry
 
@@ -272,7 +269,6 @@ def distortion_hessian(
     b: wp.vec3d,
     c: wp.vec3d,
     pressures: wp.vec3d,
-    damping: wp.float64,
     # Data out:
     hessian: wp.array2d[wp.float64],
 ):
@@ -281,7 +277,7 @@ def distortion_hessian(
     c2 = second_column(frame, a, b, c)
     axes = wp.matrix_from_rows(first_tangent(a), first_tangent(b), first_tangent(c))
     others = wp.matrix_from_rows(wp.cross(a, axes[0]), wp.cross(b, axes[1]), wp.cross(c, axes[2]))
-    modes = distortion_modes(frame, c1, c2, axes, others, pressures, damping)
+    modes = distortion_modes(frame, c1, c2, axes, others, pressures)
     scale = frame[0] * frame[2]
     d = wp.length(wp.cross(c1, c2))
     tilt = oriented_volume(a, b, c) * scale / d
@@ -300,28 +296,20 @@ def triangle_hessian(
     frames: wp.array[wp.vec3d],
     areas: wp.array[wp.float64],
     pressures: wp.vec3d,
-    damping: wp.float64,
     divisor: wp.float64,
     # Data out:
     hessian: wp.array2d[wp.float64],
 ):
     """Compute the Hessian of A [fro / D + p0 D + p1 / D + p2 needle] in tangent bases, divided, shape [F, 21].
 
-    The energy depends on the singular values s1, s2 of the Jacobian alone. Between their directions its second
-    derivative has two scalings (Smith, De Goes, Kim: "Analytic eigensystems for isotropic distortion energies", 2019),
-    of whose eigenvalues a negative one is cut off. Across them, with m = Uᵀ dJ V, there are two semidefinite parts:
-
-    * The eigenvalues twist, of m21 - m12, and flip, of m21 + m12, less those that are negative. A triangle that turns,
-      m21 : m12 = s1 : -s2, keeps its energy; but without twist, which is negative, flip resists the turn, and the more
-      the longer and thinner the image is. Limbs that have yet to turn around their axes then do so in tiny steps.
-    * The curvature along the shear s2 m21 + s1 m12 alone, which leaves triangles free to turn.
-
-    ``damping``, 0 to 1, is the share of the first, which keeps steps short far from the optimum.
+    The energy depends on the singular values of the Jacobian alone, so that its second derivative by the Jacobian has
+    known eigenvectors (Smith, De Goes, Kim: "Analytic eigensystems for isotropic distortion energies", 2019): twist,
+    flip and two scalings. Negative eigenvalues are cut off, which makes the matrix positive semidefinite.
     """
     t, _compiled_once = wp.tid()
     a, b, c = corners_of(sphere, faces[t])
     share = areas[t] / divisor
-    distortion_hessian(t, frames[t], share, a, b, c, pressures, damping, hessian)
+    distortion_hessian(t, frames[t], share, a, b, c, pressures, hessian)
 
 
 SPHERE_AREA = wp.constant(wp.float64(surface.SPHERE_AREA))  # of the unit sphere, 4π

@@ -24,7 +24,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
-from omtwarp.flips.exact import examine, flipped_faces
+from omtwarp.flips.exact import examine, flipped_faces, is_bijective
 from omtwarp.mesh.arrays import Floats, InOneLine, dots
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_sphere, as_surface
@@ -177,6 +177,22 @@ def untangle(
         )
     moved = int(np.any(points != start, axis=1).sum())
     return UntangleResult(points, before, examined.flips, not tangled.any(), rounds, moved, history)
+
+
+def untangled(
+    surface: Surface, sphere: Floats, *, budget: RepairBudget | None = None, device: str | None = "auto"
+) -> Floats:
+    """Return a map without flipped triangles: the very array given where it has none; arguments as before.
+
+    Raises:
+        OmtwarpError: repair failed.
+    """
+    if is_bijective(sphere, surface.faces, device=device):
+        return sphere
+    repaired = untangle(surface, sphere, budget=budget, device=device)
+    if not repaired.bijective:
+        raise OmtwarpError(f"{repaired.flips_after} flipped triangles could not be repaired")
+    return repaired.sphere
 
 
 def untangle_patches(

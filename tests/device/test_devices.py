@@ -47,7 +47,7 @@ def test_energy_gradient_and_hessian_agree(device, surface, on_cpu):
         points = vectors(on_cpu.conformal, energy.device)
         terms = energy.terms(points)
         # A copy: on the CPU it is a view of a workspace that the gradient takes next.
-        hessian = energy.hessian(points, terms, 100.0, 0.5).numpy().copy()
+        hessian = energy.hessian(points, terms, 100.0).numpy().copy()
         values.append((terms.total(100.0), energy.gradient(points, terms, 100.0).numpy(), hessian))
     assert values[1][0] == pytest.approx(values[0][0], rel=1e-12)
     for cpu, other in zip(values[0][1:], values[1][1:], strict=True):

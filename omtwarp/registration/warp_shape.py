@@ -101,7 +101,7 @@ def barrier_hessian(
     w = strain(frame, points[0], points[1], points[2])
     share = areas[t] / divisor
     slope = share * barrier_slope(w, limit)
-    distortion_hessian(t, frame, slope, points[0], points[1], points[2], wp.vec3d(ONE, ONE, ZERO), ONE, hessian)
+    distortion_hessian(t, frame, slope, points[0], points[1], points[2], wp.vec3d(ONE, ONE, ZERO), hessian)
     rows = distortion_gradient(frame, ONE, points[0], points[1], points[2], wp.vec3d(ONE, ONE, ZERO))
     along = wp.vector(dtype=wp.float64, length=6)
     for k in range(3):
