@@ -355,26 +355,27 @@ class TransportEnergy:
         raise OmtwarpError("the second derivative of the transport cost is not finite")
 
     def newton_step(
-        self, factor: SaddlePointFactor, points: wp.array, gradient: wp.array | None, missing: wp.array | None
+        self, factor: SaddlePointFactor, gradient: wp.array | None, missing: wp.array | None
     ) -> tuple[wp.array, wp.array]:
-        """Return the right-hand side and the solution of a factorised system: coordinates, multipliers, [2 V + N].
+        """Return the right-hand side and the solution of a system: coordinates, multipliers, [2 V + N].
+
+        Coordinates are in the frames of the map that :meth:`factorise` was called for.
 
         Args:
             factor: of the system.
-            points: the map, in whose frames coordinates are.
             gradient: with its sign turned the first right-hand side, shape [V]; none for 0.
             missing: the second, likewise, shape [N].
         """
         first, size = COORDINATES * self.surface.vertex_count, self._wanted.size
         right = wp.zeros(first + size, dtype=wp.float64, device=self.device)
         if gradient is not None:
-            coordinates = self.domain.coordinates(points, gradient)
+            coordinates = self.domain.coordinates(self.matrix.points, gradient)
             scaled(coordinates.flatten(), -1.0, right[:first])
         if missing is not None:
             scaled(missing, -1.0, right[first:])
         return right, factor.solve(right)
 
-    def direction(self, points: wp.array, solution: wp.array) -> wp.array:
+    def direction(self, solution: wp.array) -> wp.array:
         """Return the step of every vertex, vec3d, or vec2d in the plane, shape [V], from a system's solution."""
         first = COORDINATES * self.surface.vertex_count
-        return self.domain.vectors(points, solution[:first].reshape((-1, COORDINATES)))
+        return self.domain.vectors(self.matrix.points, solution[:first].reshape((-1, COORDINATES)))

@@ -86,8 +86,8 @@ def _step(
     energy: TransportEnergy, steps: FlipFreeSteps, factor: SaddlePointFactor, points: wp.array, terms: MapTerms
 ) -> tuple[wp.array, MapTerms] | None:
     """Return the map and its terms after the longest share of a Newton step that reduces area errors, or None."""
-    _, solution = energy.newton_step(factor, points, None, terms.missing)
-    direction = energy.direction(points, solution)
+    _, solution = energy.newton_step(factor, None, terms.missing)
+    direction = energy.direction(solution)
     before, length = np.sqrt(terms.squares), 1.0
     for _ in range(MAX_HALVINGS):
         held = steps.taken(points, direction, terms.shape.d_volume, length)

@@ -283,10 +283,10 @@ class _Newton:
                 converged = self._reached(terms, decrement) or self._helpless(terms, q, decrement)
                 ended = "optimal" if converged else "no step lowers the cost"
                 break
-            before, points, terms, self.multipliers, settled = points, step.points, step.terms, step.multipliers, 0
+            points, terms, self.multipliers, settled = step.points, step.terms, step.multipliers, 0
             converged = self._reached(terms, decrement)
             if not converged:
-                points, terms, settled = self._settled(before, points, terms, decrement)
+                points, terms, settled = self._settled(points, terms, decrement)
             history.append(self._record(terms, decrement, step.length, step.corrected, settled))
             if progress is not None:
                 progress(self.stage, number + 1, iterations, history[-1])
@@ -304,18 +304,15 @@ class _Newton:
             factorisations,
         )
 
-    def _settled(
-        self, before: wp.array, points: wp.array, terms: MapTerms, expected: float
-    ) -> tuple[wp.array, MapTerms, int]:
+    def _settled(self, points: wp.array, terms: MapTerms, expected: float) -> tuple[wp.array, MapTerms, int]:
         """Move the few vertices that have the most to gain; return the map, its terms, and the number of them.
 
-        The matrix at hand is that of the map ``before``. The gain that was ``expected`` of the last step limits that of
-        single vertices.
+        The gain that was ``expected`` of the last step limits that of single vertices.
         """
         energy, matrix, count = self.energy, self.energy.matrix, self.surface.vertex_count
         if not energy.has_local_steps:
             return points, terms, 0
-        gradient = self.domain.coordinates(before, energy.gradient(points, terms, self.multipliers))
+        gradient = self.domain.coordinates(matrix.points, energy.gradient(points, terms, self.multipliers))
         inputs = [
             terms.relative,
             terms.missing,
@@ -383,7 +380,7 @@ class _Newton:
     def _estimate(self, points: wp.array, terms: MapTerms) -> None:
         """Add to the multipliers what makes the gradient of the Lagrangian smallest in the metric of the matrix."""
         gradient = self.energy.gradient(points, terms, self.multipliers)
-        _, solution = self.energy.newton_step(self.factor, points, gradient, None)
+        _, solution = self.energy.newton_step(self.factor, gradient, None)
         self.multipliers = combine(1.0, self.multipliers, 1.0, solution[-self.multipliers.size :])
 
     def _search(self, points: wp.array, terms: MapTerms) -> tuple[_Step | None, wp.array, float]:
@@ -394,8 +391,8 @@ class _Newton:
         """
         energy, reading = self.energy, self.energy.reading
         gradient = energy.gradient(points, terms, self.multipliers)
-        right, solution = energy.newton_step(self.factor, points, gradient, terms.missing)
-        direction, q = energy.direction(points, solution), solution[-self.multipliers.size :]
+        right, solution = energy.newton_step(self.factor, gradient, terms.missing)
+        direction, q = energy.direction(solution), solution[-self.multipliers.size :]
         # The slope of the penalty along u is that of B u = C q - missing.
         slope, pressed = reading.dot(right, solution), reading.dot(self.multipliers, terms.missing)
         volume, length, decrement, merit = terms.shape.d_volume, 1.0, 0.0, 0.0
@@ -415,13 +412,13 @@ class _Newton:
             if held is not None:
                 after = energy.terms(held[0], self.multipliers) if held[1] else finish(numbers)
                 step = _Step(held[0], after, length, held[1], self._changed(self.multipliers, length, q))
-                corrected = self._corrected(points, terms, step, enough)
+                corrected = self._corrected(terms, step, enough)
                 if corrected is not None:
                     return corrected, q, decrement
             length *= 0.5
         return None, q, decrement
 
-    def _corrected(self, points: wp.array, terms: MapTerms, step: _Step, enough: float) -> _Step | None:
+    def _corrected(self, terms: MapTerms, step: _Step, enough: float) -> _Step | None:
         """Return a step whose merit is low enough, corrected where areas alone keep it from that; None without one.
 
         Steps are straight, and vertices that turn around a point move on circles: what turns by an angle grows by half
@@ -429,7 +426,7 @@ class _Newton:
         "Numerical Optimization", section 15.6), again and again while that takes most of it away.
 
         Args:
-            points, terms: the map that the step began from.
+            terms: of the map that the step began from.
             step: as taken, without flips.
             enough: what the merit has to fall to.
         """
@@ -440,8 +437,8 @@ class _Newton:
             left = CORRECTED * step.terms.squares
             # Of the errors of before, a step of this length was to leave the rest.
             missing = combine(1.0, step.terms.missing, step.length - 1.0, terms.missing)
-            _, solution = energy.newton_step(self.factor, points, None, missing)
-            direction, q = energy.direction(points, solution), solution[-self.multipliers.size :]
+            _, solution = energy.newton_step(self.factor, None, missing)
+            direction, q = energy.direction(solution), solution[-self.multipliers.size :]
             held = self.steps.taken(step.points, direction, volume, 1.0)
             if held is None:
                 return None
