@@ -29,11 +29,11 @@ from omtwarp.flips.exact import flipped_faces
 from omtwarp.mesh.arrays import InOneLine, real_number, whole_number
 from omtwarp.mesh.surface import MeshLike, Surface, as_sphere, as_surface
 from omtwarp.optimal.cells import RingCells
+from omtwarp.optimal.energy import Shape
 from omtwarp.optimal.solver import minimise
 from omtwarp.optimal.sphere import ShapeEnergy
 from omtwarp.options import AreaMatch, Progress, Record, Refinement, parse_refinement
 from omtwarp.refine.energy import DistortionEnergy
-from omtwarp.refine.further import VertexTerm
 from omtwarp.solvers.triangle import AREA_WEIGHT
 
 LEAST_WEIGHT, MOST_WEIGHT = 1e-3, 1000.0  # between which the weight is looked for, by bisection of its logarithm
@@ -226,8 +226,7 @@ def least_distortion(
     weight: float,
     *,
     of_rings: float = 0.0,
-    most_strain: float | None = None,
-    vertex_term: VertexTerm | None = None,
+    shape: Shape | None = None,
     iterations: int,
     tolerance: float,
     device: str | None = "auto",
@@ -240,12 +239,12 @@ def least_distortion(
         sphere: a map without flips to begin with, shape [V, 3].
         weight: λ.
         of_rings: the weight of Σ_v m_v (a_v / 3m_v - 1)² / 4π, the areas around vertices.
-        most_strain, vertex_term: a barrier and a further term, as of :class:`omtwarp.refine.energy.DistortionEnergy`.
+        shape: what is minimised in place of the distortion of triangles alone.
         iterations, tolerance, device, progress: as of :func:`refine_map`.
     """
     where = resolve_device(device)
     cells = RingCells(surface, where) if of_rings > 0.0 else None
-    energy = ShapeEnergy(surface, where, weight, most_strain=most_strain, vertex_term=vertex_term, cells=cells)
+    energy = ShapeEnergy(surface, where, weight, shape=shape, cells=cells)
     # Σ m (a / 3m - 1)² / 4π equals Σ (a - 3m)² / 3m over 12π; the penalty is half of that.
     penalty = 2.0 * of_rings
     least = minimise(energy, sphere, gain=tolerance, iterations=iterations, progress=progress, penalty=penalty)

@@ -13,10 +13,9 @@ from omtwarp.flips.exact import flipped_faces
 from omtwarp.mesh.arrays import Floats, dots, normalised, real_number, real_numbers
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_surface, as_unit_vectors
 from omtwarp.optimal.cells import Cells, MeasuredRings, RingCells
-from omtwarp.optimal.energy import SHAPE_WEIGHT, MapTerms, TransportEnergy
+from omtwarp.optimal.energy import SHAPE_WEIGHT, MapTerms, Shape, TransportEnergy
 from omtwarp.optimal.kernels import area_slopes, cost_metric, transport_gradient, vertex_costs
-from omtwarp.refine.energy import DistortionEnergy, Terms
-from omtwarp.refine.further import VertexTerm
+from omtwarp.refine.energy import DistortionEnergy
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
 from omtwarp.solvers.motion_kernels import from_tangent, retract_to_sphere, to_tangent, triangle_trouble
 from omtwarp.solvers.triangle import AREA_WEIGHT
@@ -190,7 +189,7 @@ class ShapeEnergy(TransportEnergy):
         surface: V vertices.
         device: a Warp device.
         area_weight: λ, of area against angle distortion.
-        most_strain, vertex_term: a barrier and a further term, as of :class:`omtwarp.refine.energy.DistortionEnergy`.
+        shape: what is minimised of the triangles, their distortion by default.
         cells: whose areas are kept; by default those around vertices are measured and not kept.
     """
 
@@ -200,29 +199,20 @@ class ShapeEnergy(TransportEnergy):
         device: wp.Device,
         area_weight: float,
         *,
-        most_strain: float | None = None,
-        vertex_term: VertexTerm | None = None,
+        shape: Shape | None = None,
         cells: Cells | None = None,
     ):
-        self.distortion = DistortionEnergy(surface, device, most_strain=most_strain, vertex_term=vertex_term)
+        distortion = DistortionEnergy(surface, device) if shape is None else shape
         kept = MeasuredRings(surface, device) if cells is None else cells
         cost = NoCost(surface, vectors(normalised(surface.vertices), device), device)
-        weights, workspace = (1.0, 0.0, area_weight), self.distortion.workspace
-        super().__init__(Sphere(surface, device), kept, cost, self.distortion, *weights, workspace=workspace)
-        # The kernel of local steps knows neither the barrier nor the further term.
-        self.has_local_steps = isinstance(kept, RingCells) and not self.distortion.extended
+        workspace = distortion.workspace if isinstance(distortion, DistortionEnergy) else None
+        super().__init__(Sphere(surface, device), kept, cost, distortion, 1.0, 0.0, area_weight, workspace=workspace)
+        # The kernel of local steps knows the distortion alone.
+        self.has_local_steps = isinstance(kept, RingCells) and shape is None
 
     def cost(self, terms: MapTerms) -> float:
         """Return 4π, a mean of 1: gains are compared with the distortion, not with a cost."""
         return SPHERE_AREA
-
-    def vertex_metric(self, points: wp.array, terms: MapTerms) -> wp.array:
-        """Return the second derivative of the term at vertices, float64, shape [V, 4]; zeros without one."""
-        assert isinstance(terms.shape, Terms)
-        further = self.distortion.vertex_blocks(points, terms.shape)
-        if further is None:
-            return super().vertex_metric(points, terms)
-        return wp.array(further.reshape(-1, 4), dtype=wp.float64, device=self.device)
 
 
 class MapEnergy:

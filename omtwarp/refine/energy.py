@@ -9,14 +9,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.device.arrays import Workspace, empty, vectors
+from omtwarp.device.arrays import Workspace, empty
 from omtwarp.device.policy import shares_host_memory
 from omtwarp.device.start import wp
 from omtwarp.device.sums import Reading
 from omtwarp.device.threads import FIRST_THREAD, Each, each, launch_parts
-from omtwarp.mesh.arrays import dots
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
-from omtwarp.refine.further import StrainBarrier, VertexDerivatives, VertexTerm, tangent_blocks
 from omtwarp.refine.kernels import (
     distortion_summands,
     gather_tangent,
@@ -61,8 +59,6 @@ class Terms:
             the device.
         d_volume: det[s0, s1, s2] of every triangle, float64, shape [F], on the device.
         needle: mean of the needle barrier weighted by original area; 0 for all but needles standing upright.
-        strain: the barrier of strain, where one is set.
-        at_vertices: the term at vertices and its derivatives, where there is one.
     """
 
     angle: float
@@ -72,8 +68,6 @@ class Terms:
     d_ratio: wp.array
     d_volume: wp.array
     needle: float
-    strain: float = 0.0
-    at_vertices: VertexDerivatives | None = None
 
     @property
     def ratio(self) -> NDArray[np.float64]:
@@ -81,9 +75,8 @@ class Terms:
         return self.d_ratio.numpy()
 
     def total(self, weight: float) -> float:
-        """Return angle + λ area less the value of a perfect map, plus the barriers and the term at vertices."""
-        own = self.angle + weight * self.area + needle_weight(weight) * self.needle
-        return own + self.strain + (0.0 if self.at_vertices is None else self.at_vertices.value)
+        """Return angle + λ area less the value of a perfect map, plus the needle barrier."""
+        return self.angle + weight * self.area + needle_weight(weight) * self.needle
 
 
 # Relative to the weights of angle and area together. The barrier is zero except on triangles that stand steeply on the
@@ -103,8 +96,6 @@ class DistortionEnergy:
     Args:
         surface: the original surface, V vertices and F faces.
         device: a Warp device.
-        most_strain: a limit of the strain of triangles (:mod:`omtwarp.refine.further`), which a barrier keeps.
-        vertex_term: a further energy, at the vertices. This and the barrier need a device that is the host.
 
     Attributes:
         workspace: on the host, for gradients, Hessians and the fronts of factorisations. On CUDA, where allocations are
@@ -112,27 +103,13 @@ class DistortionEnergy:
         frames: of the triangles, on the host, shape [F, 3].
     """
 
-    def __init__(
-        self,
-        surface: Surface,
-        device: wp.Device,
-        *,
-        most_strain: float | None = None,
-        vertex_term: VertexTerm | None = None,
-    ):
+    def __init__(self, surface: Surface, device: wp.Device):
         self.surface, self.device = surface, device
         self.areas, self.frames, self.workspace = surface.face_areas, triangle_frames(surface), Workspace()
         mesh = surface.on(device)
         own = wp.array(self.frames, dtype=wp.vec3d, device=device, copy=False)
         self._count, self._rows = surface.face_count, mesh.vertex_corners
         self._mesh = [mesh.faces, own, mesh.face_areas]
-        self._barrier = None if most_strain is None else StrainBarrier(self._mesh, self._rows, most_strain)
-        self._vertex_term = vertex_term
-
-    @property
-    def extended(self) -> bool:
-        """Whether there is more in the energy than the distortion of triangles."""
-        return self._barrier is not None or self._vertex_term is not None
 
     def _scratch(self, rows: int, columns: int) -> wp.array:
         """Return a temporary array from the shared workspace.
@@ -162,10 +139,6 @@ class DistortionEnergy:
         excess, inverse = (empty(ratio.size, wp.float64, self.device) for _ in range(2))
         launch_parts(distortion_summands, ratio.size, [Each(ratio), total], each(excess, inverse), self.device)
         places = [place, *(reading.dot(areas, summand) for summand in (angles, excess, steepness, inverse))]
-        strain = 0.0 if self._barrier is None else self._barrier.value(points)
-        further = None
-        if self._vertex_term is not None and np.isfinite(strain):
-            further = self._vertex_term.at(points.numpy())
 
         def finish(numbers: NDArray[np.float64]) -> Terms:
             whole, angle, area, needle, inverse_sum = (float(x) for x in numbers[places])
@@ -177,8 +150,6 @@ class DistortionEnergy:
                 d_ratio=ratio,
                 d_volume=volume,
                 needle=needle / SPHERE_AREA,
-                strain=strain,
-                at_vertices=further,
             )
 
         return finish
@@ -192,15 +163,7 @@ class DistortionEnergy:
         gradient = empty(self.surface.vertex_count, wp.vec3d, self.device)
         inputs = [points, *self._rows, corners, wp.float64(SPHERE_AREA), FIRST_THREAD]
         launch_parts(gather_tangent, gradient.size, inputs, [gradient], self.device)
-        if not self.extended:
-            return gradient
-        total, here = gradient.numpy().copy(), points.numpy()
-        if self._barrier is not None:
-            total += self._barrier.gradient(points)
-        if terms.at_vertices is not None:
-            further = terms.at_vertices.gradient
-            total += further - dots(further, here)[..., None] * here
-        return vectors(total, self.device)
+        return gradient
 
     def hessian(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
         """Return the Hessian of every triangle in its corners' tangent bases, positive semidefinite, shape [F, 21].
@@ -212,13 +175,7 @@ class DistortionEnergy:
         numbers = [self.pressures(terms, weight), wp.float64(SPHERE_AREA)]
         inputs = [points, *each(*self._mesh), *numbers]
         launch_parts(triangle_hessian, self._count, inputs, each(blocks), self.device)
-        if self._barrier is not None:
-            blocks.numpy()[:] += self._barrier.hessian(points)
         return blocks
-
-    def vertex_blocks(self, points: wp.array, terms: Terms) -> NDArray[np.float64] | None:
-        """Return the Hessian of the term at vertices in their tangent bases, shape [V, 2, 2]; None without a term."""
-        return None if terms.at_vertices is None else tangent_blocks(points, terms.at_vertices.hessian)
 
     def pressures(self, terms: Terms, weight: float) -> wp.vec3d:
         """Return the factors of D, 1 / D and the needle barrier in the energy linearised by the image's total area."""

@@ -5,7 +5,7 @@ import numpy as np
 from omtwarp.location import Locator
 from omtwarp.mesh.arrays import Floats, cross, dots
 from omtwarp.mesh.surface import Surface
-from omtwarp.refine.further import VertexDerivatives
+from omtwarp.registration.warp_shape import VertexDerivatives
 
 
 class FeatureField:
@@ -63,7 +63,7 @@ def _slopes(surface: Surface, values: Floats) -> Floats:
 class FeatureTerm:
     """Σ_k weight_k mean (t_k(x) - m_k)²: features m of what moves against the field t where its vertices x are.
 
-    It is a :class:`omtwarp.refine.further.VertexTerm`. The Hessian is that of Gauss and Newton, without the
+    It is a :class:`omtwarp.registration.warp_shape.VertexTerm`. The Hessian is that of Gauss and Newton, without the
     curvature of the field, and so has no negative part.
 
     Args:

@@ -17,7 +17,7 @@ from omtwarp.files.inputs import read_bytes
 from omtwarp.location import Locator
 from omtwarp.mesh.arrays import TINY, Floats, normalised, norms, real_number, real_numbers, whole_numbers
 from omtwarp.mesh.surface import Surface
-from omtwarp.refine.further import VertexDerivatives, VertexTerm
+from omtwarp.registration.warp_shape import VertexDerivatives, VertexTerm
 
 ROUNDS = 20  # of pulling exact landmarks on
 SIDES = ("moving", "target")
@@ -142,8 +142,8 @@ def _even(curve: Floats, count: int) -> Floats:
 class LandmarkTerm:
     """Σ_i weight_i |y_i - place_i|², y_i where a warp of a grid takes point i, linearly in its triangle.
 
-    It is a :class:`omtwarp.refine.further.VertexTerm`. A square of a mean of three corners' moves is at most the
-    mean of their squares, with the same weights: that bound is the matrix. Points that are to meet their places are
+    It is a :class:`omtwarp.registration.warp_shape.VertexTerm`. A square of a mean of three corners' moves is at most
+    the mean of their squares, with the same weights: that bound is the matrix. Points that are to meet their places are
     pulled past them, by what is left after each minimisation more: the method of multipliers.
 
     Args:

@@ -15,7 +15,7 @@ from omtwarp.optimal.exact import restore_areas
 from omtwarp.optimal.local import LocalSteps
 from omtwarp.optimal.solver import LEAST_PENALTY
 from omtwarp.optimal.sphere import ShapeEnergy
-from omtwarp.refine.further import VertexTerm, strain_limit
+from omtwarp.registration.warp_shape import VertexTerm, WarpShape, strain_limit
 from omtwarp.untangling.untangle import untangle
 
 ROUNDS = 24  # of relaxing around triangles over the bound
@@ -70,7 +70,7 @@ def kept_within(
         bound: of both numbers of :func:`octaves`, in size.
         held: vertices that are not to move where nothing is flipped; by default all may.
         leave_room: whether both numbers together are to leave a minimisation with the barrier of the bound room to
-            begin (:mod:`omtwarp.refine.further`), which is more than that each is within the bound.
+            begin (:mod:`omtwarp.registration.warp_shape`), which is more than that each is within the bound.
 
     Returns:
         Unit vectors, shape [V, 3]; where no more is gained some triangles may stay over the bound.
@@ -143,13 +143,16 @@ def warp_energy(
 
     Args:
         sphere: what is warped.
-        area_weight, most_strain, vertex_term: as of :class:`omtwarp.optimal.sphere.ShapeEnergy`.
+        area_weight: λ, of area against angle distortion.
+        most_strain, vertex_term: as of :class:`omtwarp.registration.warp_shape.WarpShape`.
         keep_areas: whether the areas around the vertices of the sphere are constraints, or have a penalty.
     """
     device = resolve_device("cpu")
     cells = RingCells(sphere, device) if keep_areas else MeasuredRings(sphere, device)
     cells.wanted = areas_around(sphere.vertices, sphere.faces)
-    return ShapeEnergy(sphere, device, area_weight, most_strain=most_strain, vertex_term=vertex_term, cells=cells)
+    plain = most_strain is None and vertex_term is None
+    shape = None if plain else WarpShape(sphere, device, most_strain=most_strain, vertex_term=vertex_term)
+    return ShapeEnergy(sphere, device, area_weight, shape=shape, cells=cells)
 
 
 def with_areas(sphere: Surface, warp: Floats, area_weight: float) -> Floats:

@@ -13,12 +13,12 @@ from omtwarp.mesh.shapes import icosphere
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.solver import OptimalMap, minimise
 from omtwarp.options import Record
-from omtwarp.refine.further import VertexTerm, strain_limit
 from omtwarp.registration.feature_term import FeatureField, FeatureTerm
 from omtwarp.registration.folding import smoothed, vertex_areas
 from omtwarp.registration.landmarks import LandmarkTerm, Pairs, TermSum
 from omtwarp.registration.matching import Matching
 from omtwarp.registration.strain import has_room, kept_within, warp_energy
+from omtwarp.registration.warp_shape import VertexTerm, strain_limit
 
 FEATURE_GRID = 32  # frequency of the icosphere that features are read from: its edges are 2 degrees
 # Levels from coarse to fine: the frequency of the grid that moves, the width in degrees that features are smoothed to

@@ -1,20 +1,26 @@
-"""What may be minimised together with the distortion of triangles: a bound on their strain, and an energy at vertices.
+"""The shape of warps: the distortion of triangles, a bound on their strain, and an energy at vertices.
 
-The bound is kept by a barrier.
+The bound is kept by a barrier. Barrier and energy are computed on the host.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.device.arrays import vectors
 from omtwarp.device.start import KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
+from omtwarp.device.sums import Reading
 from omtwarp.device.threads import Each, each, launch_parts
 from omtwarp.geometry.spherical import corners_of
-from omtwarp.mesh.surface import SPHERE_AREA
+from omtwarp.mesh.arrays import Floats, dots
+from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.optimal.energy import ShapeTerms
+from omtwarp.refine.energy import DistortionEnergy
 from omtwarp.refine.kernels import distortion_gradient, distortion_hessian, distortion_terms, gather_tangent
 from omtwarp.solvers.motion_kernels import from_tangent
 from omtwarp.solvers.newton import packed
@@ -23,6 +29,9 @@ from omtwarp.solvers.triangle import first_tangent
 wp.set_module_options(KERNEL_OPTIONS)
 
 Octaves = TypeVar("Octaves", float, NDArray[np.float64])
+
+# Places of the 2x2 blocks of the three corners among the 21 entries of a triangle's Hessian: (0, 0), (0, 1), (1, 1).
+OWN_BLOCKS = np.array([[0, 1, 6], [11, 12, 15], [18, 19, 20]])
 
 
 @wp.func
@@ -191,12 +200,110 @@ class VertexDerivatives:
 class VertexTerm(Protocol):
     """An energy that is a sum over the vertices of a function of where each lies.
 
-    A class with the method below is one; :class:`omtwarp.refine.solver.Refiner` takes it as ``vertex_term``. The value
-    has to be continuous, and the gradient its derivative: the line search compares the two.
+    A class with the method below is one. The value has to be continuous, and the gradient its derivative: the line
+    search compares the two.
     """
 
     def at(self, points: NDArray[np.float64]) -> VertexDerivatives:
         """Return the term and its derivatives at a map, unit vectors, shape [V, 3]."""
+
+
+@dataclass(frozen=True)
+class WarpTerms:
+    """The terms of a warp's energy.
+
+    Attributes:
+        own: the distortion of its triangles.
+        strain: the barrier of strain; 0 without a bound, infinite where one is reached.
+        at_vertices: the term at vertices and its derivatives, where there is one and no bound is reached.
+    """
+
+    own: ShapeTerms
+    strain: float
+    at_vertices: VertexDerivatives | None
+
+    @property
+    def angle(self) -> float:
+        """Mean angle distortion of the triangles, less 2."""
+        return self.own.angle
+
+    @property
+    def area(self) -> float:
+        """Mean area distortion of the triangles, less 2."""
+        return self.own.area
+
+    @property
+    def d_volume(self) -> wp.array:
+        """What steps keep positive of every triangle."""
+        return self.own.d_volume
+
+    def total(self, weight: float) -> float:
+        """Return angle plus ``weight`` times area distortion, plus barrier and term at vertices."""
+        return self.own.total(weight) + self.strain + (0.0 if self.at_vertices is None else self.at_vertices.value)
+
+
+class WarpShape:
+    """The distortion of triangles with a bound on their strain, an energy at vertices, or both.
+
+    It is a :class:`omtwarp.optimal.energy.Shape` on the host.
+
+    Args:
+        surface: what is warped, V vertices and F faces.
+        device: a Warp device, the host's.
+        most_strain: the limit of the strain of triangles that the barrier keeps (:func:`strain_limit`).
+        vertex_term: the energy at vertices.
+    """
+
+    def __init__(
+        self,
+        surface: Surface,
+        device: wp.Device,
+        *,
+        most_strain: float | None = None,
+        vertex_term: VertexTerm | None = None,
+    ):
+        self._distortion, self._device, self._vertex_term = DistortionEnergy(surface, device), device, vertex_term
+        mesh = surface.on(device)
+        frames = wp.array(self._distortion.frames, dtype=wp.vec3d, device=device, copy=False)
+        given = [mesh.faces, frames, mesh.face_areas], mesh.vertex_corners
+        self._barrier = None if most_strain is None else StrainBarrier(*given, most_strain)
+        offsets, corners = surface.vertex_corners
+        self._first = corners[offsets[:-1]]  # a corner of some triangle at every vertex
+
+    def begin(self, points: wp.array, reading: Reading) -> Callable[[Floats], WarpTerms]:
+        """Begin to measure a warp; return what makes its terms of the numbers that are read."""
+        finish = self._distortion.begin(points, reading)
+        strain = 0.0 if self._barrier is None else self._barrier.value(points)
+        further = None
+        if self._vertex_term is not None and np.isfinite(strain):
+            further = self._vertex_term.at(points.numpy())
+        return lambda numbers: WarpTerms(finish(numbers), strain, further)
+
+    def gradient(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
+        """Return the gradient of the energy by the vertices, tangent to the sphere, vec3d, shape [V]."""
+        assert isinstance(terms, WarpTerms)
+        total, here = self._distortion.gradient(points, terms.own, weight).numpy().copy(), points.numpy()
+        if self._barrier is not None:
+            total += self._barrier.gradient(points)
+        if terms.at_vertices is not None:
+            further = terms.at_vertices.gradient
+            total += further - dots(further, here)[..., None] * here
+        return vectors(total, self._device)
+
+    def hessian(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
+        """Return every triangle's Hessian as :meth:`omtwarp.refine.energy.DistortionEnergy.hessian` does, [F, 21].
+
+        One triangle at every vertex has the Hessian of the term there.
+        """
+        assert isinstance(terms, WarpTerms)
+        blocks = self._distortion.hessian(points, terms.own, weight)
+        numbers = blocks.numpy()
+        if self._barrier is not None:
+            numbers += self._barrier.hessian(points)
+        if terms.at_vertices is not None:
+            own = tangent_blocks(points, terms.at_vertices.hessian)[:, [0, 0, 1], [0, 1, 1]]
+            numbers[self._first[:, None] // 3, OWN_BLOCKS[self._first % 3]] += own
+        return blocks
 
 
 def tangent_blocks(points: wp.array, hessian: NDArray[np.float64]) -> NDArray[np.float64]:

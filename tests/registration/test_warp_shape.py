@@ -10,12 +10,12 @@ import pytest
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
+from omtwarp.device.sums import Reading
 from omtwarp.flips.exact import flipped_faces
 from omtwarp.mesh.shapes import icosphere
 from omtwarp.optimal.refinement import least_distortion
 from omtwarp.optimal.sphere import ShapeEnergy
-from omtwarp.refine.energy import DistortionEnergy
-from omtwarp.refine.further import VertexDerivatives, strain_limit
+from omtwarp.registration.warp_shape import VertexDerivatives, WarpShape, strain_limit
 
 
 def unit(points):
@@ -34,6 +34,12 @@ class Pull:
         apart = points - self.places
         hessian = np.broadcast_to(share * np.eye(3), (len(points), 3, 3))
         return VertexDerivatives(0.5 * share * float((apart**2).sum()), share * apart, hessian)
+
+
+def measured(shape, sphere):
+    """The terms of a map."""
+    reading = Reading(resolve_device("cpu"))
+    return shape.begin(vectors(sphere, "cpu"), reading)(reading.read())
 
 
 @pytest.fixture(scope="module")
@@ -59,17 +65,15 @@ def stretches(source, image, faces):
 
 def test_the_barrier_is_what_it_says(bent):
     surface, sphere = bent
-    plain, barred = (DistortionEnergy(surface, resolve_device("cpu"), most_strain=limit) for limit in (None, 0.6))
-    strain = barred.terms(vectors(sphere, barred.device)).strain
+    strain = measured(WarpShape(surface, resolve_device("cpu"), most_strain=0.6), sphere).strain
     s = stretches(surface.scaled_vertices, sphere, surface.faces)
     ratio, det = s[:, 0] / s[:, 1], s.prod(axis=1)
     w = ratio + 1 / ratio + det + 1 / det - 4
     assert 0.1 < w.max() < 0.6
     assert strain == pytest.approx(np.average(w**2 / (0.6 - w), weights=surface.face_areas), rel=1e-9)
-    assert plain.terms(vectors(sphere, plain.device)).strain == 0.0
-    assert DistortionEnergy(surface, resolve_device("cpu"), most_strain=0.9 * w.max()).terms(
-        vectors(sphere, barred.device)
-    ).strain == float("inf")
+    assert measured(WarpShape(surface, resolve_device("cpu")), sphere).strain == 0.0
+    tighter = WarpShape(surface, resolve_device("cpu"), most_strain=0.9 * w.max())
+    assert measured(tighter, sphere).strain == float("inf")
 
 
 def test_the_limit_bounds_areas_and_stretches():
@@ -83,15 +87,13 @@ def test_derivatives_agree_with_differences(bent):
     """The gradient is that of the value; the Hessian with no negative part cut off that of the gradient."""
     surface, sphere = bent
     term = Pull(unit(sphere + 0.1 * np.random.default_rng(1).normal(size=sphere.shape)), 3.0)
-    energy = DistortionEnergy(surface, resolve_device("cpu"), most_strain=0.6, vertex_term=term)
-    points = vectors(sphere, energy.device)
-    terms = energy.terms(points)
-    gradient = energy.gradient(points, terms, 1.0).numpy()
+    energy = WarpShape(surface, resolve_device("cpu"), most_strain=0.6, vertex_term=term)
+    gradient = energy.gradient(vectors(sphere, "cpu"), measured(energy, sphere), 1.0).numpy()
     step = np.random.default_rng(2).normal(size=sphere.shape)
     step -= (step * sphere).sum(axis=1, keepdims=True) * sphere
 
     def value(t):
-        return energy.terms(vectors(unit(sphere + t * step), energy.device)).total(1.0)
+        return measured(energy, unit(sphere + t * step)).total(1.0)
 
     difference = (value(1e-5) - value(-1e-5)) / 2e-5
     assert difference == pytest.approx(float((gradient * step).sum()), rel=1e-5)
@@ -101,12 +103,13 @@ def test_blocks_of_the_term_enter_the_matrix(bent):
     """Of a strong spring the Newton step leads to the places in one step."""
     surface, sphere = bent
     places = unit(sphere + 0.01 * np.random.default_rng(1).normal(size=sphere.shape))
-    energy = ShapeEnergy(surface, resolve_device("cpu"), 1.0, vertex_term=Pull(places, 1e7))
+    shape = WarpShape(surface, resolve_device("cpu"), vertex_term=Pull(places, 1e7))
+    energy = ShapeEnergy(surface, resolve_device("cpu"), 1.0, shape=shape)
     points, none = energy.domain.sent(sphere), wp.zeros(surface.vertex_count, dtype=wp.float64, device="cpu")
     terms, factor = energy.terms(points), energy.saddle_factor()
     energy.factorise(factor, points, terms, none)
-    _, solution = energy.newton_step(factor, points, energy.gradient(points, terms, none), None)
-    direction = energy.direction(points, solution).numpy()
+    _, solution = energy.newton_step(factor, energy.gradient(points, terms, none), None)
+    direction = energy.direction(solution).numpy()
     tangent = places - (places * sphere).sum(axis=1, keepdims=True) * sphere
     np.testing.assert_allclose(direction, tangent, atol=2e-4 * np.abs(tangent).max() + 1e-6)
 
@@ -117,7 +120,8 @@ def test_a_map_is_pulled_as_far_as_strain_allows(bent):
     axis = np.array([0.0, 0.0, 1.0])
     places = unit(surface.vertices + 3.0 * axis)
     limit = strain_limit(1.0)
-    given = {"most_strain": limit, "vertex_term": Pull(places, 1e3), "iterations": 100, "tolerance": 1e-6}
+    shape = WarpShape(surface, resolve_device("cpu"), most_strain=limit, vertex_term=Pull(places, 1e3))
+    given = {"shape": shape, "iterations": 100, "tolerance": 1e-6}
     found = least_distortion(surface, surface.vertices, 1.0, **given, device="cpu")
     s = np.log2(stretches(surface.scaled_vertices, found.sphere, surface.faces))
     assert found.converged and not flipped_faces(found.sphere, surface.faces).any()
@@ -128,7 +132,8 @@ def test_a_map_is_pulled_as_far_as_strain_allows(bent):
 def test_springs_alone_lead_home(bent):
     """From a bent start to places that an undistorted map has; the energy there is 0, of which no share is reached."""
     surface, sphere = bent
-    given = {"vertex_term": Pull(surface.vertices, 10.0), "iterations": 50, "tolerance": 1e-10}
+    shape = WarpShape(surface, resolve_device("cpu"), vertex_term=Pull(surface.vertices, 10.0))
+    given = {"shape": shape, "iterations": 50, "tolerance": 1e-10}
     found = least_distortion(surface, sphere, 1.0, **given, device="cpu")
     assert found.history[-1]["energy"] < 1e-12
     np.testing.assert_allclose(found.sphere, surface.vertices, atol=1e-4)
