@@ -11,8 +11,7 @@ import omtwarp
 PACKAGE = Path(omtwarp.__file__).parent
 
 WAY = (
-    "conformal mapping optimal untangling start flips solvers refine/energy.py refine/kernels.py moser.py "
-    "geometry/axes.py geometry/intrinsic.py"
+    "conformal mapping optimal untangling start flips solvers moser.py geometry/axes.py geometry/intrinsic.py"
 ).split()
 ELSEWHERE = (
     # Other kinds of surfaces, options, and maps that are judged.
@@ -82,8 +81,8 @@ OTHERS = {
     # Of line searches and barriers, which say how a minimum is reached and not which.
     "safeguard": {
         "optimal/solver.py": "CORRECTED",
-        "refine/energy.py": "NEEDLE_SHARE",
-        "refine/kernels.py": "STEEP_COSINE",
+        "optimal/shape.py": "NEEDLE_SHARE",
+        "optimal/shape_kernels.py": "STEEP_COSINE",
         "solvers/motion_kernels.py": "MIN_VOLUME_SHARE LEAST_SHARE",
         "solvers/newton.py": "SUFFICIENT_DECREASE",
         "start/decimation.py": "WORST_SHAPE",

@@ -35,9 +35,9 @@ from omtwarp.optimal.energy import Domain, MapTerms, Shape, TransportEnergy, Ver
 from omtwarp.optimal.exact import restore_areas
 from omtwarp.optimal.plane import Plane, PlaneCost, PlaneShape
 from omtwarp.optimal.refinement import MOST_WEIGHT, match_area
+from omtwarp.optimal.shape import DistortionEnergy
 from omtwarp.optimal.solver import PENALTY, minimise
 from omtwarp.optimal.sphere import NoCost, Sphere
-from omtwarp.refine.energy import DistortionEnergy
 from omtwarp.solvers.cholesky.saddle import COORDINATES, SaddleMatrix
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
 from omtwarp.topology.kind import boundary_loops

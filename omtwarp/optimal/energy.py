@@ -5,7 +5,7 @@ conformal sphere and is mapped to y_v. With a_v(y) the solid angle of the triang
 
     minimise  C(y) + β S(y)   subject to   a_v(y) = 3 m_v for every vertex,    C = Σ m_v d(x_v, y_v)² / 4π,
 
-where S is angle plus area distortion of the triangles (:mod:`omtwarp.refine.energy`) and β is small. Some modes of a
+where S is angle plus area distortion of the triangles (:mod:`omtwarp.optimal.shape`) and β is small. Some modes of a
 mesh change neither C nor these areas; S determines them. The formulas are the same where other cells than the triangles
 around vertices keep their areas (:mod:`omtwarp.optimal.cells`).
 
@@ -44,7 +44,7 @@ from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.cells import Cells
 from omtwarp.optimal.kernels import area_errors, raise_diagonal, vertex_entries
-from omtwarp.refine.energy import ShapeTerms
+from omtwarp.optimal.shape import ShapeTerms
 from omtwarp.solvers.cholesky.saddle import COORDINATES, SaddleMatrix
 from omtwarp.solvers.factor import NotPositiveDefinite
 from omtwarp.solvers.mesh_factor import SaddlePointFactor

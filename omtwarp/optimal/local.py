@@ -27,8 +27,8 @@ from omtwarp.optimal.patch_kernels import (
     scatter_patches,
     settle_small_patches,
 )
+from omtwarp.optimal.shape import DistortionEnergy, Terms
 from omtwarp.optimal.sphere import GeodesicCost
-from omtwarp.refine.energy import DistortionEnergy, Terms
 from omtwarp.solvers.cholesky.envelope import Envelopes
 
 # The chosen vertices are the fewest that together have this share of the gains that single vertices could make: more

@@ -12,7 +12,7 @@ from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import corners_of, logarithm, oriented_volume
 from omtwarp.mesh import surface
 from omtwarp.optimal.kernels import Fit, area_gradient, cost_slope, moving_cost, neighbour_fit, raised_fit
-from omtwarp.refine.kernels import distortion_gradient, distortion_hessian, distortion_terms
+from omtwarp.optimal.shape_kernels import distortion_gradient, distortion_hessian, distortion_terms
 from omtwarp.solvers import newton
 from omtwarp.solvers.cholesky.envelope import (
     Envelope,
@@ -57,7 +57,7 @@ class SaddlePatches:
 class LocalEnergy:
     """The energy of :mod:`omtwarp.optimal.energy`, and how its steps are taken."""
 
-    pressures: wp.vec3d  # as of omtwarp.refine.energy.DistortionEnergy.pressures
+    pressures: wp.vec3d  # as of omtwarp.optimal.shape.DistortionEnergy.pressures
     shape_weight: wp.float64
     cost_factor: wp.float64  # of ring times cost
     softness: wp.float64

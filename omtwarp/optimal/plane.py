@@ -24,7 +24,7 @@ from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.cells import Cells
 from omtwarp.optimal.energy import ShapeTerms
 from omtwarp.optimal.kernels import Fit, raised_fit, weighted_fit
-from omtwarp.refine.kernels import distortion_modes, write_squares
+from omtwarp.optimal.shape_kernels import distortion_modes, write_squares
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
 from omtwarp.solvers.motion_kernels import keeps_volume
 from omtwarp.solvers.triangle import triangle_frames
@@ -138,7 +138,7 @@ def plane_hessians(
     """Compute positive semidefinite Hessians of the distortion, entries on and above the diagonal, shape [F, 21].
 
     With the Jacobian J and its determinant D the energy is |J|² / D + λ (D + 1 / D): see
-    :func:`omtwarp.refine.kernels.triangle_hessian`.
+    :func:`omtwarp.optimal.shape_kernels.triangle_hessian`.
     """
     f = wp.tid()
     b, c = sides(points, shift, faces, f)

@@ -30,10 +30,10 @@ from omtwarp.mesh.arrays import InOneLine, real_number, whole_number
 from omtwarp.mesh.surface import MeshLike, Surface, as_sphere, as_surface
 from omtwarp.optimal.cells import RingCells
 from omtwarp.optimal.energy import Shape
+from omtwarp.optimal.shape import DistortionEnergy
 from omtwarp.optimal.solver import minimise
 from omtwarp.optimal.sphere import ShapeEnergy
 from omtwarp.options import AreaMatch, Progress, Record, Refinement, parse_refinement
-from omtwarp.refine.energy import DistortionEnergy
 from omtwarp.solvers.triangle import AREA_WEIGHT
 
 LEAST_WEIGHT, MOST_WEIGHT = 1e-3, 1000.0  # between which the weight is looked for, by bisection of its logarithm

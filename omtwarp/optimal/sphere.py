@@ -15,7 +15,7 @@ from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_surface, as_
 from omtwarp.optimal.cells import Cells, MeasuredRings, RingCells
 from omtwarp.optimal.energy import SHAPE_WEIGHT, MapTerms, Shape, TransportEnergy
 from omtwarp.optimal.kernels import area_slopes, cost_metric, transport_gradient, vertex_costs
-from omtwarp.refine.energy import DistortionEnergy
+from omtwarp.optimal.shape import DistortionEnergy
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
 from omtwarp.solvers.motion_kernels import from_tangent, retract_to_sphere, to_tangent, triangle_trouble
 from omtwarp.solvers.triangle import AREA_WEIGHT

@@ -20,8 +20,8 @@ from omtwarp.geometry.spherical import corners_of
 from omtwarp.mesh.arrays import Floats, dots
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.energy import ShapeTerms
-from omtwarp.refine.energy import DistortionEnergy
-from omtwarp.refine.kernels import distortion_gradient, distortion_hessian, distortion_terms, gather_tangent
+from omtwarp.optimal.shape import DistortionEnergy
+from omtwarp.optimal.shape_kernels import distortion_gradient, distortion_hessian, distortion_terms, gather_tangent
 from omtwarp.solvers.motion_kernels import from_tangent
 from omtwarp.solvers.newton import packed
 from omtwarp.solvers.triangle import first_tangent
@@ -172,7 +172,7 @@ class StrainBarrier:
     def hessian(self, points: wp.array) -> NDArray[np.float64]:
         """Return the Hessian of every triangle, shape [F, 21].
 
-        It is laid out as by :meth:`omtwarp.refine.energy.DistortionEnergy.hessian`.
+        It is laid out as by :meth:`omtwarp.optimal.shape.DistortionEnergy.hessian`.
         """
         blocks = wp.empty((self._count, 21), dtype=wp.float64, device=self._device)
         inputs = [points, *each(*self._mesh), wp.float64(self._limit), wp.float64(SPHERE_AREA)]
@@ -291,7 +291,7 @@ class WarpShape:
         return vectors(total, self._device)
 
     def hessian(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
-        """Return every triangle's Hessian as :meth:`omtwarp.refine.energy.DistortionEnergy.hessian` does, [F, 21].
+        """Return every triangle's Hessian as :meth:`omtwarp.optimal.shape.DistortionEnergy.hessian` does, [F, 21].
 
         One triangle at every vertex has the Hessian of the term there.
         """

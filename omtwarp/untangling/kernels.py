@@ -7,8 +7,9 @@ smooth polynomial of the three points,
 
 (Garanzha, Kaporin, Kudryavtseva, Protais, Ray, Sokolov: "Foldover-free maps in 50 lines of code", 2021).
 
-:mod:`omtwarp.refine.kernels` begins with the same columns of the Jacobian, from :mod:`omtwarp.solvers.triangle`; its D
-has no sign and its terms other derivatives, so that a common kernel would be two behind a switch.
+:mod:`omtwarp.optimal.shape_kernels` begins with the same columns of the Jacobian, from
+:mod:`omtwarp.solvers.triangle`; its D has no sign and its terms other derivatives, so that a common kernel would be two
+behind a switch.
 """
 
 from omtwarp.device.start import KERNEL_OPTIONS, ONE, TWO, ZERO, wp

@@ -74,7 +74,7 @@ def test_kernels_of_all_stages_are_recorded(result):
     assert {
         "moser.integrate_particles",
         "optimal.kernels.transport_gradient",
-        "refine.kernels.triangle_hessian",
+        "optimal.shape_kernels.triangle_hessian",
     } <= names
     for row in kernels["kernels"]:
         assert row["launches"] > 0

@@ -10,7 +10,7 @@ from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mesh.shapes import blob
 from omtwarp.mesh.surface import Surface
 from omtwarp.moser import moser_map
-from omtwarp.refine.energy import DistortionEnergy
+from omtwarp.optimal.shape import DistortionEnergy
 from omtwarp.wavelets import SphereSampler, WaveletPreconditioner, sphere_hierarchy
 
 

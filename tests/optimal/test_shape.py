@@ -11,7 +11,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.sums import DeviceSum
 from omtwarp.mesh.shapes import blob, icosphere, needle, noisy
 from omtwarp.mesh.surface import SPHERE_AREA
-from omtwarp.refine.energy import DistortionEnergy, needle_weight
+from omtwarp.optimal.shape import DistortionEnergy, needle_weight
 from omtwarp.solvers.triangle import triangle_frames
 from omtwarp.start.hierarchical import hierarchical_embedding
 

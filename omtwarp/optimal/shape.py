@@ -15,7 +15,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.sums import Reading
 from omtwarp.device.threads import FIRST_THREAD, Each, each, launch_parts
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
-from omtwarp.refine.kernels import (
+from omtwarp.optimal.shape_kernels import (
     distortion_summands,
     gather_tangent,
     triangle_gradient,
@@ -80,8 +80,8 @@ class Terms:
 
 
 # Relative to the weights of angle and area together. The barrier is zero except on triangles that stand steeply on the
-# sphere (omtwarp.refine.kernels.STEEP_COSINE) and tends to infinity as they flip, so that its weight moves minima
-# little.
+# sphere (omtwarp.optimal.shape_kernels.STEEP_COSINE) and tends to infinity as they flip, so that its weight moves
+# minima little.
 NEEDLE_SHARE = 0.1
 
 
