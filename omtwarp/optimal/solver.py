@@ -6,13 +6,15 @@ Every step solves the saddle-point system of :mod:`omtwarp.optimal.energy`,
 
 whose last block makes it a step of the augmented Lagrangian method with penalty μ (Nocedal and Wright, "Numerical
 Optimization", chapter 17): q is added to the multipliers, and u lowers L + μ / 24π Σ (a_v - 3m_v)² / 3m_v. A step that
-does not is corrected where areas alone keep it from that, or else halved. After each step the few vertices that have
+does not is corrected where areas alone keep it from that, or else halved; areas that a whole step leaves in error are
+corrected too. After each step the few vertices that have
 the most to gain take steps of their own (:mod:`omtwarp.optimal.local`). The minimisation ends with the step that was
 expected to gain next to nothing.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,7 +45,7 @@ PENALTY = 1000.0
 LEAST_PENALTY = 1e-12  # in place of 0, by which saddle-point systems divide
 MIN_COST = 1e-6  # radians²: gains are compared with the cost, or with this where the cost is smaller
 MAX_HALVINGS = 6  # of a step: smaller ones lower the merit of drawn parts, and tear their triangles
-CORRECTED = 0.1  # share of the squared errors of areas that a correction may leave: after one that leaves more, halve
+CORRECTED = 0.1  # share of the squared errors of areas that a correction may leave: after one that leaves more, none
 # Share of the squared errors of areas that a step has to take away to be worth taking for that alone.
 LEAST_AREA_GAIN = 0.1
 # Local steps end where the next is expected to gain less than this share of the gain that ends the minimisation.
@@ -63,15 +65,15 @@ class _Step:
     Attributes:
         points: shape [V], on the device.
         terms: of the map.
-        length: share of the direction that was taken.
         corrected: vertices held back.
+        length: share of the direction that was taken.
         multipliers: after the step, float64, shape [N], on the device.
     """
 
     points: wp.array
     terms: MapTerms
-    length: float
     corrected: int
+    length: float
     multipliers: wp.array
 
 
@@ -397,54 +399,75 @@ class _Newton:
         slope, pressed = reading.dot(right, solution), reading.dot(self.multipliers, terms.missing)
         volume, length, decrement, merit = terms.shape.d_volume, 1.0, 0.0, 0.0
         for halvings in range(MAX_HALVINGS + 1):
-            moved, marks, troubled = self.steps.tried(points, direction, volume, length, reading)
-            finish = energy.begin(moved, self.multipliers)
-            numbers = reading.read()
+            numbers, taken = self._tried(points, direction, volume, length)
             if halvings == 0:
                 decrement = float(numbers[slope]) + self.stiffness * terms.squares
                 merit = self._merit(replace(terms, pressed=float(numbers[pressed])))
                 if not decrement > 0.0:
                     break
             enough = merit - SUFFICIENT_DECREASE * length * decrement
-            held: tuple[wp.array, int] | None = (moved, 0)
-            if numbers[troubled] > 0.0:
-                held = self.steps.held_back(points, direction, volume, length, marks)
-            if held is not None:
-                after = energy.terms(held[0], self.multipliers) if held[1] else finish(numbers)
-                step = _Step(held[0], after, length, held[1], self._changed(self.multipliers, length, q))
+            reached = taken()
+            if reached is not None:
+                step = _Step(*reached, length, self._changed(self.multipliers, length, q))
                 corrected = self._corrected(terms, step, enough)
                 if corrected is not None:
                     return corrected, q, decrement
             length *= 0.5
         return None, q, decrement
 
+    def _tried(
+        self, points: wp.array, direction: wp.array, volume: wp.array, length: float
+    ) -> tuple[Floats, Callable[[], tuple[wp.array, MapTerms, int] | None]]:
+        """Try a step: return the numbers that were read, and what returns the map that it leads to.
+
+        Arguments are as of :meth:`omtwarp.optimal.steps.FlipFreeSteps.tried`. The function returns the map, its terms,
+        and the number of vertices held back; None where the step cannot be held back.
+        """
+        moved, marks, troubled = self.steps.tried(points, direction, volume, length, self.energy.reading)
+        finish = self.energy.begin(moved, self.multipliers)
+        numbers = self.energy.reading.read()
+
+        def taken() -> tuple[wp.array, MapTerms, int] | None:
+            if not numbers[troubled] > 0.0:
+                return moved, finish(numbers), 0
+            held = self.steps.held_back(points, direction, volume, length, marks)
+            return None if held is None else (held[0], self.energy.terms(held[0], self.multipliers), held[1])
+
+        return numbers, taken
+
     def _corrected(self, terms: MapTerms, step: _Step, enough: float) -> _Step | None:
-        """Return a step whose merit is low enough, corrected where areas alone keep it from that; None without one.
+        """Return a step whose merit is low enough, with its areas corrected; None without one.
 
         Steps are straight, and vertices that turn around a point move on circles: what turns by an angle grows by half
         of its square. This second-order error of the areas is taken back with the factor at hand (Nocedal and Wright,
-        "Numerical Optimization", section 15.6), again and again while that takes most of it away.
+        "Numerical Optimization", section 15.6), again and again while that takes most of it away: where areas alone
+        keep the merit from falling, and where a whole step leaves more to gain from them than ends the minimisation.
 
         Args:
             terms: of the map that the step began from.
             step: as taken, without flips.
             enough: what the merit has to fall to.
         """
-        energy, volume, left = self.energy, terms.shape.d_volume, np.inf
-        while self._merit(step.terms) > enough:
-            if energy.lagrangian(step.terms) > enough or step.terms.squares > left:
+        energy, volume, before = self.energy, terms.shape.d_volume, terms.squares
+        while True:
+            squares, low = step.terms.squares, self._merit(step.terms) <= enough
+            worthwhile = self.constrained and step.length == 1.0 and squares <= CORRECTED * before
+            if low and not (worthwhile and self.stiffness * squares > self._enough(step.terms)):
+                return step
+            if not low and energy.lagrangian(step.terms) > enough:
                 return None
-            left = CORRECTED * step.terms.squares
             # Of the errors of before, a step of this length was to leave the rest.
             missing = combine(1.0, step.terms.missing, step.length - 1.0, terms.missing)
             _, solution = energy.newton_step(self.factor, None, missing)
             direction, q = energy.direction(solution), solution[-self.multipliers.size :]
-            held = self.steps.taken(step.points, direction, volume, 1.0)
-            if held is None:
-                return None
-            after, multipliers = energy.terms(held[0], self.multipliers), self._changed(step.multipliers, 1.0, q)
-            step = _Step(held[0], after, step.length, step.corrected + held[1], multipliers)
-        return step
+            reached = self._tried(step.points, direction, volume, 1.0)[1]()
+            if reached is None or reached[1].squares > CORRECTED * squares:
+                return step if low else None
+            if not self._merit(reached[1]) < self._merit(step.terms):
+                return step if low else None
+            multipliers = self._changed(step.multipliers, 1.0, q)
+            points, after, held = reached
+            before, step = squares, _Step(points, after, step.corrected + held, step.length, multipliers)
 
     def _changed(self, multipliers: wp.array, length: float, q: wp.array) -> wp.array:
         """Return multipliers after a share of their change; with a penalty in place of constraints they stay."""

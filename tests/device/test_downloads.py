@@ -32,7 +32,7 @@ def reads_of_a_step(fake, minimised):
 def test_steps_of_the_optimal_map(fake, library, faces):
     surface, x, y = start_of(faces)
     reads, steps = reads_of_a_step(fake, lambda: omtwarp.optimal_map(surface, y, start=x, gain=1e-8, device="cuda:0"))
-    assert reads <= 3.0 and steps > 1
+    assert reads <= 4.0 and steps > 1  # one is of the map with corrected areas
 
 
 @pytest.mark.parametrize("faces", [320, 2000])
@@ -53,10 +53,10 @@ def test_steps_to_exact_areas(fake, library):
 
 
 def test_the_host_s_factorisation_reads_the_system_as_well(fake):
-    """Matrix and right-hand side of every step, two reads more, and one right-hand side at the beginning."""
+    """Matrix and right-hand side of every step and of its correction, three reads more, and a first right-hand side."""
     surface, x, y = start_of(320)
     fake.downloads.clear()
     found = omtwarp.optimal_map(surface, y, start=x, device="cuda:0")
-    assert sum(fake.downloads.values()) <= 5 * (len(found.history) - 1) + AROUND + 1
+    assert sum(fake.downloads.values()) <= 7 * (len(found.history) - 1) + AROUND + 1
     host = omtwarp.optimal_map(surface, y, start=x, device="cpu")
     np.testing.assert_allclose(found.sphere, host.sphere, rtol=0.0, atol=1e-11)

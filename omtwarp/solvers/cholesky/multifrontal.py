@@ -54,7 +54,7 @@ BRANCHES_PER_THREAD = 4
 # Relative error of refined solutions, at most: Newton's steps need no more digits. Scans end with the same maps with
 # 1e-5, by one correction, and 1e-7, by up to three.
 ACCURACY = 1e-5
-REFINEMENTS = 4  # most corrections of a solution
+REFINEMENTS = 8  # most corrections of a solution
 
 
 class MultifrontalCholesky(Factor[MeshMatrix, Floats]):
