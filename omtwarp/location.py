@@ -250,8 +250,7 @@ class Found:
             faces: the triangulation's, shape [F, 3].
             vertex_count: V.
         """
-        matrix = combined(faces[self.faces], self.coordinates, vertex_count)
-        matrix.sort_indices()
+        matrix = combined(faces[self.faces], self.coordinates, vertex_count).sorted_indices()  # a copy
         matrix.eliminate_zeros()
         return matrix
 

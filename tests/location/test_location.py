@@ -93,6 +93,15 @@ def test_interpolation_matrix_keeps_constants_and_linear_functions():
     np.testing.assert_allclose(np.cross(at, queries), 0.0, atol=1e-14)
 
 
+def test_the_interpolation_matrix_leaves_what_was_found_as_it_was():
+    """Entries are sorted by column in the matrix, coordinates stay in the order of the triangle's corners."""
+    ball = shapes.icosphere(6)
+    found = Locator(ball.vertices, ball.faces, device="cpu").find(ball.vertices[ball.faces].mean(axis=1))
+    before = found.coordinates.copy()
+    found.matrix(ball.faces, len(ball.vertices))
+    np.testing.assert_array_equal(found.coordinates, before)
+
+
 def test_location_on_a_hierarchy_agrees():
     """The wavelets' descent through nested triangles and the search among boxes give the same coordinates."""
     hierarchy = sphere_hierarchy(3)
