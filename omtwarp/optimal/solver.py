@@ -7,9 +7,8 @@ Every step solves the saddle-point system of :mod:`omtwarp.optimal.energy`,
 whose last block makes it a step of the augmented Lagrangian method with penalty μ (Nocedal and Wright, "Numerical
 Optimization", chapter 17): q is added to the multipliers, and u lowers L + μ / 24π Σ (a_v - 3m_v)² / 3m_v. A step that
 does not is corrected where areas alone keep it from that, or else halved; areas that a whole step leaves in error are
-corrected too. After each step the few vertices that have
-the most to gain take steps of their own (:mod:`omtwarp.optimal.local`). The minimisation ends with the step that was
-expected to gain next to nothing.
+corrected too. After each step the few vertices that have the most to gain take steps of their own
+(:mod:`omtwarp.optimal.local`). The minimisation ends with the step that was expected to gain next to nothing.
 """
 
 from __future__ import annotations
@@ -461,12 +460,12 @@ class _Newton:
             _, solution = energy.newton_step(self.factor, None, missing)
             direction, q = energy.direction(solution), solution[-self.multipliers.size :]
             reached = self._tried(step.points, direction, volume, 1.0)[1]()
-            if reached is None or reached[1].squares > CORRECTED * squares:
+            if reached is None:
                 return step if low else None
-            if not self._merit(reached[1]) < self._merit(step.terms):
+            points, after, held = reached
+            if after.squares > CORRECTED * squares or not self._merit(after) < self._merit(step.terms):
                 return step if low else None
             multipliers = self._changed(step.multipliers, 1.0, q)
-            points, after, held = reached
             before, step = squares, _Step(points, after, step.corrected + held, step.length, multipliers)
 
     def _changed(self, multipliers: wp.array, length: float, q: wp.array) -> wp.array:

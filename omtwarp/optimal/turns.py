@@ -77,15 +77,17 @@ def turned_back(surface: Surface, sphere: Floats, start: Floats, *, device: str 
         device: where the kernels run.
     """
     turns, budget = turns_against(surface, sphere, start, device=device), RepairBudget(surface)
+    before = size(surface, turns)
     while True:
         try:
             moved = untangled(surface, _moved_back(surface, sphere, turns, device), budget=budget, device=device)
         except OmtwarpError:  # the motion flips more than can be repaired
             return sphere
-        after = turns_against(surface, moved, start, device=device)
-        if not size(surface, after) < (1.0 - LEAST_TURNED) * size(surface, turns):
+        turns = turns_against(surface, moved, start, device=device)
+        after = size(surface, turns)
+        if not after < (1.0 - LEAST_TURNED) * before:
             return sphere
-        sphere, turns = moved, after
+        sphere, before = moved, after
 
 
 def turns_against(surface: Surface, sphere: Floats, start: Floats, *, device: str | None = "auto") -> Floats:
