@@ -520,7 +520,9 @@ class MapComputation:
         embedding = self.sphere if self.origin["route"] == "hierarchical" else None
         if embedding is None:
             try:
-                sphere = self.symmetric(nested_start(self.surface, self.source, device=self.device), repair=True)
+                mirror = None if self.mirror is None else self.mirror.mirror
+                sphere = nested_start(self.surface, self.source, mirror=mirror, device=self.device)
+                sphere = self.symmetric(sphere, repair=True)
                 if self.mirror is None or is_symmetric(self.mirror, sphere):
                     return sphere, NESTED
                 self.give_up("the nested map could not be made symmetric")

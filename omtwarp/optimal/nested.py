@@ -87,7 +87,9 @@ def shape_term_by_law(cost: float, angle: float) -> ShapeTerm:
     return ShapeTerm(SHAPE_SHARE * (cost + LEAST_COST) / bend, AREA_FACTOR * float(np.sqrt(bend)))
 
 
-def coarse_surface(surface: Surface, start: Floats) -> tuple[Surface, Callable[[Floats], Floats]]:
+def coarse_surface(
+    surface: Surface, start: Floats, mirror: NDArray[np.int64] | None = None
+) -> tuple[Surface, Callable[[Floats], Floats]]:
     """Return the Delaunay triangulation of some of a surface's points on the sphere, and how its maps are carried over.
 
     One vertex is taken from each cell of a grid along the surface's own axes, the one nearest to the cell's centre:
@@ -97,6 +99,7 @@ def coarse_surface(surface: Surface, start: Floats) -> tuple[Surface, Callable[[
     Args:
         surface: closed, V vertices.
         start: its points x, unit vectors, shape [V, 3]; triangles may be flipped there.
+        mirror: the copy of every vertex of a double, which lies where the vertex does: both are taken, shape [V].
 
     Returns:
         The triangulation, K vertices, whose own positions are points x; and a function that carries a map of it, shape
@@ -110,10 +113,14 @@ def coarse_surface(surface: Surface, start: Floats) -> tuple[Surface, Callable[[
     count = int(np.clip(surface.vertex_count / VERTICES_PER_COARSE, LEAST_COARSE, MOST_COARSE))
     vertices = surface.scaled_vertices - surface.vertex_areas @ surface.scaled_vertices / SPHERE_AREA
     places = vertices @ principal_axes(surface).frame.T / np.sqrt(SPHERE_AREA / count)
-    cells = np.floor(places)
-    order = np.argsort(squared_norms(places - cells - 0.5), kind="stable")
+    own = np.arange(surface.vertex_count)
+    own = own if mirror is None else own[own <= mirror]
+    cells = np.floor(places[own])
+    order = np.argsort(squared_norms(places[own] - cells - 0.5), kind="stable")
     _, first = np.unique(cells[order], axis=0, return_index=True)
-    chosen = order[first]
+    chosen = own[order[first]]
+    if mirror is not None:
+        chosen = np.union1d(chosen, mirror[chosen])
     try:
         hull = ConvexHull(start[chosen]).simplices
     except QhullError as error:
@@ -135,18 +142,21 @@ def coarse_surface(surface: Surface, start: Floats) -> tuple[Surface, Callable[[
     return coarse, partial(place.on_sphere, faces)
 
 
-def nested_start(surface: Surface, start: Floats, *, device: str | None = "auto") -> Floats:
+def nested_start(
+    surface: Surface, start: Floats, *, mirror: NDArray[np.int64] | None = None, device: str | None = "auto"
+) -> Floats:
     """Return a map near the optimal one, made from the optimal map of a coarse triangulation of the points x.
 
     Args:
         surface: closed, V vertices.
         start: its points x, unit vectors, shape [V, 3].
+        mirror: the copy of every vertex of a double, shape [V].
         device: where the kernels run.
 
     Raises:
         OmtwarpError: points coincide, or the map has flipped triangles that could not be repaired.
     """
-    coarse, carried = coarse_surface(surface, start)
+    coarse, carried = coarse_surface(surface, start, mirror)
     points = coarse.vertices
     first = untangled(coarse, moser_map(coarse, points, device=device).sphere, device=device)
     term = shape_term(coarse, first, points, device)

@@ -9,7 +9,10 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import count_flips
 from omtwarp.mesh.shapes import blob, icosphere, noisy, random_sphere, tube
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.open_surfaces.hemisphere import mirror_frame, symmetrised
+from omtwarp.open_surfaces.symmetric import ACROSS
 from omtwarp.optimal.nested import coarse_surface, embedded_start, nested_start, shape_term
+from omtwarp.topology.closing import double
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +45,21 @@ def test_the_choice_of_coarse_vertices_follows_the_shape(shape):
     one, two = coarse_surface(surface, points)[0], coarse_surface(other, points[order])[0]
     assert one.vertex_count == two.vertex_count
     np.testing.assert_allclose(np.sort(one.vertices[:, 0]), np.sort(two.vertices[:, 0]), atol=1e-12)
+
+
+def test_the_coarse_triangulation_of_a_double_has_both_of_its_halves():
+    """A copy lies where the surface does: a grid that took one of the two would leave half of the sphere empty."""
+    ball = icosphere(12)
+    cap = ball.faces[(ball.vertices[ball.faces, 2] > -0.4).all(axis=1)]
+    used, faces = np.unique(cap, return_inverse=True)
+    whole = double(ball.vertices[used], faces.reshape(-1, 3))
+    surface = Surface(whole.vertices, whole.faces)
+    points = omtwarp.harmonic_points(surface, device="cpu").sphere
+    points = symmetrised(whole, points @ mirror_frame(whole, points, surface.vertex_areas))
+    coarse, carried = coarse_surface(surface, points, whole.mirror)
+    assert len(coarse.faces) == 2 * coarse.vertex_count - 4
+    np.testing.assert_allclose(np.unique(coarse.vertices, axis=0), np.unique(coarse.vertices * ACROSS, axis=0))
+    assert np.linalg.norm(carried(coarse.vertices) - points, axis=1).max() < 0.1
 
 
 def test_angles_weigh_the_same_share_of_the_cost_on_every_surface(shape):
