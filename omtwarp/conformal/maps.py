@@ -33,6 +33,7 @@ from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.axes import OBLIQUE, principal_axes
 from omtwarp.geometry.intrinsic import intrinsic_edges
+from omtwarp.geometry.sphere_hierarchy import triangle_solid_angles
 from omtwarp.mesh.arrays import Floats, Ints, dots, normalised, squared_norms
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_sphere, as_surface, triangle_areas
 from omtwarp.options import Progress, Record, tell
@@ -211,11 +212,13 @@ class HarmonicMap:
         sphere: unit vectors, float64, shape [V, 3]; their mean, weighted by area, is 0.
         history: one record per step, the start first: ``energy``, and ``length``, that of the step.
         converged: whether the last step was expected to gain a share of ``GAIN`` or less.
+        collapsed: whether steps led to a map of another degree than 1, so that the points are those they began with.
     """
 
     sphere: Floats
     history: list[Record]
     converged: bool
+    collapsed: bool = False
 
 
 @blas_threads(1)
@@ -223,6 +226,9 @@ def harmonic_points(
     surface: MeshLike, *, start: ArrayLike | None = None, device: str | None = "auto", progress: Progress | None = None
 ) -> HarmonicMap:
     """Return the discrete harmonic map of a closed genus-0 surface, Möbius-centred.
+
+    A long limb with few vertices around it has none: its last triangles grow over the sphere, and all points end on a
+    circle. Where steps lead to a map of another degree than 1, the points are those they began with.
 
     Args:
         surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes, V vertices.
@@ -252,7 +258,7 @@ def harmonic_points(
     masses = surface.vertex_areas
     energy = _DirichletEnergy(surface, solver)
     sphere, _ = centre_points(given, masses)
-    value = energy.value(sphere)
+    began, value = sphere, energy.value(sphere)
     history: list[Record] = [{"iteration": 0, "energy": value, "length": 0.0}]
     before: tuple[Floats, Floats, float] | None = None  # direction, slope and gain of the step before
     converged = False
@@ -284,7 +290,20 @@ def harmonic_points(
         sphere, value = moved, lower
         history.append({"iteration": number, "energy": value, "length": length})
     tell(progress, "conformal", STEPS, STEPS, history[-1])
+    if not covers_once(sphere, surface.faces):
+        return HarmonicMap(began, history[:1], converged=False, collapsed=True)
     return HarmonicMap(sphere, history, converged)
+
+
+def covers_once(sphere: Floats, faces: Ints) -> bool:
+    """Return whether a map is of degree 1, and its flipped triangles cover less than half of the sphere.
+
+    Args:
+        sphere: unit vectors, shape [V, 3].
+        faces: shape [F, 3].
+    """
+    shares = triangle_solid_angles(*(sphere[faces[:, k]] for k in range(3))) / SPHERE_AREA
+    return bool(abs(shares.sum() - 1.0) < 0.5 and np.abs(shares).sum() < 2.0)
 
 
 class _DirichletEnergy:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from omtwarp.conformal import conformal_map
-from omtwarp.conformal.maps import harmonic_points
+from omtwarp.conformal.maps import covers_once, harmonic_points
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import examine, is_bijective
 from omtwarp.mesh.arrays import Floats
@@ -26,7 +26,7 @@ class Start:
         sphere: unit vectors, float64, shape [V, 3].
         route: ``conformal``, ``conformal, repaired`` or ``hierarchical``; ``given`` in place of ``conformal`` for
             points that the user gave.
-        reason: why the conformal map was not taken, or empty.
+        reason: why the conformal map was not taken, or its points are not harmonic; or empty.
         points: those of the conformal map before repair, shape [V, 3]; None if it could not be computed.
         repaired_flips: flips of the conformal map that were repaired.
         repair_given_up: whether repair of the conformal map was given up, as it had taken the work that it may take.
@@ -51,7 +51,8 @@ def bijective_start(
     """Find a map to the sphere without flips.
 
     The conformal map is tried first, with its flips repaired. On long thin limbs conformal maps shrink areas
-    exponentially, below what float64 resolves; the map is then a coarse-to-fine embedding, which always exists.
+    exponentially, below what float64 resolves; the map is then a coarse-to-fine embedding, which always exists. From
+    there the harmonic points are found, too, where section 4.1's map is not of degree 1.
 
     Args:
         surface: a valid closed mesh.
@@ -64,30 +65,49 @@ def bijective_start(
         OmtwarpError: no start was found; even the coarse-to-fine embedding failed.
     """
     budget, name = RepairBudget(surface), "conformal" if given is None else "given"
+    reason, embedding = "", None
     try:
         if given is not None:
             points = given
         elif published:
             points = conformal_map(surface, device=device, progress=progress).sphere
         else:
-            points = harmonic_points(surface, device=device, progress=progress).sphere
+            points, reason, embedding = _harmonic(surface, device, progress)
     except OmtwarpError as error:
         return Start(_embedded(surface, device, progress), "hierarchical", str(error), None, 0)
+    if embedding is not None:
+        return Start(embedding, "hierarchical", reason, points, 0)
     small = int((triangle_areas(points, surface.faces) < SMALLEST_AREA).sum())  # rounding decides how they turn
     if small:
-        reason = f"the {name} map shrinks {small} triangles below an area of {SMALLEST_AREA:g} on the unit sphere"
+        why = f"the {name} map shrinks {small} triangles below an area of {SMALLEST_AREA:g} on the unit sphere"
     else:
         examined = examine(points, surface.on(device).faces, device=device)
         if examined.bijective:
-            return Start(points, name, "", points, 0)
+            return Start(points, name, reason, points, 0)
         repaired = untangle(surface, points, keep_scale=True, budget=budget, device=device)
         if repaired.bijective:
-            return Start(repaired.sphere, f"{name}, repaired", "", points, examined.flips)
-        reason = (
+            return Start(repaired.sphere, f"{name}, repaired", reason, points, examined.flips)
+        why = (
             f"the {name} map flips {examined.flips} of {surface.face_count} triangles, and {repaired.flips_after} "
             "could not be repaired"
         )
-    return Start(_embedded(surface, device, progress), "hierarchical", reason, points, 0, budget.exhausted)
+    reasons, embedding = "; ".join(filter(None, [reason, why])), _embedded(surface, device, progress)
+    return Start(embedding, "hierarchical", reasons, points, 0, budget.exhausted)
+
+
+def _harmonic(surface: Surface, device: str | None, progress: Progress | None) -> tuple[Floats, str, Floats | None]:
+    """Return the harmonic points, or the best in their place with the reason, and the embedding if it was needed.
+
+    Raises:
+        OmtwarpError: the mesh cannot be mapped.
+    """
+    found = harmonic_points(surface, device=device, progress=progress)
+    if covers_once(found.sphere, surface.faces):
+        return found.sphere, "the harmonic map collapses, and section 4.1's is taken" if found.collapsed else "", None
+    embedding = _embedded(surface, device, progress)
+    found = harmonic_points(surface, start=embedding, device=device, progress=progress)
+    instead = "the coarse-to-fine embedding" if found.collapsed else "a harmonic map made from an embedding"
+    return found.sphere, f"section 4.1's map does not cover the sphere once, and {instead} is taken", embedding
 
 
 def _embedded(surface: Surface, device: str | None, progress: Progress | None) -> Floats:

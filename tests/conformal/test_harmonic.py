@@ -10,8 +10,9 @@ from test_conformal_map import conformal_latitude
 
 import omtwarp
 from omtwarp.conformal.centring import centre_points
+from omtwarp.conformal.maps import covers_once
 from omtwarp.geometry import cotangent_laplacian
-from omtwarp.mesh.shapes import blob, icosphere, noisy, random_sphere
+from omtwarp.mesh.shapes import blob, icosphere, noisy, random_sphere, tube
 from omtwarp.mesh.surface import Surface
 
 
@@ -99,6 +100,29 @@ def test_a_start_given_leads_to_the_same_points():
     usual = omtwarp.harmonic_points(surface, device="cpu").sphere
     other = omtwarp.harmonic_points(surface, start=usual @ random_rotation(4).T, device="cpu").sphere
     assert apart(other, usual).max() < 1e-4
+
+
+def test_points_that_would_collapse_onto_a_circle_stay_what_they_were():
+    """A tube with few vertices around has no harmonic map of degree 1: the last triangles grow over the sphere."""
+    surface = tube(length=15.0, girth=1.0, face_count=600)
+    began = centre_points(omtwarp.conformal_map(surface, intrinsic=True, device="cpu").sphere, surface.vertex_areas)[0]
+    found = omtwarp.harmonic_points(surface, device="cpu")
+    assert found.collapsed and not found.converged and len(found.history) == 1
+    np.testing.assert_array_equal(found.sphere, began)
+    assert covers_once(found.sphere, surface.faces)
+
+
+def test_a_map_covers_the_sphere_once_or_not():
+    ball = icosphere(6)
+    points = ball.vertices
+    assert covers_once(points, ball.faces) and not covers_once(points * [1.0, 1.0, -1.0], ball.faces)
+    aside = 0.1 * points + [1.0, 0.0, 0.0]
+    assert not covers_once(aside / np.linalg.norm(aside, axis=1, keepdims=True), ball.faces)
+    scattered = np.random.default_rng(1).permutation(points)  # whatever its degree, most of it is turned over
+    assert not covers_once(scattered, ball.faces)
+    few = points.copy()
+    few[5] = ball.vertices[ball.faces[0]].mean(axis=0) / np.linalg.norm(ball.vertices[ball.faces[0]].mean(axis=0))
+    assert covers_once(few, ball.faces)  # a few flips are no matter
 
 
 def test_wrong_starts_are_refused():

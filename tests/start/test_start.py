@@ -6,7 +6,7 @@ from hypothesis import given, settings, strategies as st
 from sphere_truths import apart, at_height, height_and_longitude, rms
 
 import omtwarp
-from omtwarp.conformal.maps import harmonic_points
+from omtwarp.conformal.maps import covers_once, harmonic_points
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import count_flips
 from omtwarp.mesh.shapes import blob, flip_edges, icosphere, limbs, needle, noisy, plate, random_sphere, tube
@@ -46,6 +46,30 @@ def test_long_tubes_take_another_road(length):
         return
     assert start.route == "hierarchical"
     assert "shrinks" in start.reason
+
+
+@pytest.mark.parametrize(
+    ("frequency", "instead"), [(6, "harmonic map made from an"), (12, "coarse-to-fine embedding is")]
+)
+def test_a_sphere_stretched_to_a_needle_is_mapped_from_points_that_cover_the_sphere(frequency, instead):
+    """Triangles 25 times as long as high: section 4.1's map covers the sphere twice or not at all."""
+    ball = icosphere(frequency)
+    surface = omtwarp.Surface(ball.vertices * [1.0, 1.0, 25.0], ball.faces)
+    result = omtwarp.map_to_sphere(surface, device="cpu")
+    assert instead in result.report["start"]["reason"]
+    assert covers_once(result.source, surface.faces)
+    assert result.distortion().area["surface"] < 2.005 and result.report["optimality"]["gap"] < 0.01
+    assert result.report["warnings"] == []
+
+
+@pytest.mark.parametrize("length", [15.0, 25.0])
+def test_tubes_whose_harmonic_map_collapses_end_at_the_optimum(length):
+    """Their gaps were infinite, and areas off by 2.3, as long as transport began on a circle."""
+    surface = tube(length=length, girth=1.0, face_count=600)
+    result = omtwarp.map_to_sphere(surface, device="cpu")
+    assert "the harmonic map collapses" in result.report["start"]["reason"]
+    assert result.certificate.bijective and result.report["optimality"]["gap"] < 0.01
+    assert result.distortion().area["surface"] < 2.1
 
 
 def test_a_long_tube_of_obtuse_triangles_is_embedded_coarse_to_fine():
