@@ -76,6 +76,9 @@ def test_a_minimum_far_above_the_bound_is_not_called_optimal(monkeypatch):
         result = map_to_sphere(surface, device="cpu")
     stage = next(stage for stage in result.report["stages"] if stage["name"] == "omt")
     assert not stage["converged"] and "above the bound" in stage["ended"]
+    monkeypatch.setattr(pipeline, "NO_BOUND", 0.0)
+    with pytest.warns(OmtwarpWarning, match="a minimum with the shape term, without a bound on its cost"):
+        assert map_to_sphere(surface, device="cpu").report["optimality"]["gap"] is None
 
 
 def test_a_plate_as_cad_programs_write_it():

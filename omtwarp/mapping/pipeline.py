@@ -73,6 +73,7 @@ GIVEN = "given"
 # A map above all of these, the last a mean squared distance in radians², is not said to be optimal, whatever the
 # minimisation reached. Where points move less, gap and curl are the mesh's own error. Smaller ones warn of more maps.
 FAR_GAP, FAR_CURL, FAR_COST = 0.01, 0.05, 0.02
+NO_BOUND = 1.0  # a gap above this says nothing of a map: bound and gap are reported as none
 # Weight of the shape term for the distance itself, relative to that for its square: mean distances are 0.2 % smaller
 # with this than with 1, at 3 % more angle distortion.
 DISTANCE_SHAPE = 0.3
@@ -540,7 +541,9 @@ class MapComputation:
         """Return whether a minimisation reached an optimal map, and how it ended; ``measured`` is of its map."""
         if optimal.converged and self.is_far(self.measured):
             assert self.measured is not None
-            return False, f"a minimum with the shape term, {100 * self.measured.gap:.3g} % above the bound"
+            gap = self.measured.gap
+            where = f"{100 * gap:.3g} % above the bound" if gap <= NO_BOUND else "without a bound on its cost"
+            return False, f"a minimum with the shape term, {where}"
         return optimal.converged, optimal.ended
 
     @staticmethod
@@ -677,8 +680,7 @@ class MapComputation:
         if measured is None or self.records[-1]["name"] not in (Stage.OMT, EXACT):
             measured = self.bounded(self.sphere, improve=self.sphere is self.maps.get(Stage.OMT))
         figures: dict[str, float | int | None] = measured.to_dict()
-        # No bound, a gap above this says nothing of a map: it is reported as none
-        if measured.gap > 1.0:
+        if measured.gap > NO_BOUND:
             figures |= dict.fromkeys(("lower_bound", "gap"))
         transported = self.record_of(Stage.OMT)
         if transported is not None and self.sphere is not self.maps[Stage.OMT]:
