@@ -9,6 +9,7 @@ import pytest
 from sphere_truths import ring_rms
 
 import omtwarp
+from omtwarp.conformal.maps import covers_once
 from omtwarp.mesh.surface import SPHERE_AREA
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
@@ -30,6 +31,7 @@ def examined() -> list[dict]:
         found.append({
             "kind": f"{kind} {seed}",
             "faces": surface.face_count,
+            "points": covers_once(result.conformal if result.source is None else result.source, surface.faces),
             "bijective": omtwarp.certify(surface, result.sphere, device="cpu").bijective,
             "ring": ring_rms(surface, result.sphere),
             "moved": np.sqrt(optimality["cost"] / SPHERE_AREA),
@@ -37,6 +39,10 @@ def examined() -> list[dict]:
             "warned": any(issubclass(one.category, omtwarp.OmtwarpWarning) for one in told),
         })  # fmt: skip
     return found
+
+
+def test_transport_is_measured_from_points_that_cover_the_sphere_once(examined):
+    assert [one["kind"] for one in examined if not one["points"]] == []
 
 
 def test_every_map_is_one_to_one(examined):
