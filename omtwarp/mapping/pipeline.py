@@ -37,7 +37,7 @@ from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetr
 from omtwarp.open_surfaces.symmetric import MirroredSphere
 from omtwarp.optimal import OptimalMap, optimal_map
 from omtwarp.optimal.density import map_to_density
-from omtwarp.optimal.exact import exact_map
+from omtwarp.optimal.exact import exact_map, largest_error
 from omtwarp.optimal.nested import EMBEDDED, NESTED, embedded_start, minimised, nested_start, shape_term
 from omtwarp.optimal.refinement import refine_map, refinement_weight
 from omtwarp.options import (
@@ -599,13 +599,7 @@ class MapComputation:
             progress=lambda _stage, done, total, details: self.notify(EXACT, done, total, details),
         )
         self.remember(exact.history)
-        largest = float(exact.history[-1]["ring_largest"])
-        # Exact error: largest relative error of a triangle's area that an exact map may have
-        if largest > 1e-6:
-            raise OmtwarpError(
-                f"exact areas were not reached: a triangle's area is off by {largest:.2g} of it; remesh with more "
-                "triangles, evenly shaped, or leave exact out"
-            )
+        largest = largest_error(exact)
         if self.options.optimality and self.options.cost is Cost.SQUARED:
             self.measured = self.bounded(exact.sphere)
         sphere, repaired = self.untangle(before, exact.sphere)

@@ -159,3 +159,18 @@ def minimise_cells(energy: TransportEnergy, points: Floats, progress: Progress |
     restored, right = restore_areas(energy, optimal.points, notify=notify)
     ended = optimal.ended if right else f"{optimal.ended}; areas are not right to {EXACT:g}"
     return replace(optimal, points=restored, history=tuple(history), converged=optimal.converged and right, ended=ended)
+
+
+def largest_error(exact: OptimalMap) -> float:
+    """Return the largest relative error of a cell's area in an exact map.
+
+    Raises:
+        OmtwarpError: it is above 1e-6.
+    """
+    largest = float(exact.history[-1]["ring_largest"])
+    if largest > EXACT:
+        raise OmtwarpError(
+            f"exact areas were not reached: a triangle's area is off by {largest:.2g} of it; remesh with more "
+            "triangles, evenly shaped, or leave exact out"
+        )
+    return largest

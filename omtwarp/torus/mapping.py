@@ -11,17 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
-from omtwarp.maps.result import MapResult, StageReport, origin_arrays
+from omtwarp.maps.result import MapResult, StageReport, Warned, origin_arrays
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.quarter import PARTS, QuarteredSurface, quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics.optimality import torus_optimality
+from omtwarp.optimal.exact import largest_error
 from omtwarp.optimal.refinement import not_matched
 from omtwarp.optimal.solver import OptimalMap
 from omtwarp.options import AreaMatch, Domain, Progress, Record, continued, parse_refinement, tell
 from omtwarp.torus.harmonic import QUANTUM, FlatTorus, conformal_torus, embedded_torus, quantised
 from omtwarp.torus.transport import Report, eased_on_torus, exact_on_torus, refine_on_torus, transport_on_torus
 
+REMEDY = "remesh with more triangles, evenly shaped"
 WRONG_AREA = 1e-4  # largest relative error of an area around a vertex without a warning
 
 
@@ -67,9 +69,8 @@ class _TorusComputation:
         self.history: list[Record] = []
         self.stages: list[StageReport] = []
         self.shape_weight = 0.0  # of the last stage
-        self.largest_ring_error = 0.0  # after the optimal map
         self.measured: dict[str, float | None] | None = None
-        self.warnings: list[str] = []
+        self.warnings: list[Warned] = []
         self.notify("conformal")(0, 1, {})
         self.conformal = conformal_torus(surface)
         self.torus = embedded_torus(surface, self.conformal)
@@ -87,8 +88,10 @@ class _TorusComputation:
         optimum, self.shape_weight = transport_on_torus(
             self.surface, self.conformal, start, progress=self.notify("omt"), device=self.device
         )
-        self.largest_ring_error = optimum.history[-1]["ring_largest"]
-        self.take("omt", optimum, {"largest_ring_error": self.largest_ring_error})
+        wrong = optimum.history[-1]["ring_largest"]
+        self.take("omt", optimum, {"largest_ring_error": wrong})
+        if wrong > WRONG_AREA:
+            self.warn("vertex-areas", f"areas around vertices are kept to {wrong:.1%} at worst: {REMEDY}")
         if measure:
             x, shift = self.conformal.coordinates @ lattice, self.conformal.wraps @ lattice
             self.measured = torus_optimality(self.surface, x, optimum.points, shift, lattice).to_dict()
@@ -105,7 +108,8 @@ class _TorusComputation:
             quartered, self.conformal, y @ lattice, self.shape_weight, progress=self.notify("exact"), device=self.device
         )
         self.measured = None  # that was of the map before
-        self.take("exact", exact, {"largest_area_error": exact.history[-1]["ring_largest"]})
+        self.warnings.clear()  # so were they
+        self.take("exact", exact, {"largest_area_error": largest_error(exact)})
 
     def refine(self, weight: AreaMatch | str | float) -> None:
         """Reduce the distortion of shape, at a higher cost."""
@@ -117,7 +121,7 @@ class _TorusComputation:
         self.take("refine", refined, {"weight": used})
         wanted = parse_refinement(weight)
         if isinstance(wanted, AreaMatch) and (missed := not_matched(wanted.area, refined.history[-1]["area"])):
-            self.warnings.append("; ".join(missed))
+            self.warn("not-matched", "; ".join(missed))
 
     def take(self, name: str, result: OptimalMap, details: StageReport) -> None:
         """Continue with a map that was found."""
@@ -135,6 +139,12 @@ class _TorusComputation:
             "shape_weight": self.shape_weight,
         }
         self.finish(name, whole, self.torus)
+        if not result.converged and name != "refine":
+            self.warn("not-converged", f"the stage {name} did not converge: {result.ended}; {REMEDY}")
+
+    def warn(self, kind: str, text: str) -> None:
+        """Note a warning about the map."""
+        self.warnings.append({"kind": kind, "where": -1, "text": text})
 
     def finish(self, name: str, details: StageReport, torus: FlatTorus) -> None:
         """Record a stage."""
@@ -167,14 +177,10 @@ class _TorusComputation:
         result = self.made(self.torus)
         if not result.bijective:
             raise OmtwarpError(f"the map to the torus is not one to one: {result.certificate}")
-        wrong = self.largest_ring_error
-        if wrong > WRONG_AREA:
-            text = f"areas around vertices are kept to {wrong:.1%} at worst: remesh with more triangles, evenly shaped"
-            self.warnings.insert(0, text)
-        for text in self.warnings:
+        for finding in self.warnings:
             if strict:
-                raise OmtwarpError(f"the map is not as good as strict=True requires: {text}")
-            warnings.warn(OmtwarpWarning(text), stacklevel=5)
+                raise OmtwarpError(f"the map is not as good as strict=True requires: {finding['text']}")
+            warnings.warn(OmtwarpWarning(finding["text"]), stacklevel=5)
         result.report.update(
             {
                 "domain": "torus",
@@ -183,6 +189,7 @@ class _TorusComputation:
                 "seconds": time.perf_counter() - self.begin,
                 "stages": self.stages,
                 "certificate": result.certificate.to_dict(),
+                "warnings": self.warnings,
             }
         )
         if self.measured is not None:

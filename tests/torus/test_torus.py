@@ -19,7 +19,9 @@ from omtwarp.maps.torus_map import ring_torus as on_ring_torus
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics.optimality import torus_optimality
+from omtwarp.optimal import exact as exact_areas
 from omtwarp.texturing.textured import torus_pattern
+from omtwarp.torus import mapping as torus_mapping, transport as torus_transport
 from omtwarp.torus.harmonic import FlatTorus, conformal_torus, quantised
 from omtwarp.torus.mapping import map_to_torus
 from omtwarp.torus.transport import transport_on_torus
@@ -292,6 +294,21 @@ def test_exact_and_refined_maps():
         omtwarp.map_surface(surface, exact=True, refine="area")
     with pytest.raises(omtwarp.OmtwarpError, match="has none"):
         omtwarp.map_surface(surface, until="conformal")
+
+
+def test_what_a_map_to_a_torus_does_not_keep_is_told(monkeypatch):
+    ring = shapes.rings(1, cell=0.4)
+    assert omtwarp.map_surface(ring).report["warnings"] == []
+    monkeypatch.setattr(torus_mapping, "WRONG_AREA", -1.0)
+    with pytest.warns(omtwarp.OmtwarpWarning, match="areas around vertices are kept to 0.0% at worst: remesh"):
+        assert [told["kind"] for told in omtwarp.map_surface(ring).report["warnings"]] == ["vertex-areas"]
+    monkeypatch.setattr(torus_transport, "GAIN", 0.0)
+    with pytest.warns(omtwarp.OmtwarpWarning, match="the stage omt did not converge"):
+        told = omtwarp.map_surface(ring).report["warnings"]
+    assert [one["kind"] for one in told] == ["not-converged", "vertex-areas"]
+    monkeypatch.setattr(exact_areas, "EXACT", 0.0)
+    with pytest.raises(omtwarp.OmtwarpError, match="exact areas were not reached"):
+        omtwarp.map_surface(ring, exact=True)
 
 
 def test_intrinsic_delaunay_weights_of_a_twisted_grid():
