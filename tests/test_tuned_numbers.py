@@ -27,7 +27,7 @@ TUNED = {
     "optimal/local.py": "GAIN_SHARE MAX_GAIN_SHARE MAX_CHOSEN_SHARE FREED_RINGS",
     "solvers/motion_kernels.py": "NEXT_SHARE",
     "solvers/triangle.py": "AREA_WEIGHT",
-    "untangling/untangle.py": "RINGS LOWERED",
+    "untangling/untangle.py": "RINGS LOWERED CONFORMAL_AREA_WEIGHT",
     "start/hierarchical.py": "SWEEPS COARSE_WEIGHT",
     "start/decimation.py": "EVEN_SHARE CHEAPER_SHARE FREE_VALENCE",
 }
