@@ -138,7 +138,7 @@ def test_the_same_optimum_in_fewer_factorisations(moser):
     for local in (True, False):
         energy = energy_of(surface, result)
         energy.has_local_steps = local
-        found[local] = minimise(energy, result.sphere, gain=1e-6, iterations=60, progress=None)
+        found[local] = minimise(energy, result.sphere, gain=1e-6, iterations=100, progress=None)
         assert found[local].converged
     assert any(record["settled"] for record in found[True].history)
     assert not any(record["settled"] for record in found[False].history)
