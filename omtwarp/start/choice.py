@@ -102,8 +102,10 @@ def _harmonic(surface: Surface, device: str | None, progress: Progress | None) -
         OmtwarpError: the mesh cannot be mapped.
     """
     found = harmonic_points(surface, device=device, progress=progress)
+    if not found.collapsed:
+        return found.sphere, "", None
     if covers_once(found.sphere, surface.faces):
-        return found.sphere, "the harmonic map collapses, and section 4.1's is taken" if found.collapsed else "", None
+        return found.sphere, "the harmonic map collapses, and section 4.1's is taken", None
     embedding = _embedded(surface, device, progress)
     found = harmonic_points(surface, start=embedding, device=device, progress=progress)
     instead = "the coarse-to-fine embedding" if found.collapsed else "a harmonic map made from an embedding"
