@@ -18,16 +18,16 @@ from numpy.typing import NDArray
 from omtwarp.device.arrays import Workspace
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.device.sums import Reading
-from omtwarp.geometry.spherical import TINY
+from omtwarp.geometry.spherical import TINY, oriented_volume
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.cells import Cells
 from omtwarp.optimal.energy import ShapeTerms
 from omtwarp.optimal.kernels import Fit, raised_fit, weighted_fit
-from omtwarp.optimal.shape_kernels import distortion_modes, write_squares
+from omtwarp.optimal.shape_kernels import distortion_gradient, distortion_modes, distortion_terms, write_squares
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
 from omtwarp.solvers.motion_kernels import keeps_volume
-from omtwarp.solvers.triangle import triangle_frames
+from omtwarp.solvers.triangle import first_column, second_column, triangle_frames
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -51,20 +51,12 @@ def corner_place(points: wp.array[wp.vec2d], shift: wp.array2d[wp.vec2d], faces:
 
 
 @wp.func
-def sides(points: wp.array[wp.vec2d], shift: wp.array2d[wp.vec2d], faces: wp.array[wp.vec3i], f: int):
-    """Return the second and the third corner of a triangle as seen from the first."""
+def corners_above(points: wp.array[wp.vec2d], shift: wp.array2d[wp.vec2d], faces: wp.array[wp.vec3i], f: int):
+    """Return a triangle's corners at height 1: there det[a, b, c] is twice its signed area."""
     a = corner_place(points, shift, faces, f, 0)
-    b = corner_place(points, shift, faces, f, 1) - a
-    c = corner_place(points, shift, faces, f, 2) - a
-    return b, c
-
-
-@wp.func
-def jacobian(frame: wp.vec3d, b: wp.vec2d, c: wp.vec2d):
-    """Return the two columns of the Jacobian of a triangle with sides b and c, and its determinant."""
-    one = frame[0] * b
-    two = frame[1] * b + frame[2] * c
-    return one, two, one[0] * two[1] - one[1] * two[0]
+    b = corner_place(points, shift, faces, f, 1)
+    c = corner_place(points, shift, faces, f, 2)
+    return wp.vec3d(a[0], a[1], ONE), wp.vec3d(b[0], b[1], ONE), wp.vec3d(c[0], c[1], ONE)
 
 
 @wp.kernel
@@ -83,18 +75,11 @@ def plane_triangles(
     Distortion is infinite where the triangle is turned over.
     """
     f = wp.tid()
-    frame = frames[f]
-    b, c = sides(points, shift, faces, f)
-    one, two, d = jacobian(frame, b, c)
-    areas[f] = HALF * (b[0] * c[1] - b[1] * c[0])
-    if d > ZERO:
-        # The distortion above 2, without cancellation where it is close to 0.
-        sheer = one - wp.vec2d(two[1], -two[0])
-        angle[f] = wp.dot(sheer, sheer) / d
-        area[f] = (d - ONE) * (d - ONE) / d
-    else:
-        angle[f] = wp.float64(wp.inf)
-        area[f] = wp.float64(wp.inf)
+    a, b, c = corners_above(points, shift, faces, f)
+    of_angle, d, volume, _upright = distortion_terms(frames[f], a, b, c)
+    areas[f] = HALF * volume
+    angle[f] = wp.where(volume > ZERO, of_angle, wp.float64(wp.inf))
+    area[f] = wp.where(volume > ZERO, (d - ONE) * (d - ONE) / d, wp.float64(wp.inf))
 
 
 @wp.kernel
@@ -110,18 +95,10 @@ def plane_gradients(
 ):
     """Compute the gradient of weighted distortion by the corners, shape [F, 3]."""
     f = wp.tid()
-    frame = frames[f]
-    b, c = sides(points, shift, faces, f)
-    one, two, d = jacobian(frame, b, c)
-    square = wp.dot(one, one) + wp.dot(two, two)
-    by_ratio = -square / (d * d) + area_weight * (ONE - ONE / (d * d))
-    by_one = weights[f] * (TWO / d * one - by_ratio * turned(two))
-    by_two = weights[f] * (TWO / d * two + by_ratio * turned(one))
-    by_b = frame[0] * by_one + frame[1] * by_two
-    by_c = frame[2] * by_two
-    gradients[f, 0] = -(by_b + by_c)
-    gradients[f, 1] = by_b
-    gradients[f, 2] = by_c
+    a, b, c = corners_above(points, shift, faces, f)
+    rows = distortion_gradient(frames[f], weights[f], a, b, c, wp.vec3d(area_weight, area_weight, ZERO))
+    for k in range(3):
+        gradients[f, k] = wp.vec2d(rows[k, 0], rows[k, 1])
 
 
 @wp.kernel
@@ -141,9 +118,8 @@ def plane_hessians(
     :func:`omtwarp.optimal.shape_kernels.triangle_hessian`.
     """
     f = wp.tid()
-    b, c = sides(points, shift, faces, f)
-    one, two, _d = jacobian(frames[f], b, c)
-    c1, c2 = wp.vec3d(one[0], one[1], ZERO), wp.vec3d(two[0], two[1], ZERO)
+    a, b, c = corners_above(points, shift, faces, f)
+    c1, c2 = first_column(frames[f], a, b), second_column(frames[f], a, b, c)
     axis, other = wp.vec3d(ONE, ZERO, ZERO), wp.vec3d(ZERO, ONE, ZERO)
     axes, others = wp.matrix_from_rows(axis, axis, axis), wp.matrix_from_rows(other, other, other)
     pressures = wp.vec3d(area_weight, area_weight, ZERO)
@@ -179,8 +155,8 @@ def plane_areas(
 ):
     """Compute every triangle's signed area, shape [F]."""
     f = wp.tid()
-    b, c = sides(points, shift, faces, f)
-    areas[f] = HALF * (b[0] * c[1] - b[1] * c[0])
+    a, b, c = corners_above(points, shift, faces, f)
+    areas[f] = HALF * oriented_volume(a, b, c)
 
 
 @wp.kernel
