@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from omtwarp.device.arrays import sent
-from omtwarp.device.start import KERNEL_OPTIONS, ONE, ZERO, wp
+from omtwarp.device.start import KERNEL_OPTIONS, wp
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -103,40 +103,43 @@ class Envelopes:
         return matrices
 
 
-# With Warp's own vectors, of which the compiler makes no vectors of the processor, a factorisation of 1,000 vertices
-# takes 2.7 times as long. Where there are none, as on a GPU, the four columns are summed one after another.
+# Pointers, because the compiler computes the place of every entry of Warp's arrays anew, and makes no vectors of the
+# processor of Warp's: these functions take two to four times as long otherwise. Group j // 4 of row i begins that many
+# groups behind ``row(i)``. Where there are no vectors, as on a GPU, four columns are summed one after another.
+ROWS = """
+    const int width = 36;
+    const int *first = m.first.data, *last = m.last.data;
+    auto row = [&](int i) { return m.left.data + (long long)width * (m.rows.data[i] - first[i] / 4); };
+"""
+# The sum of X S Yᵀ, S = diag(1, 1, -1), over the blocks X of ``count`` groups from one on and Y of as many from other
+# on. A product and its sum are one instruction, which Warp's flags leave to be asked for: a sixth less time.
 PRODUCT = """
 #ifdef __CUDA_ARCH__
     typedef double Columns;
 #else
     typedef double Columns __attribute__((vector_size(32), aligned(8)));
 #endif
-    const int in_one = sizeof(Columns) / sizeof(double), parts = 4 / in_one;
-    Columns sums[3][3] = {};
-    const Columns* x = (const Columns*)left.data + (long long)9 * parts * u;
-    const Columns* y = (const Columns*)left.data + (long long)9 * parts * v;
-    for (int k = 0; k < count * parts; ++k) {
-        const Columns* one = x + k / parts * 9 * parts + k % parts;
-        const Columns* other = y + k / parts * 9 * parts + k % parts;
-        for (int c = 0; c < 3; ++c)
-            for (int a = 0; a < 3; ++a)
-                for (int b = 0; b < 3; ++b) {
-                    const Columns product = one[(3 * a + c) * parts] * other[(3 * b + c) * parts];
-                    if (c < 2) sums[a][b] += product;
-                    else sums[a][b] -= product;
-                }
-    }
-    wp::mat_t<3, 3, wp::float64> out;
-    for (int a = 0; a < 3; ++a)
-        for (int b = 0; b < 3; ++b) {
-            const double* sum = (const double*)&sums[a][b];
-            double total = 0.0;
-            for (int n = 0; n < in_one; ++n) total += sum[n];
-            out.data[a][b] = total;
+    auto product = [](const double* one, const double* other, int count, double* total) {
+        #pragma clang fp contract(fast)
+        const int in_one = sizeof(Columns) / sizeof(double), parts = 4 / in_one;
+        Columns sums[9] = {};
+        for (int k = 0; k < count * parts; ++k) {
+            const Columns* x = (const Columns*)one + k / parts * 9 * parts + k % parts;
+            const Columns* y = (const Columns*)other + k / parts * 9 * parts + k % parts;
+            for (int c = 0; c < 3; ++c)
+                for (int a = 0; a < 3; ++a)
+                    for (int b = 0; b < 3; ++b) {
+                        if (c < 2) sums[3 * a + b] += x[(3 * a + c) * parts] * y[(3 * b + c) * parts];
+                        else sums[3 * a + b] -= x[(3 * a + c) * parts] * y[(3 * b + c) * parts];
+                    }
         }
-    return out;
+        for (int e = 0; e < 9; ++e) {
+            const double* sum = (const double*)&sums[e];
+            total[e] = 0.0;
+            for (int n = 0; n < in_one; ++n) total[e] += sum[n];
+        }
+    };
 """
-
 
 # All lanes of matrix p wait until the last is here. On the host every lane counts its own turns.
 MEET = """
@@ -153,10 +156,44 @@ MEET = """
 #endif
 """
 
-# Pointers, because the compiler computes the place of every entry of Warp's arrays anew: 2.5 times as fast. Every lane
-# computes the unknowns of column j from what it reads; the first writes them when all have read.
+# The pivot of vertex j is factorised, with its diagonal inverted; then every lane computes the blocks below it of its
+# rows, from those left of them.
+FACTORISE = """
+    double* definite = (double*)((char*)numbers.data + p * (long long)numbers.strides[0]);
+    for (int j = m.starts.data[p]; j < m.starts.data[p + 1]; ++j) {
+        double *own = (double*)(diagonal.data + j), *above = row(j), total[9];
+        if (lane == 0) {
+            product(above + width * (first[j] / 4), above + width * (first[j] / 4), (j + 3) / 4 - first[j] / 4, total);
+            for (int e = 0; e < 9; ++e) own[e] -= total[e];
+            const double l00 = 1.0 / sqrt(own[0]), l10 = own[3] * l00, l20 = own[6] * l00;
+            const double second = own[4] - l10 * l10, l11 = 1.0 / sqrt(second), l21 = (own[7] - l20 * l10) * l11;
+            const double third = l20 * l20 + l21 * l21 - own[8];
+            *definite = own[0] > 0.0 && second > 0.0 && third > 0.0 ? 1.0 : 0.0;
+            const double pivot[9] = {l00, 0.0, 0.0, l10, l11, 0.0, l20, l21, 1.0 / sqrt(third)};
+            for (int e = 0; e < 9; ++e) own[e] = pivot[e];
+        }
+        MEET
+        if (!(*definite > 0.0)) return;
+        for (int i = j + 1 + lane; i <= last[j]; i += lanes) {
+            if (first[i] > j) continue;
+            const int begin = (first[i] > first[j] ? first[i] : first[j]) / 4;
+            double* at = row(i) + width * (j / 4) + j % 4;
+            product(row(i) + width * begin, above + width * begin, (j + 3) / 4 - begin, total);
+            for (int a = 0; a < 3; ++a, at += 12) {
+                const double x = (at[0] - total[3 * a]) * own[0];
+                const double y = (at[4] - total[3 * a + 1] - x * own[3]) * own[4];
+                at[8] = -(at[8] - total[3 * a + 2] - x * own[6] - y * own[7]) * own[8];
+                at[0] = x;
+                at[4] = y;
+            }
+        }
+        MEET
+    }
+"""
+
+# Every lane computes the unknowns of column j from what it reads; the first writes them when all have read.
 SUBSTITUTE = """
-    const int width = 36;
+    const int begin = m.starts.data[p], end = m.starts.data[p + 1];
     double* y = (double*)x.data;
     double s[3];
     for (int j = begin; j < end; ++j) {
@@ -166,10 +203,9 @@ SUBSTITUTE = """
             for (int b = 0; b < a; ++b) s[a] -= own[3 * a + b] * s[b];
             s[a] *= own[3 * a + a];
         }
-        for (int i = j + 1 + lane; i <= m.last.data[j]; i += lanes) {
-            if (m.first.data[i] > j) continue;
-            const long long group = m.rows.data[i] - m.first.data[i] / 4 + j / 4;
-            const double* block = m.left.data + width * group + j % 4;
+        for (int i = j + 1 + lane; i <= last[j]; i += lanes) {
+            if (first[i] > j) continue;
+            const double* block = row(i) + width * (j / 4) + j % 4;
             for (int a = 0; a < 3; ++a)
                 for (int b = 0; b < 3; ++b) y[3 * i + a] -= block[4 * (3 * a + b)] * s[b];
         }
@@ -179,15 +215,14 @@ SUBSTITUTE = """
     }
     MEET
     for (int i = end - 1; i >= begin; --i) {
-        const double* own = (const double*)(diagonal.data + i);
-        const double* row = m.left.data + (long long)width * (m.rows.data[i] - m.first.data[i] / 4);
+        const double *own = (const double*)(diagonal.data + i), *before = row(i);
         for (int a = 3 - 1; a >= 0; --a) {
             s[a] = y[3 * i + a];
             for (int b = a + 1; b < 3; ++b) s[a] -= own[3 * b + a] * s[b];
             s[a] *= own[3 * a + a];
         }
-        for (int j = m.first.data[i] + lane; j < i; j += lanes) {
-            const double* block = row + (long long)width * (j / 4) + j % 4;
+        for (int j = first[i] + lane; j < i; j += lanes) {
+            const double* block = before + width * (j / 4) + j % 4;
             for (int b = 0; b < 3; ++b) {
                 double sum = 0.0;
                 for (int a = 0; a < 3; ++a) sum += block[4 * (3 * a + b)] * s[a];
@@ -201,67 +236,32 @@ SUBSTITUTE = """
     MEET
 """
 
+CLEAR = """
+    for (double* at = row(i) + width * (first[i] / 4); at < row(i) + width * ((i + 3) / 4); ++at) *at = 0.0;
+"""
+
+ADD = """
+    double* at = row(i) + width * (j / 4) + j % 4;
+    for (int e = 0; e < 9; ++e) at[4 * e] += ((const double*)&block)[e];
+"""
+
 
 @wp.func_native(MEET)
 def meet(p: int, lane: int, lanes: int, gates: wp.array[wp.int32]):
     """Wait for the other lanes of matrix p; ``gates`` hold a number for each on the host, [count * lanes], zeros."""
 
 
-@wp.func_native(PRODUCT)
-def product_of_rows(u: int, v: int, count: int, left: wp.array[wp.float64]) -> wp.mat33d:  # type: ignore[empty-body]
-    """Return the sum of X S Yᵀ, S = diag(1, 1, -1), over the blocks X of ``count`` groups from u on and Y from v on."""
-
-
-@wp.func
-def group_of(i: int, j: int, m: Envelope) -> int:
-    """Return which group has the block with rows of vertex i and columns of vertex j, first[i] <= j < i."""
-    return int(m.rows[i]) + j // COLUMNS - m.first[i] // COLUMNS
-
-
-@wp.func
-def groups_before(i: int, m: Envelope) -> int:
-    """Return how many groups the blocks of vertex i with the vertices before it take."""
-    return (i + COLUMNS - 1) // COLUMNS - m.first[i] // COLUMNS
-
-
-@wp.func
+@wp.func_native(ROWS + CLEAR)
 def clear_row(i: int, m: Envelope):
     """Set the blocks of vertex i with those before it to zero."""
-    for k in range(9 * COLUMNS * int(m.rows[i]), 9 * COLUMNS * (int(m.rows[i]) + groups_before(i, m))):
-        m.left[k] = ZERO
 
 
-@wp.func
+@wp.func_native(ROWS + ADD)
 def add_block(i: int, j: int, block: wp.mat33d, m: Envelope):
     """Add a block with rows of vertex i and columns of vertex j < i."""
-    at = 9 * COLUMNS * group_of(i, j, m) + j % COLUMNS
-    for a in range(3):
-        for b in range(3):
-            m.left[at] = m.left[at] + block[a, b]
-            at += COLUMNS
 
 
-@wp.func
-def saddle_pivot(j: int, rest: wp.mat33d, diagonal: wp.array[wp.mat33d]) -> bool:
-    """Replace a block on the diagonal by its factor, with its own diagonal inverted; return whether it has one."""
-    if not rest[0, 0] > ZERO:
-        return False
-    l00 = ONE / wp.sqrt(rest[0, 0])
-    l10 = rest[1, 0] * l00
-    l20 = rest[2, 0] * l00
-    pivot = rest[1, 1] - l10 * l10
-    if not pivot > ZERO:
-        return False
-    l11 = ONE / wp.sqrt(pivot)
-    l21 = (rest[2, 1] - l20 * l10) * l11
-    pivot = l20 * l20 + l21 * l21 - rest[2, 2]
-    if not pivot > ZERO:
-        return False
-    diagonal[j] = wp.mat33d(l00, ZERO, ZERO, l10, l11, ZERO, l20, l21, ONE / wp.sqrt(pivot))
-    return True
-
-
-@wp.func
+@wp.func_native(ROWS + PRODUCT + FACTORISE.replace("MEET", MEET))
 def factorise_envelope(
     p: int,
     lane: int,
@@ -270,44 +270,16 @@ def factorise_envelope(
     gates: wp.array[wp.int32],
     # Data in and out:
     diagonal: wp.array[wp.mat33d],
-    definite: wp.array2d[wp.float64],
+    numbers: wp.array2d[wp.float64],
 ):
     """Factorise quasi-definite matrix p as L S Lᵀ, S = diag(1, 1, -1) at every vertex, the diagonal of L inverted.
 
-    The third unknown of every vertex is a multiplier (:mod:`omtwarp.solvers.cholesky.saddle`). ``definite`` of p gets 1
-    where all pivots have their signs, otherwise 0.
+    The third unknown of every vertex is a multiplier (:mod:`omtwarp.solvers.cholesky.saddle`). The first of the numbers
+    of p gets 1 where all pivots have their signs, otherwise 0.
     """
-    for j in range(m.starts[p], m.starts[p + 1]):
-        if lane == 0:
-            at = group_of(j, m.first[j], m)
-            total = product_of_rows(at, at, groups_before(j, m), m.left)
-            definite[p, 0] = ZERO
-            if saddle_pivot(j, diagonal[j] - total, diagonal):
-                definite[p, 0] = ONE
-        meet(p, lane, lanes, gates)
-        if not definite[p, 0] > ZERO:
-            return
-        own = diagonal[j]
-        for i in range(j + 1 + lane, m.last[j] + 1, lanes):
-            if m.first[i] <= j:
-                both = wp.max(m.first[i], m.first[j])
-                count = (j + COLUMNS - 1) // COLUMNS - both // COLUMNS
-                total = product_of_rows(group_of(i, both, m), group_of(j, both, m), count, m.left)
-                at = 9 * COLUMNS * group_of(i, j, m) + j % COLUMNS
-                for a in range(3):
-                    x = (m.left[at] - total[a, 0]) * own[0, 0]
-                    y = (m.left[at + COLUMNS] - total[a, 1] - x * own[1, 0]) * own[1, 1]
-                    z = (m.left[at + 2 * COLUMNS] - total[a, 2] - x * own[2, 0] - y * own[2, 1]) * own[2, 2]
-                    m.left[at] = x
-                    m.left[at + COLUMNS] = y
-                    m.left[at + 2 * COLUMNS] = -z
-                    at += 3 * COLUMNS
-        meet(p, lane, lanes, gates)
 
 
-@wp.func_native(
-    "    const int begin = m.starts.data[p], end = m.starts.data[p + 1];" + SUBSTITUTE.replace("MEET", MEET)
-)
+@wp.func_native(ROWS + SUBSTITUTE.replace("MEET", MEET))
 def solve_envelope(
     p: int,
     lane: int,
