@@ -5,9 +5,10 @@ from __future__ import annotations
 import platform
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from operator import itemgetter
 from typing import Unpack, cast
 
 import numpy as np
@@ -38,7 +39,7 @@ from omtwarp.open_surfaces.symmetric import MirroredSphere
 from omtwarp.optimal import OptimalMap, optimal_map
 from omtwarp.optimal.density import map_to_density
 from omtwarp.optimal.exact import exact_map, largest_error
-from omtwarp.optimal.nested import EMBEDDED, NESTED, embedded_start, minimised, nested_start, shape_term
+from omtwarp.optimal.nested import EMBEDDED, NESTED, ShapeTerm, embedded_start, minimised, nested_start, shape_term
 from omtwarp.optimal.refinement import refine_map, refinement_weight
 from omtwarp.options import (
     AreaMatch,
@@ -466,9 +467,17 @@ class MapComputation:
     def minimise_transport(self) -> None:
         """Compute the discrete optimal map: areas around vertices kept, and the cost at its minimum."""
         assert self.source is not None
-        sphere, road = self.nearby_map()
-        solve = partial(self.minimisation(sphere), self.surface, start=self.source, device=self.device)
-        optimal, term = minimised(self.surface, sphere, self.source, solve, device=self.device)
+        solve: Callable[..., OptimalMap]
+        found: list[tuple[bool, float, str, Callable[..., OptimalMap], OptimalMap, ShapeTerm]] = []
+        for sphere, road in self.nearby_maps():
+            solve = partial(self.minimisation(sphere), self.surface, start=self.source, device=self.device)
+            optimal, term = minimised(self.surface, sphere, self.source, solve, device=self.device)
+            found.append((not optimal.converged, optimal.history[-1]["ring_rms"], road, solve, optimal, term))
+            if optimal.converged:
+                break
+            if road == NESTED:
+                self.give_up(f"the minimisation from the nested map: {optimal.ended}")
+        *_, road, solve, optimal, term = min(found, key=itemgetter(0, 1))
         self.remember(optimal.history)
         weight = term.weight
         if self.options.cost is Cost.GEODESIC:
@@ -513,29 +522,42 @@ class MapComputation:
         details: dict[str, str | float | None] = {"converged": optimal.converged, "ended": optimal.ended}
         self.finish(Stage.OMT, sphere, len(self.history) - 1, repaired=repaired, **details)
 
-    def nearby_map(self) -> tuple[Floats, str]:
-        """Return the map that the minimisation begins with, and which it is: ``given``, ``nested`` or ``embedded``."""
+    def nearby_maps(self) -> Iterator[tuple[Floats, str]]:
+        """Yield the maps to begin a minimisation with, and which they are: ``given``, or ``nested``, then ``embedded``.
+
+        Of 100 made surfaces of up to 6,000 faces, one ends at an area distortion of 2.93 from the nested map, and at
+        2.02 from the embedded one; so do two of eight rotations of another.
+        """
         assert self.source is not None
         if self.given_map is not None:
-            return self.given_map, GIVEN
-        embedding = self.sphere if self.origin["route"] == "hierarchical" else None
+            yield self.given_map, GIVEN
+            return
+        embedding, known = self.sphere if self.origin["route"] == "hierarchical" else None, False
         if embedding is None:
             try:
                 mirror = None if self.mirror is None else self.mirror.mirror
                 sphere = nested_start(self.surface, self.source, mirror=mirror, device=self.device)
                 sphere = self.symmetric(sphere, repair=True)
-                if self.mirror is None or is_symmetric(self.mirror, sphere):
-                    return sphere, NESTED
-                self.give_up("the nested map could not be made symmetric")
+                known = self.mirror is None or is_symmetric(self.mirror, sphere)
             except OmtwarpError as error:
                 self.give_up(str(error))
+            else:
+                if known:
+                    yield sphere, NESTED
+                else:
+                    self.give_up("the nested map could not be made symmetric")
         if self.mirror is not None and (embedding is None or not is_symmetric(self.mirror, embedding)):
             embedding = self.coarse_start(self.mirror)
-        sphere = embedded_start(self.surface, self.source, embedding, device=self.device)
+        try:
+            sphere = embedded_start(self.surface, self.source, embedding, device=self.device)
+        except OmtwarpError:
+            if known:
+                return  # with the nested map
+            raise
         sphere = self.symmetric(sphere, repair=True)
         if self.mirror is not None and embedding is not None and not is_symmetric(self.mirror, sphere):
             sphere = embedding
-        return sphere, EMBEDDED
+        yield sphere, EMBEDDED
 
     def termination(self, optimal: OptimalMap) -> tuple[bool, str]:
         """Return whether a minimisation reached an optimal map, and how it ended; ``measured`` is of its map."""
