@@ -14,7 +14,7 @@ from omtwarp.commands._streams import input_file
 from omtwarp.commands._work import make_map, require_bijective
 from omtwarp.commands.texture import standing
 from omtwarp.errors import OmtwarpError
-from omtwarp.files.output import check_output, folder_of_results, make_folder, staged, write_text
+from omtwarp.files.output import check_output, check_outputs, folder_of_results, make_folder, staged, write_text
 from omtwarp.options import CutAlong, Device, Domain, FillArea, MapOptions, WeightsAt
 
 if TYPE_CHECKING:
@@ -163,9 +163,8 @@ def run_map(
         raise OmtwarpError("--beside is for maps to the sphere: a ring torus is written by itself")
     targets = _work.outputs_of(meshes, output, ".ply" if beside else ".npz")
     reports = _work.outputs_of(meshes, report, ".json")
-    for target, report_target in zip(targets, reports, strict=True):
-        check_output(target, (".ply",) if beside else (".npz", *SUFFIXES), *meshes)
-        check_output(report_target, (".json",), *meshes, target)
+    suffixes = (".ply",) if beside else (".npz", *SUFFIXES)
+    check_outputs([*((target, suffixes) for target in targets), *((one, (".json",)) for one in reports)], *meshes)
     kind = topology.keywords()
     _work.start_device(mapping.device)
     goal = mass.target()

@@ -11,7 +11,7 @@ from omtwarp.commands._options import Argument, Printing, Typed, output_option
 from omtwarp.commands._streams import STREAM, input_file, output_file, step_times
 from omtwarp.commands._work import show_facts, start_device
 from omtwarp.errors import OmtwarpError
-from omtwarp.files.output import check_output
+from omtwarp.files.output import check_outputs
 from omtwarp.options import Device, Interpolation, MapOptions, Side
 
 if TYPE_CHECKING:
@@ -33,17 +33,6 @@ class Extras:
 
     sphere: Path | None = None
     matrix: Path | None = None
-
-    def check(self, *inputs: Path | None) -> None:
-        """Make sure that both can be written and replace no input.
-
-        Raises:
-            OmtwarpError: a file cannot be written, or would replace an input.
-        """
-        from omtwarp.mesh.write import SUFFIXES
-
-        for extra, suffixes in ((self.sphere, SUFFIXES), (self.matrix, (".npz",))):
-            check_output(extra, suffixes, *inputs)
 
     def write(self, resampling: Resampling, like: Path | None) -> None:
         """Write the target's sphere and the matrix where they are asked for."""
@@ -130,8 +119,8 @@ def run_resample(
     if output == STREAM:
         output = cast(Path, output_file(".ply" if given.data is None else ".npy")(output))
     inputs = [here, there, surface, given.data]
-    check_output(output, SUFFIXES if given.data is None else DATA_SUFFIXES, *inputs)
-    extras.check(*inputs)
+    suffixes = SUFFIXES if given.data is None else DATA_SUFFIXES
+    check_outputs([(output, suffixes), (extras.sphere, SUFFIXES), (extras.matrix, (".npz",))], *inputs)
     like = here if surface is None else surface
     require_same_structure(like, there)
     data = given.read(like, there)

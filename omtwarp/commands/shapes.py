@@ -14,7 +14,7 @@ from omtwarp.commands._options import Argument, Printing, Source, Typed, output_
 from omtwarp.commands._streams import STREAM, input_file, input_table, progress_bar, say, step_times
 from omtwarp.commands._work import load_whole_map, map_from, require_whole, show_facts, start_device
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
-from omtwarp.files.output import check_folder, check_output, folder_of_results, staged
+from omtwarp.files.output import check_folder, check_outputs, folder_of_results, staged
 from omtwarp.options import Device, MapOptions
 
 if TYPE_CHECKING:
@@ -69,8 +69,7 @@ def run_spharm(
     from omtwarp.shape_analysis.expansion import expand
     from omtwarp.spheres import mesh_grid
 
-    check_output(output, EXPANSIONS, mesh, finished)
-    check_output(reconstruction, MESH_SUFFIXES, mesh, finished, output)
+    check_outputs([(output, EXPANSIONS), (reconstruction, MESH_SUFFIXES)], mesh, finished)
     start_device(device)
     result = map_from(mesh, Source(finished=finished, repair=repair), MapOptions(device=device), printing)
     result = require_whole(result, finished or mesh)

@@ -15,7 +15,7 @@ from omtwarp.commands._streams import input_file, is_standard_output, progress_b
 from omtwarp.commands._work import show_facts
 from omtwarp.commands.pictures import FILMS
 from omtwarp.errors import OmtwarpError
-from omtwarp.files.output import check_folder, check_output
+from omtwarp.files.output import check_folder, check_output, check_outputs
 from omtwarp.options import AlignBy, Side
 
 if TYPE_CHECKING:
@@ -226,9 +226,9 @@ class Extras:
 
         if self.film is not None and pair.source.suffix.lower() != ".npz":
             raise OmtwarpError("--film needs a map (.npz): a sphere alone has no surface to film")
-        suffixes = {self.strain: DATA_SUFFIXES, self.before: SUFFIXES, self.report: (".html", ".htm")}
-        for extra, allowed in (suffixes | {self.film: FILMS}).items():
-            check_output(extra, allowed, pair.source, pair.surface)
+        pages = (".html", ".htm")
+        extras = [(self.strain, DATA_SUFFIXES), (self.before, SUFFIXES), (self.report, pages), (self.film, FILMS)]
+        check_outputs([(pair.output, ()), *extras], pair.source, pair.surface)
 
     def write(self, registration: Registration, pair: Pair, moving: SpherePoints, fixed: SpherePoints | str) -> None:
         """Write all that is asked for about a registration of one sphere to another."""

@@ -83,6 +83,29 @@ def check_output(path: str | os.PathLike[str] | None, suffixes: tuple[str, ...] 
         raise _cannot_write(given, error) from None
 
 
+def check_outputs(
+    outputs: Iterable[tuple[str | os.PathLike[str] | None, tuple[str, ...]]], *inputs: Path | None
+) -> None:
+    """Make sure that each of a command's outputs can be written, and that no two are the same file.
+
+    Args:
+        outputs: files, None where none is asked for, with what they may end in, as of :func:`check_output`.
+        inputs: files that none of them must be.
+
+    Raises:
+        OmtwarpError: as of :func:`check_output`, or one file is named twice.
+    """
+    taken = set()
+    for path, suffixes in outputs:
+        check_output(path, suffixes, *inputs)
+        if path is None:
+            continue
+        target = _destination(as_path(path))
+        if target in taken:
+            raise OmtwarpError(f"cannot write '{path}' twice: give each output a name of its own")
+        taken.add(target)
+
+
 def make_folder(folder: Path) -> None:
     """Make a folder of outputs, with those above it, where it is not there.
 
