@@ -95,21 +95,23 @@ class TargetDensity:
         return values
 
 
-def mass_distortion(goal: Surface, sphere: Floats) -> dict[str, float]:
+def mass_distortion(goal: Surface, sphere: Floats, own: NDArray[np.bool_] | None = None) -> dict[str, float]:
     """Measure how well images keep the mass asked for: r + 1/r, r the area of an image over the area wanted.
 
     Args:
         goal: a surface whose measure is the area wanted, see :meth:`TargetDensity.goal`.
         sphere: the map, unit vectors, shape [V, 3].
+        own: the triangles that count, where others fill holes, shape [F]; all by default.
 
     Returns:
         ``mean`` weighted by the area wanted, ``p95`` and ``max`` over triangles; 2 is perfect.
     """
-    image = triangle_areas(sphere, goal.faces)
+    chosen = slice(None) if own is None else own
+    image, wanted = triangle_areas(sphere, goal.faces[chosen]), goal.face_areas[chosen]
     with np.errstate(divide="ignore"):
-        ratio = image / image.sum() * SPHERE_AREA / goal.face_areas
+        ratio = image / image.sum() * wanted.sum() / wanted
         error = ratio + 1.0 / ratio
-    mean = float(goal.face_areas @ error) / SPHERE_AREA
+    mean = float(wanted @ error) / float(wanted.sum())
     return {"mean": mean, "p95": float(np.percentile(error, 95)), "max": float(error.max())}
 
 

@@ -14,7 +14,7 @@ import pytest
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.mapping import pipeline
 from omtwarp.mapping.pipeline import map_to_sphere
-from omtwarp.mapping.verdict import elongation, foretell, judge, refusal
+from omtwarp.mapping.verdict import accepted, elongation, foretell, judge
 from omtwarp.maps.result import StageReport
 from omtwarp.mesh.shapes import blob, flip_edges, icosphere, tube
 from omtwarp.mesh.surface import Surface, triangle_areas
@@ -61,9 +61,9 @@ def test_the_areas_around_vertices_come_first_with_how_far_they_are_off():
     )
     off, count = re.match(words, str(around)).groups()
     assert error.max() == pytest.approx(int(off) / 100, abs=0.006) and int(count) == (error > 0.1).sum()
-    assert str(refusal([around, triangles])).startswith(
-        "not accepted with strict=True: areas around vertices are off by"
-    )
+    with pytest.raises(OmtwarpError, match="^not accepted with strict=True: areas around vertices are off by"):
+        accepted([around, triangles], strict=True)
+    assert accepted([around, triangles], strict=False) == [around.to_dict(), triangles.to_dict()]
 
 
 def test_a_minimum_far_above_the_bound_is_not_called_optimal(monkeypatch):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 from math import fsum
 from time import perf_counter
@@ -11,11 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.policy import resolve_device, solving_with
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.geometry.space_order import in_space_order
 from omtwarp.geometry.sphere_hierarchy import triangle_solid_angles
 from omtwarp.mapping.joined import in_input_order, joined, torus_in_input_order
-from omtwarp.mapping.pipeline import map_double, map_to_sphere
+from omtwarp.mapping.pipeline import map_closed, map_to_sphere
+from omtwarp.mapping.verdict import accepted, judge
 from omtwarp.maps.result import MapResult, MeshReport, StageReport, SurfaceReport, origin_arrays
 from omtwarp.measures import face_weights
 from omtwarp.mesh.arrays import Floats, cross, edge_keys, normalised
@@ -160,6 +162,8 @@ def map_surface(
     if together:
         maps, caps = _packed(parts, maps, shares, exact)
     maps = _finished(maps, given, exact)
+    for finding in (finding for each in maps for finding in each.report["warnings"]):
+        warnings.warn(finding["text"], OmtwarpWarning, stacklevel=2)
     return in_file(maps[0] if len(maps) == 1 else joined(maps, count, caps), of_file, count)
 
 
@@ -434,19 +438,28 @@ def _map_part(
         domain = "hemisphere" if len(part.loops) == 1 else "sphere"
     opened = _opened(part, fill_area, along or CutAlong.AUTO, to_rim=domain != "sphere")
     surface = _surface(opened, shares)
-    names = opened.compose(opened.filled)
+    names, count = opened.compose(opened.filled), len(opened.faces)
     surface.origins = names if of_file is None else of_file.compose(names)
     if domain == "sphere":
-        closed = map_to_sphere(surface, progress=progress, **vars(options))
+        closed = map_closed(surface, count, options, progress=progress)
         if options.exact:
             opened, closed = _quartered(opened, closed, surface)
         result = _restricted(part, opened, closed, closed.sphere, domain)
     else:
         result = _on_hemisphere(part, opened, surface, domain, progress, options)
-    if shares is None:
-        return result
     parts = PARTS if options.exact else 1
-    return result.with_arrays({"measure": np.repeat(surface.face_areas[: len(opened.faces)] / parts, parts)})
+    if shares is not None:
+        result = result.with_arrays({"measure": np.repeat(surface.face_areas[:count] / parts, parts)})
+    image = result.sphere if result.disk is None else np.pad(result.disk, ((0, 0), (0, 1)))
+    findings = judge(
+        surface,
+        _whole(result)[0],
+        result.report["stages"],
+        options,
+        uniform=not options.exact,
+        image=triangle_areas(image, result.faces).reshape(-1, parts).sum(axis=1),
+    )
+    return result.with_arrays({"report": result.report | {"warnings": accepted(findings, options.strict)}})
 
 
 def _quartered(opened: _Opened, closed: MapResult, surface: Surface) -> tuple[_Opened, MapResult]:
@@ -611,7 +624,7 @@ def _on_hemisphere(
     areas = np.concatenate([half.face_areas, half.face_areas]) if half.weighted else None
     surface = Surface(glued.vertices, glued.faces, areas)
     surface.origins = glued if half.origins is None else half.origins.compose(glued)
-    closed = map_double(glued, surface, options, progress=progress, stacklevel=5)
+    closed = map_closed(surface, len(opened.faces), options, mirror=glued, progress=progress)
     if options.exact:
         cut = quartered_double(glued, quarter(surface))
         if not is_symmetric(cut, closed.sphere):

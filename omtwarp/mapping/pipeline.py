@@ -13,7 +13,7 @@ from typing import Unpack, cast
 
 import numpy as np
 import scipy
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.conformal import density
 from omtwarp.device.arrays import give_back, vectors
@@ -25,11 +25,11 @@ from omtwarp.flips.exact import Examined, examine, is_bijective
 from omtwarp.flips.guard import hold_back
 from omtwarp.geometry.axes import principal_axes, rotation_onto_axes, towards_coordinates, turned_towards
 from omtwarp.geometry.space_order import OrderedSurface, in_space_order
-from omtwarp.mapping.verdict import judge, refusal
+from omtwarp.mapping.verdict import accepted, judge
 from omtwarp.maps.result import MapReport, MapResult, StageReport, origin_arrays
 from omtwarp.measures import TargetDensity, mass_distortion, weighted_surface
 from omtwarp.mesh.arrays import TINY, Floats, normalised
-from omtwarp.mesh.quarter import quarter
+from omtwarp.mesh.quarter import PARTS, quarter
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_surface, as_unit_vectors
 from omtwarp.metrics.certificate import Certificate, certify_triangles
 from omtwarp.metrics.distortion import measure_triangles
@@ -149,31 +149,35 @@ def map_to_sphere(
 
 
 @blas_threads(1)
-def map_double(
-    double: Double, surface: Surface, options: MapOptions, *, progress: Progress | None = None, stacklevel: int = 3
+def map_closed(
+    surface: Surface,
+    own: int,
+    options: MapOptions,
+    *,
+    mirror: Double | None = None,
+    progress: Progress | None = None,
 ) -> MapResult:
-    """Map the double of a surface to the sphere; the optimal map is solved on one half, and is symmetric to the bit.
+    """Map a surface that was closed for it to the sphere; whether the map is good is for the caller to judge.
 
     Args:
-        double: the surface and its copy.
-        surface: the double as a surface.
+        surface: with holes filled, or the double of one.
+        own: how many of its first faces belong to what is mapped.
         options: those of :func:`map_to_sphere`.
+        mirror: the double: its optimal map is solved on one half and is symmetric to the bit, the surface on the
+            northern hemisphere; it is nearly symmetric where the last stage is not the optimal map.
         progress: called as ``progress(stage, done, total, details)``.
-        stacklevel: of warnings.
-
-    Returns:
-        The map of the double, the surface on the northern hemisphere. It is nearly symmetric where the last stage is
-        not the optimal map.
 
     Raises:
         OmtwarpError: the mesh cannot be mapped.
     """
-    where = str(resolve_device(options.device))
+    where, of_surface = str(resolve_device(options.device)), np.arange(surface.face_count) < own
     with solving_with(options.solver, where):
-        result = MapComputation(as_surface(surface), options, where, progress, mirror=double).result()
-    for finding in result.report["warnings"]:
-        warnings.warn(finding["text"], OmtwarpWarning, stacklevel=stacklevel + 1)
-    return result
+        if mirror is not None:
+            return MapComputation(surface, options, where, progress, mirror=mirror, own=of_surface).result()
+        ordered = in_space_order(surface)
+        of_surface = of_surface[ordered.face_origin]
+        result = MapComputation(ordered.surface, options, where, progress, own=of_surface).result()
+    return _in_order_of(surface, ordered, result)
 
 
 class MapComputation:
@@ -190,6 +194,7 @@ class MapComputation:
         target: the density on the sphere that is to be reached; None for the uniform one.
         mirror: what the surface is the double of, if it is one: the map is kept symmetric where it can be.
         begun: points x to begin with, and a map of them without flips, where one is known; the conformal map otherwise.
+        own: which faces are the surface's own, where others only close it, shape [F]: the caller judges the map of it.
     """
 
     def __init__(
@@ -201,11 +206,13 @@ class MapComputation:
         target: TargetDensity | None = None,
         mirror: Double | None = None,
         begun: tuple[Floats, Floats | None] | None = None,
+        own: NDArray[np.bool_] | None = None,
     ):
         self.given = None if begun is None else begun[0]
         self.given_map = None if begun is None else begun[1]
         self.target = target
         self.mirror = mirror
+        self.own = own
         self.surface = surface
         self.options = options
         self.device = device
@@ -301,13 +308,11 @@ class MapComputation:
         transported = self.maps.get(Stage.OMT)
         face_density, vertex_density = density(surface, first)
         certificate = self.certificate()
-        findings = judge(self.goal(self.sphere), self.sphere, self.records, options, uniform=self.target is None)
-        if findings and options.strict:
-            raise refusal(findings)
-        report = self.report() | {
-            "certificate": certificate.to_dict(),
-            "warnings": [finding.to_dict() for finding in findings],
-        }
+        report = self.report() | {"certificate": certificate.to_dict()}
+        if self.own is None:
+            even, parts = self.target is None and not options.exact, PARTS if options.exact else 1
+            findings = judge(self.goal(self.sphere), self.sphere, self.records, options, uniform=even, parts=parts)
+            report["warnings"] = accepted(findings, options.strict)
         if optimality is not None:
             report["optimality"] = optimality
         result = MapResult(
@@ -599,6 +604,7 @@ class MapComputation:
         assert self.source is not None
         quartered = quarter(self.surface)
         self.surface = quartered.surface
+        self.own = None if self.own is None else np.repeat(self.own, PARTS)
         if self.mirror is not None:
             self.mirror = quartered_double(self.mirror, quartered)
         self.source = source = quartered.on_sphere(self.source)
@@ -667,7 +673,9 @@ class MapComputation:
         # of 2.025, 2.008 and 2.002 on a picture with edges of contrast 5, and 2.0033, 2.0007 and 2.0004 on a smooth one
         # of contrast 20.
         for _ in range(1 if self.target is None else 3):
-            refined = refine_map(self.goal(sphere), sphere, weight=weight, device=self.device, progress=self.progress)
+            refined = refine_map(
+                self.goal(sphere), sphere, weight=weight, own=self.own, device=self.device, progress=self.progress
+            )
             sphere, flips = self.untangle(sphere, refined.sphere)
             repaired += flips
         sphere = self.symmetric(sphere, repair=True)
@@ -788,7 +796,7 @@ class MapComputation:
             **self.options.to_dict(),
             "start": self.origin,
             "seconds": time.perf_counter() - self.begun,
-            "mass": mass_distortion(self.goal(self.sphere), self.sphere) | {"weighted": surface.weighted},
+            "mass": mass_distortion(self.goal(self.sphere), self.sphere, self.own) | {"weighted": surface.weighted},
             "stages": self.records,
         }
 

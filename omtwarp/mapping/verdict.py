@@ -6,15 +6,14 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.limbs import thinnest_ring, vertices_needed
 from omtwarp.geometry.sphere_hierarchy import triangle_solid_angles
 from omtwarp.maps.result import StageReport, Warned
-from omtwarp.measures import mass_distortion
 from omtwarp.mesh.arrays import Floats, cross, dots, normalised, norms
 from omtwarp.mesh.origins import named
-from omtwarp.mesh.quarter import PARTS
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.optimal.refinement import not_matched
 from omtwarp.options import AreaMatch, MapOptions, Method, Refinement, Stage
@@ -28,6 +27,7 @@ FEW_FACES, LONG_OF_FEW, SHARE_OF_FEW = 150, 3.0, 0.5
 # of 80 to 132 faces, shapes above both numbers are at 2.05 to 2.14, and those at them at 2.04.
 MEAN_LONG, MEAN_FOLD = 2.3, 60.0
 NEEDLES = "needle"  # kind of the warning about them
+REFINE = ", or use refine='area'"  # the end of a remedy
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def foretell(surface: Surface) -> list[Finding]:
                 f"about {ring.around:.0f} vertices around a limb with {ring.share:.1%} of the area, at "
                 f"{name} {_place(surface.vertices[ring.vertex])}, where {needed:.1f} are needed"
             )
-            remedy = "remesh with more vertices around the limb, or use refine='area'"
+            remedy = f"remesh with more vertices around the limb{REFINE}"
             findings.append(Finding("coarse-limb", number, text, remedy))
     long = elongation(surface)
     limits = [(long_triangle, long_share), (LONG_OF_FEW, SHARE_OF_FEW)][: 1 + (surface.face_count <= FEW_FACES)]
@@ -162,7 +162,14 @@ def elongation(surface: Surface) -> Floats:
 
 
 def judge(
-    goal: Surface, sphere: Floats, records: Iterable[StageReport], options: MapOptions, *, uniform: bool = True
+    goal: Surface,
+    sphere: Floats,
+    records: Iterable[StageReport],
+    options: MapOptions,
+    *,
+    uniform: bool = True,
+    image: Floats | None = None,
+    parts: int = 1,
 ) -> list[Finding]:
     """List the warnings about a map; those about areas only where the options ask for a map that keeps them, or some.
 
@@ -171,24 +178,45 @@ def judge(
         sphere: the map, unit vectors, shape [V, 3].
         records: of its stages.
         options: how it was made.
-        uniform: whether the sphere is to be filled evenly; areas around vertices are not judged otherwise.
+        uniform: whether areas around vertices are judged: where the sphere is to be filled evenly.
+        image: the areas of the first triangles in the map that is returned, where others only fill holes; those of all
+            on the sphere by default.
+        parts: faces in a row that are one triangle of the input.
     """
     records = list(records)
+    if image is None:
+        image = triangle_areas(sphere, goal.faces)
+    wanted = goal.face_areas[: len(image)].reshape(-1, parts).sum(axis=1)
+    image = image.reshape(-1, parts).sum(axis=1)
+    image *= wanted.sum() / image.sum()
+    with np.errstate(divide="ignore"):
+        distortion = (image / wanted + wanted / image) * wanted / wanted.sum()
+    mean = float(distortion.sum())
     unmatched = []
     if isinstance(options.refine, AreaMatch) and any(record["name"] == Stage.REFINE for record in records):
-        missed = not_matched(options.refine.area, mass_distortion(goal, sphere)["mean"])
+        missed = not_matched(options.refine.area, mean)
         unmatched = [Finding("not-matched", -1, *missed)] if missed is not None else []
     if options.method is not Method.OMT or Stage.OMT not in options.stages:
         return unmatched
     findings = []
     remedy = ""
     if options.refine in (None, Refinement.AREA):
-        findings = _area_findings(goal, sphere, uniform, PARTS if options.exact else 1)
+        if uniform:
+            findings = _areas_around(goal, sphere, np.unique(goal.faces[: len(image)]))
+        if not mean < MAX_AREA_DISTORTION:
+            worst = int(np.argmax(distortion - 2.0 * wanted / wanted.sum()))
+            number, name = named(goal.origins, "face", parts * worst)
+            text = (
+                f"area distortion {mean:.4g}, where 2 is perfect, most of it in {name} "
+                f"{_place_of_face(goal, parts * worst)}, whose image has {image[worst] / wanted[worst]:.3g} times its "
+                "area"
+            )
+            findings.append(Finding("area-distortion", number, text, ""))
     unfinished = [record for record in records if record.get("converged") is False and record["name"] != "refine"]
     if any(record["name"] == "exact" and record.get("converged") for record in records):
         unfinished = []  # the optimal map of the mesh as it was is only where the one of its quarters began
     if findings or unfinished:
-        remedy = _remedy(goal, options.refine is None and uniform)
+        remedy = _remedy(goal, options.refine is None and not options.exact and uniform)
     findings += [_unfinished(record) for record in unfinished]
     return [Finding(each.kind, each.where, each.message, remedy) for each in findings] + unmatched
 
@@ -204,52 +232,35 @@ def _unfinished(record: StageReport) -> Finding:
 def _remedy(goal: Surface, refinable: bool) -> str:
     """Return what would help a map that is not as good as it should be; a refinement where that was not made."""
     causes = foretell(goal)
-    if causes:
-        return f"{causes[0].remedy} ({causes[0].message})"
-    return "remesh with more triangles, evenly shaped" + (", or use refine='area'" if refinable else "")
+    remedy = causes[0].remedy if causes else f"remesh with more triangles, evenly shaped{REFINE}"
+    remedy = remedy if refinable else remedy.removesuffix(REFINE)
+    return f"{remedy} ({causes[0].message})" if causes else remedy
 
 
-def refusal(findings: Sequence[Finding]) -> OmtwarpError:
-    """Make the error for warnings that are not accepted: the first in full, the kinds of the others."""
-    others = ", ".join(finding.kind for finding in findings[1:])
-    return OmtwarpError(f"not accepted with strict=True: {findings[0]}" + (f" (also: {others})" if others else ""))
+def accepted(findings: Sequence[Finding], strict: bool) -> list[Warned]:
+    """Return warnings as plain values; where they are not accepted, raise the first, with the kinds of the others."""
+    if findings and strict:
+        others = ", ".join(finding.kind for finding in findings[1:])
+        raise OmtwarpError(f"not accepted with strict=True: {findings[0]}" + (f" (also: {others})" if others else ""))
+    return [finding.to_dict() for finding in findings]
 
 
-def _area_findings(goal: Surface, sphere: Floats, uniform: bool, parts: int = 1) -> list[Finding]:
-    """Find warnings about the areas around vertices, which a map promises, and those of triangles.
-
-    A triangle is made of so many faces in a row, its ``parts``; areas around vertices are judged where it is one.
-    """
+def _areas_around(goal: Surface, sphere: Floats, own: NDArray[np.integer]) -> list[Finding]:
+    """Find the warning about the areas around the vertices ``own``, which a map promises."""
     # Relative error of the area around a vertex. Where the optimal map is found it is at round-off.
     max_vertex_area_error = 0.10
-    findings = []
-    if uniform and parts == 1:
-        around = goal.sum_to_vertices(triangle_solid_angles(*sphere[goal.faces].transpose(1, 0, 2)))
-        error = np.abs(around / (3.0 * goal.vertex_areas) - 1.0)
-        worst = int(np.argmax(error))
-        off = int((error > max_vertex_area_error).sum())
-        if off:
-            number, name = named(goal.origins, "vertex", worst)
-            text = (
-                f"areas around vertices are off by up to {error[worst]:.0%}, the most at {name} "
-                f"{_place(goal.vertices[worst])}, and by more than {max_vertex_area_error:.0%} at {off} of {len(error)}"
-            )
-            findings.append(Finding("vertex-areas", number, text, ""))
-    image = triangle_areas(sphere, goal.faces).reshape(-1, parts).sum(axis=1)
-    wanted = goal.face_areas.reshape(-1, parts).sum(axis=1)
-    with np.errstate(divide="ignore"):
-        ratio = image / image.sum() * SPHERE_AREA / wanted
-        distortion = wanted / SPHERE_AREA * (ratio + 1.0 / ratio)
-    mean = float(distortion.sum())
-    if not mean < MAX_AREA_DISTORTION:
-        worst = int(np.argmax(distortion - 2.0 * wanted / SPHERE_AREA))
-        number, name = named(goal.origins, "face", parts * worst)
-        text = (
-            f"area distortion {mean:.4g}, where 2 is perfect, most of it in {name} "
-            f"{_place_of_face(goal, parts * worst)}, whose image has {ratio[worst]:.3g} times its area"
-        )
-        findings.append(Finding("area-distortion", number, text, ""))
-    return findings
+    around = goal.sum_to_vertices(triangle_solid_angles(*sphere[goal.faces].transpose(1, 0, 2)))
+    error = np.abs(around / around.sum() * SPHERE_AREA / goal.vertex_areas - 1.0)[own]
+    off = int((error > max_vertex_area_error).sum())
+    if not off:
+        return []
+    worst = int(own[np.argmax(error)])
+    number, name = named(goal.origins, "vertex", worst)
+    text = (
+        f"areas around vertices are off by up to {error.max():.0%}, the most at {name} "
+        f"{_place(goal.vertices[worst])}, and by more than {max_vertex_area_error:.0%} at {off} of {len(error)}"
+    )
+    return [Finding("vertex-areas", number, text, "")]
 
 
 def _place_of_face(surface: Surface, face: int) -> str:

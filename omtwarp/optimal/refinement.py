@@ -21,16 +21,15 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import flipped_faces
+from omtwarp.measures import mass_distortion
 from omtwarp.mesh.arrays import InOneLine, real_number, whole_number
 from omtwarp.mesh.surface import MeshLike, Surface, as_sphere, as_surface
 from omtwarp.optimal.cells import RingCells
 from omtwarp.optimal.energy import Shape
-from omtwarp.optimal.shape import DistortionEnergy
 from omtwarp.optimal.solver import minimise
 from omtwarp.optimal.sphere import ShapeEnergy
 from omtwarp.options import AreaMatch, Progress, Record, Refinement, parse_refinement
@@ -159,6 +158,7 @@ def refine_map(
     sphere: ArrayLike,
     *,
     weight: str | float | AreaMatch = Refinement.AREA,
+    own: NDArray[np.bool_] | None = None,
     iterations: int = 200,
     tolerance: float = 2e-3,
     device: str | None = "auto",
@@ -177,6 +177,8 @@ def refine_map(
             at most this mean area distortion of triangles, such as ``match:2.02``. With ``area``, more than 10 of λ
             goes to the areas of triangles where they would become worse otherwise. An area that is out of reach with
             areas kept around vertices is matched by a λ of the areas of triangles alone, for which the map may buckle.
+        own: the triangles whose area distortion is matched or watched, where others fill holes, shape [F]; all by
+            default.
         iterations: largest number of steps.
         tolerance: stop when the expected decrease falls below this and below a hundredth of the difference between the
             energy and its least possible value.
@@ -212,7 +214,7 @@ def refine_map(
             f"the map to refine has {int(flipped.sum())} flipped triangles, "
             f"the first is face {int(np.argmax(flipped))}: untangle it first"
         )
-    refinement = _Refinement(surface, str(resolve_device(device)), iterations, tolerance, progress)
+    refinement = _Refinement(surface, own, str(resolve_device(device)), iterations, tolerance, progress)
     if isinstance(parsed, AreaMatch):
         return refinement.match(start, parsed.area)
     if parsed is Refinement.AREA:
@@ -254,9 +256,16 @@ def least_distortion(
 class _Refinement:
     """Refines maps of one surface at one weight after another, with the same solver."""
 
-    def __init__(self, surface: Surface, device: str, iterations: int, tolerance: float, progress: Progress | None):
-        self.surface, self.device = surface, resolve_device(device)
-        self.tolerance = tolerance
+    def __init__(
+        self,
+        surface: Surface,
+        own: NDArray[np.bool_] | None,
+        device: str,
+        iterations: int,
+        tolerance: float,
+        progress: Progress | None,
+    ):
+        self.surface, self.own, self.tolerance = surface, own, tolerance
         self.minimised = partial(
             least_distortion,
             surface,
@@ -265,7 +274,6 @@ class _Refinement:
             device=device,
             progress=progress,
         )
-        self.distortion = DistortionEnergy(surface, self.device)
 
     def run(self, sphere: NDArray[np.float64], weight: float, of_triangles: float = AREA_WEIGHT) -> RefineResult:
         """Minimise the distortion at a weight, beginning with a flip-free map, shape [V, 3].
@@ -312,8 +320,8 @@ class _Refinement:
 
     def area(self, refined: RefineResult) -> float:
         """Return the mean area distortion of the triangles of a refined map."""
-        return self.excess(refined.sphere) + 2.0
+        return mass_distortion(self.surface, refined.sphere, self.own)["mean"]
 
     def excess(self, sphere: NDArray[np.float64]) -> float:
         """Return how far the mean area distortion of the triangles of a map is above 2."""
-        return self.distortion.terms(vectors(sphere, self.device)).area
+        return mass_distortion(self.surface, sphere, self.own)["mean"] - 2.0

@@ -8,6 +8,7 @@ from plane_truths import round_disk
 
 import omtwarp
 from omtwarp.flips.exact import count_flips, flipped_faces
+from omtwarp.mapping import verdict
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import Surface, plane_areas, triangle_areas
 from omtwarp.open_surfaces.caps import (
@@ -475,3 +476,44 @@ def test_figures_of_a_disk_and_a_cap_are_those_of_what_is_handed_over():
         assert stage[kind]["surface"] == pytest.approx(np.average(r + 1.0 / r, weights=areas), rel=1e-9)
     cap = omtwarp.map_surface(surface, domain="cap", device="cpu")
     assert cap.report["stages"][-1]["degree"] == pytest.approx(cap.report["surface"]["share_of_sphere"], abs=1e-2)
+
+
+KINDS = [("sphere", "small"), ("sphere", "natural"), ("hemisphere", "natural"), ("disk", "natural"), ("cap", "natural")]
+
+
+@pytest.mark.parametrize(("domain", "filled"), KINDS)
+@pytest.mark.parametrize("exact", [False, True])
+def test_warnings_are_about_the_map_that_is_returned(domain, filled, exact, monkeypatch):
+    """Not about the closed surface that is mapped on the way."""
+    if exact and filled == "small":
+        pytest.skip("there is no such map")
+    given = face_with_hole()
+    wanted = {"domain": domain, "fill_area": filled, "exact": exact, "device": "cpu"}
+    usual = omtwarp.map_surface(given, **wanted)
+    assert usual.report["warnings"] == []
+    monkeypatch.setattr(verdict, "MAX_AREA_DISTORTION", 2.0)
+    with pytest.warns(omtwarp.OmtwarpWarning) as told:
+        result = omtwarp.map_surface(given, **wanted)
+    (finding,) = result.report["warnings"]
+    assert [str(one.message) for one in told] == [finding["text"]]
+    assert finding["kind"] == "area-distortion" and ("refine" in finding["text"]) != exact
+    image = result.sphere if result.disk is None else np.pad(result.disk, ((0, 0), (0, 1)))
+    parent = result.face_origin if exact else np.arange(len(result.faces))
+    own, there = (np.bincount(parent, triangle_areas(points, result.faces)) for points in (result.vertices, image))
+    ratio = there / own * own.sum() / there.sum()
+    mean = own @ (ratio + 1.0 / ratio) / own.sum()
+    assert f"area distortion {mean:.4g}, " in finding["text"]
+    worst = np.argmax(own * (ratio + 1.0 / ratio - 2.0))
+    assert finding["where"] == worst or exact
+    with pytest.raises(omtwarp.OmtwarpError, match="not accepted with strict=True: area distortion"):
+        omtwarp.map_surface(given, strict=True, **wanted)
+
+
+@pytest.mark.parametrize(("domain", "filled"), KINDS[:4])
+def test_the_area_that_is_matched_is_that_of_the_surface_itself(domain, filled):
+    result = omtwarp.map_surface(
+        face_with_hole(), domain=domain, fill_area=filled, refine="match:2.05", device="cpu", optimality=False
+    )
+    image = "disk" if domain == "disk" else "sphere"
+    assert result.distortion(image).area["surface"] == pytest.approx(2.05, abs=1e-3)
+    assert result.report["warnings"] == []
