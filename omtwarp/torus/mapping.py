@@ -52,12 +52,12 @@ def map_to_torus(
         OmtwarpError: the mesh is too coarse, or no map without flips was found.
     """
     run = _TorusComputation(surface, progress, device)
-    run.optimal(optimality)
+    run.optimal()
     if exact:
         run.keep_every_area()
     if refine is not None:
         run.refine(refine)
-    return run.result(strict)
+    return run.result(strict, optimality)
 
 
 class _TorusComputation:
@@ -69,7 +69,6 @@ class _TorusComputation:
         self.history: list[Record] = []
         self.stages: list[StageReport] = []
         self.shape_weight = 0.0  # of the last stage
-        self.measured: dict[str, float | None] | None = None
         self.warnings: list[Warned] = []
         self.notify("conformal")(0, 1, {})
         self.conformal = conformal_torus(surface)
@@ -80,7 +79,7 @@ class _TorusComputation:
         """Return what reports the progress of a stage."""
         return partial(tell, self.progress, stage)
 
-    def optimal(self, measure: bool) -> None:
+    def optimal(self) -> None:
         """Find the discrete optimal map."""
         lattice = self.conformal.lattice
         eased = eased_on_torus(self.surface, self.conformal, self.torus, device=self.device) @ np.linalg.inv(lattice)
@@ -92,9 +91,6 @@ class _TorusComputation:
         self.take("omt", optimum, {"largest_ring_error": wrong})
         if wrong > WRONG_AREA:
             self.warn("vertex-areas", f"areas around vertices are kept to {wrong:.1%} at worst: {REMEDY}")
-        if measure:
-            x, shift = self.conformal.coordinates @ lattice, self.conformal.wraps @ lattice
-            self.measured = torus_optimality(self.surface, x, optimum.points, shift, lattice).to_dict()
 
     def keep_every_area(self) -> None:
         """Find the optimal map of the quartered mesh, in which every triangle of the mesh keeps its area."""
@@ -107,8 +103,7 @@ class _TorusComputation:
         exact = exact_on_torus(
             quartered, self.conformal, y @ lattice, self.shape_weight, progress=self.notify("exact"), device=self.device
         )
-        self.measured = None  # that was of the map before
-        self.warnings.clear()  # so were they
+        self.warnings.clear()  # they were about the map before
         self.take("exact", exact, {"largest_area_error": largest_error(exact)})
 
     def refine(self, weight: AreaMatch | str | float) -> None:
@@ -117,7 +112,7 @@ class _TorusComputation:
         refined, used = refine_on_torus(
             self.surface, self.conformal, points, weight, progress=self.notify("refine"), device=self.device
         )
-        self.measured, self.shape_weight = None, 1.0
+        self.shape_weight = 1.0
         self.take("refine", refined, {"weight": used})
         wanted = parse_refinement(weight)
         if isinstance(wanted, AreaMatch) and (missed := not_matched(wanted.area, refined.history[-1]["area"])):
@@ -168,8 +163,18 @@ class _TorusComputation:
             history=self.history,
         ).with_arrays(origin_arrays(surface.origins))
 
-    def result(self, strict: bool) -> MapResult:
+    def optimality(self) -> dict[str, float | None]:
+        """Return how far the map is from optimal."""
+        lattice = self.conformal.lattice
+        places = (coordinates @ lattice for coordinates in (self.conformal.coordinates, self.torus.coordinates))
+        return torus_optimality(self.surface, *places, self.conformal.wraps @ lattice, lattice).to_dict()
+
+    def result(self, strict: bool, measured: bool) -> MapResult:
         """Return the finished map; with a warning, or an error if strict, where areas are wrong.
+
+        Args:
+            strict: as of :func:`map_to_torus`.
+            measured: whether the report says how far the map is from optimal.
 
         Raises:
             OmtwarpError: the map is not one to one.
@@ -192,8 +197,8 @@ class _TorusComputation:
                 "warnings": self.warnings,
             }
         )
-        if self.measured is not None:
-            result.report["optimality"] = self.measured
+        if measured:
+            result.report["optimality"] = self.optimality()
         return result
 
 

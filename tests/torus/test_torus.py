@@ -283,6 +283,9 @@ def test_exact_and_refined_maps():
     refined = omtwarp.map_surface(surface, refine="balanced")
     assert refined.bijective
     assert refined.distortion().angle["surface"] < plain.distortion().angle["surface"]
+    measured = exact.report["optimality"]  # of the parts' map, which areas of triangles leave less free
+    assert measured["gap"] < 5e-3 and measured["cost"] == pytest.approx(plain.report["optimality"]["cost"], rel=0.2)
+    assert refined.report["optimality"]["relative_curl"] > plain.report["optimality"]["relative_curl"]
     matched = omtwarp.map_surface(surface, refine="match:2.05")
     assert matched.distortion().area["surface"] == pytest.approx(2.05, abs=5e-3)
     with pytest.warns(omtwarp.OmtwarpWarning, match="no map with the area distortion 50 was found") as caught:
