@@ -48,6 +48,7 @@ from omtwarp.options import (
     FillAreaLike,
     MapKeywords,
     MapOptions,
+    Method,
     Progress,
     Stage,
     WeightsAt,
@@ -659,7 +660,8 @@ def _on_hemisphere(
     refinement = None
     if refined and options.refine is not None:
         refinement = options.refine if isinstance(options.refine, AreaMatch) else refinement_weight(options.refine)
-    return _projected(part, half, result, domain, refinement)
+    conformal = options.method not in (Method.OMT, Method.MOSER) or options.stages == (Stage.CONFORMAL,)
+    return _projected(part, half, result, domain, refinement, conformal=conformal)
 
 
 def _projected(
@@ -669,6 +671,7 @@ def _projected(
     domain: str,
     refinement: float | AreaMatch | None,
     wanted: Floats | None = None,
+    conformal: bool = False,
 ) -> MapResult:
     """Carry a map of the hemisphere to the disk or to a cap, and untangle triangles that this flips.
 
@@ -680,6 +683,7 @@ def _projected(
         refinement: the weight of area against angle distortion with which a disk is refined, or the area distortion
             that is to be matched.
         wanted: the exact areas, up to a factor, of the original triangles of a quartered mesh.
+        conformal: whether angles are kept on the way: where the map is not one that keeps areas.
     """
     begun, error = perf_counter(), None
     whole, faces = _whole(result)
@@ -690,16 +694,16 @@ def _projected(
         areas = triangle_areas(hole.vertices, hole.faces)
         share = float(areas[hole.patch < 0].sum() / areas.sum())
         if wanted is None:
-            result = _on_cap(result, share)
+            result = _on_cap(result, share, conformal)
         else:
             result, error = _exact_on_cap(result, share, wanted)
     else:
         rim = _rim(faces, len(whole))
-        laid = hemisphere_to_disk(whole)
+        laid = hemisphere_to_disk(whole, conformal)
         if isinstance(refinement, AreaMatch):
             disk, flips = match_in_plane(laid, faces, rim, half, len(result.faces), refinement.area)
         else:
-            disk, flips = untangle_in_plane(laid, faces, rim, half, refinement)
+            disk, flips = untangle_in_plane(laid, faces, rim, None if conformal else half, refinement)
         if flips and wanted is None:
             raise OmtwarpError(
                 f"{flips} triangles at the rim turn over where the hemisphere is laid flat: use a finer mesh"
@@ -716,15 +720,15 @@ def _projected(
     return result.with_arrays({"report": result.report | {"surface": about, "stages": stages}})
 
 
-def _on_cap(result: MapResult, share: float) -> MapResult:
-    """Carry a map of the hemisphere to the cap with a share of the sphere around the north pole.
+def _on_cap(result: MapResult, share: float, conformal: bool = False) -> MapResult:
+    """Carry a map of the hemisphere to the cap with a share of the sphere around the north pole; angles or areas stay.
 
     Triangles that have other sides there and turn over are untangled, with the areas that they had on the hemisphere.
     """
     whole, faces = _whole(result)
     vertices = result.vertices if result.filled_vertices is None else result.filled_vertices
     surface = Surface(vertices, faces, triangle_solid_angles(*(whole[faces[:, k]] for k in range(3))))
-    cap = disk_to_cap(hemisphere_to_disk(whole), share)
+    cap = disk_to_cap(hemisphere_to_disk(whole, conformal), share, conformal)
     return _with_points(result, untangle_on_cap(cap, _rim(faces, len(whole)), surface))
 
 

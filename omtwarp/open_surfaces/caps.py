@@ -22,29 +22,37 @@ GAP = 0.02  # radians between caps: a seam to be seen, and far above the errors 
 SETTLED = 1e-9  # sum of squared overlaps, radians², that counts as none; GAP absorbs them
 
 
-def hemisphere_to_disk(points: Floats) -> Floats:
+def hemisphere_to_disk(points: Floats, conformal: bool = False) -> Floats:
     """Project the upper unit hemisphere, shape [V, 3], to the unit disk, shape [V, 2], the equator to its circle.
 
-    The distance from the middle is sqrt(1 - z): a zone of the sphere has the area of its ring, up to the factor 2.
+    The distance from the middle is sqrt(1 - z): a zone of the sphere has the area of its ring, up to the factor 2. With
+    ``conformal`` the projection is the stereographic one, which keeps angles.
 
     >>> import numpy as np
     >>> hemisphere_to_disk(np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])).tolist()
     [[0.0, 0.0], [0.0, 1.0]]
     """
-    return points[:, :2] / np.sqrt(1.0 + points[:, 2])[:, None]
+    nearer = 1.0 + points[:, 2]
+    return points[:, :2] / (nearer if conformal else np.sqrt(nearer))[:, None]
 
 
-def disk_to_cap(disk: Floats, share: float) -> Floats:
+def disk_to_cap(disk: Floats, share: float, conformal: bool = False) -> Floats:
     """Project the unit disk, shape [V, 2], to the cap around the north pole with a share of the sphere's area.
 
     Args:
         disk: points with |p| <= 1.
         share: of the area of the whole sphere, between 0 and 1; 0.5 gives the hemisphere.
+        conformal: keep angles in place of areas.
     """
     square = np.einsum("ij,ij->i", disk, disk)
-    # A point at distance r is where the cap around the pole has the share s r², at height 1 - 2 s r².
-    height = 1.0 - 2.0 * share * square
-    radial = 2.0 * np.sqrt(share * (1.0 - share * square))
+    if conformal:
+        slope = np.sqrt(share / (1.0 - share))  # tangent of half the cap's radius
+        radial = 2.0 * slope / (1.0 + slope**2 * square)
+        height = radial / slope - 1.0
+    else:
+        # A point at distance r is where the cap around the pole has the share s r², at height 1 - 2 s r².
+        height = 1.0 - 2.0 * share * square
+        radial = 2.0 * np.sqrt(share * (1.0 - share * square))
     return np.concatenate([disk * radial[:, None], height[:, None]], axis=1)
 
 

@@ -165,9 +165,9 @@ class _TorusComputation:
 
     def optimality(self) -> dict[str, float | None]:
         """Return how far the map is from optimal."""
-        lattice = self.conformal.lattice
-        places = (coordinates @ lattice for coordinates in (self.conformal.coordinates, self.torus.coordinates))
-        return torus_optimality(self.surface, *places, self.conformal.wraps @ lattice, lattice).to_dict()
+        lattice, shift = self.conformal.lattice, self.conformal.wraps @ self.conformal.lattice
+        x, y = self.conformal.coordinates @ lattice, self.torus.coordinates @ lattice
+        return torus_optimality(self.surface, x, y, shift, lattice).to_dict()
 
     def result(self, strict: bool, measured: bool) -> MapResult:
         """Return the finished map; with a warning, or an error if strict, where areas are wrong.

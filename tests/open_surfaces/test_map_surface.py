@@ -8,7 +8,7 @@ from plane_truths import round_disk
 
 import omtwarp
 from omtwarp.flips.exact import count_flips, flipped_faces
-from omtwarp.mapping import verdict
+from omtwarp.mapping import any_surface, verdict
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import Surface, plane_areas, triangle_areas
 from omtwarp.open_surfaces.caps import (
@@ -305,8 +305,8 @@ def test_a_disk_matches_an_area_distortion():
 
 def test_a_disk_is_laid_flat_without_a_refinement_that_is_not_symmetric(monkeypatch):
     answers = iter([False, True, False])
-    monkeypatch.setattr(omtwarp.mapping.any_surface, "is_symmetric", lambda *_: next(answers))
-    monkeypatch.setattr(omtwarp.mapping.any_surface, "symmetric_map", lambda *_, **__: None)
+    monkeypatch.setattr(any_surface, "is_symmetric", lambda *_: next(answers))
+    monkeypatch.setattr(any_surface, "symmetric_map", lambda *_, **__: None)
     disk = omtwarp.map_surface(face_with_hole(), domain="disk", refine="angle", optimality=False, device="cpu")
     assert disk.certificate.bijective and np.array_equal(disk.sphere, disk.transported)
     with pytest.raises(omtwarp.OmtwarpError, match="let area count more"):
@@ -517,3 +517,26 @@ def test_the_area_that_is_matched_is_that_of_the_surface_itself(domain, filled):
     image = "disk" if domain == "disk" else "sphere"
     assert result.distortion(image).area["surface"] == pytest.approx(2.05, abs=1e-3)
     assert result.report["warnings"] == []
+
+
+@pytest.mark.parametrize("domain", ["disk", "cap"])
+@pytest.mark.parametrize("options", [{"until": "conformal"}, {"method": "haker"}])
+def test_a_conformal_map_stays_one_where_the_hemisphere_is_laid_flat(domain, options):
+    there, here = (
+        omtwarp.map_surface(face_with_hole(), domain=wanted, device="cpu", **options)
+        for wanted in ("hemisphere", domain)
+    )
+    laid = here.distortion("disk" if domain == "disk" else "sphere")
+    assert laid.angle["surface"] < there.distortion().angle["surface"] + 0.005 and laid.flips == 0
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.9])
+def test_angles_are_kept_on_the_way_from_the_hemisphere_to_a_cap(share):
+    ball = shapes.icosphere(40)
+    north, faces = without(ball, ball.vertices[:, 2] > 0.0)
+    cap = disk_to_cap(hemisphere_to_disk(north, conformal=True), share, conformal=True)
+    np.testing.assert_allclose(np.linalg.norm(cap, axis=1), 1.0, atol=1e-14)
+    assert omtwarp.distortion((north, faces), cap, device="cpu").angle["mean"] < 2.001
+    assert share != 0.5 or np.abs(cap - north).max() < 1e-14
+    rim = disk_to_cap(np.array([[1.0, 0.0]]), share, conformal=True)
+    assert rim[0, 2] == pytest.approx(1.0 - 2.0 * share)
