@@ -31,7 +31,9 @@ class ShapeDistance:
 
     Attributes:
         coefficients: root mean square distance of corresponding points, in the surfaces' unit.
-        transport: distance of the densities, in radians: the mean of the two below.
+        transport: distance of the densities, in radians: the smaller of the two below, as a flow that ends short of the optimum goes
+            farther. Of twelve pairs of hippocampi it is 0.80 to 1.06 times what POT finds between vertices, the mean
+            up to 2.3 times.
         there: from the first density to the second.
         back: from the second to the first; its difference from ``there`` estimates the error due to the meshes.
         score: how well the spheres agree in the position in which they were compared (:func:`omtwarp.align`).
@@ -101,7 +103,7 @@ def shape_distance(
         ways.append(transport_distance(*ends, device=device))
     tell(progress, "distance", 3, 3, {})
     there, back = ways
-    return ShapeDistance(apart, (there + back) / 2.0, there, back, alignment.score)
+    return ShapeDistance(apart, min(ways), there, back, alignment.score)
 
 
 def _coefficients(sphere: Floats, one: HasTriangles, degree: int, scale: bool) -> Floats:
@@ -211,8 +213,8 @@ def transport_matrix(
     pairs = [(i, j) for i in range(len(maps)) for j in range(i)]
     for done, (i, j) in enumerate(pairs, 1):
         try:
-            there, back = (transport_distance(maps[a], maps[b], device=device) for a, b in ((j, i), (i, j)))
-            out[i, j] = out[j, i] = (there + back) / 2.0
+            ways = (transport_distance(maps[a], maps[b], device=device) for a, b in ((j, i), (i, j)))
+            out[i, j] = out[j, i] = min(ways)
         except OmtwarpError as error:
             raise OmtwarpError(f"maps {j + 1} and {i + 1}: {error}") from None
         tell(progress, "transport", done, len(pairs), {})
