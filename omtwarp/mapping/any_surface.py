@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from dataclasses import dataclass, replace
 from math import fsum
@@ -509,7 +510,7 @@ def _own_half(closed: MapResult, glued: Double) -> MapResult:
 
 
 def _or(lines: list[str]) -> str:
-    names = [line.partition(":")[0] for line in lines]
+    names = [re.sub(r":.*?( \(with [^)]*\))?$", r"\1", line) for line in lines]
     return " or ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names) + " would map it"
 
 

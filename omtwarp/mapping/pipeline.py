@@ -614,8 +614,6 @@ class MapComputation:
         before, crowded = self.untangle(self.sphere, self.sphere)
         # A mesh whose triangles are cut in four bears more of the shape term: more trades optimality for smoothness.
         weight = 2.0 * shape_term(self.surface, before, source, self.device).weight
-        if self.options.cost is Cost.GEODESIC:
-            weight *= DISTANCE_SHAPE
         exact = exact_map(
             quartered,
             before,

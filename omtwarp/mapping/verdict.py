@@ -78,13 +78,13 @@ def foretell(surface: Surface) -> list[Finding]:
         findings.append(Finding("large-face", number, text, "split large triangles"))
     ring = thinnest_ring(surface)
     if ring is not None:
-        needed = vertices_needed(ring.share, surface.face_count)
-        # Vertices around a limb for those needed. Tubes whose edges were flipped at random reach 2.04 at 1.3, 2.12 at
-        # 1.2.
-        if ring.around < 1.3 * needed:
+        # Vertices around a limb for those of an even mesh. Tubes whose edges were flipped at random reach 2.04 at 1.3,
+        # 2.12 at 1.2.
+        needed = 1.3 * vertices_needed(ring.share, surface.face_count)
+        if ring.around < needed:
             number, name = named(surface.origins, "vertex", ring.vertex)
             text = (
-                f"about {ring.around:.0f} vertices around a limb with {ring.share:.1%} of the area, at "
+                f"about {ring.around:.1f} vertices around a limb with {ring.share:.1%} of the area, at "
                 f"{name} {_place(surface.vertices[ring.vertex])}, where {needed:.1f} are needed"
             )
             remedy = f"remesh with more vertices around the limb{REFINE}"
