@@ -165,7 +165,7 @@ class Painting:
     Options:
         uv: Texture coordinates; own are the mesh's, with a picture for each material.
         keep_materials: Lay the pattern over the mesh's materials, or under them.
-        opacity: Opacity of the upper layer, times its own, with --keep-materials.
+        opacity: Opacity of the upper layer, times its own, with --keep-materials; 0.5 by default.
         bake (normal|ao|curvature|area|FILE): What to bake: ao into the occlusion, normals of --detail into the normal
             map, others as the colour.
         detail (MESH): A finer mesh of the surface, for --bake normal.
@@ -173,7 +173,7 @@ class Painting:
 
     uv: Coordinates = Coordinates.ATLAS
     keep_materials: options.Keep | None = None
-    opacity: Annotated[float, Typed(bounds=(0.0, 1.0))] = 0.5
+    opacity: Annotated[float | None, Typed(bounds=(0.0, 1.0))] = None
     bake: list[str] | None = None
     detail: Path | None = None
 
@@ -181,6 +181,13 @@ class Painting:
     def of_the_mesh(self) -> bool:
         """Whether the mesh's own coordinates or materials are needed."""
         return self.uv is Coordinates.OWN or self.keep_materials is not None
+
+    @property
+    def by_materials(self) -> str:
+        """The given options by which each material gets pictures of its own, in words; empty without any."""
+        own, keep = self.uv is Coordinates.OWN, self.keep_materials is not None
+        given = {"--uv own": own, "--keep-materials": keep, "--bake": bool(self.bake)}
+        return " and ".join(name for name, there in given.items() if there)
 
 
 @dataclass(frozen=True)
@@ -212,18 +219,35 @@ class Picture:
         """
         return self.seam if self.seam == "auto" else one_number(self.seam, "--seam")
 
-    def width(self) -> int | None:
-        """Return the width of the pictures of a mesh's materials, None for the usual one.
 
-        Raises:
-            OmtwarpError: options are given that only an atlas by itself has.
-        """
-        sides = sides_of(self.size)
-        if isinstance(sides, tuple) or self.size == "auto":
-            raise OmtwarpError(f"--size {self.size} is for an atlas, without --uv own, --keep-materials and --bake")
-        if self.seam != "180":
-            raise OmtwarpError("--seam is for an equirectangular atlas only, without --keep-materials and --bake")
-        return sides
+def _width_for(targets: list[Path], look: Look, painting: Painting, picture: Picture) -> int | None:
+    """Return the width of the pictures of a mesh's materials, None for the usual one and for an atlas by itself.
+
+    Raises:
+        OmtwarpError: options that do not go together.
+    """
+    from omtwarp.texturing.atlas import check_size
+    from omtwarp.texturing.painter import check_options, color_among
+
+    if picture.image is not None and look.pattern is not None:
+        raise OmtwarpError("both --image and --pattern: give one")
+    check_options(painting.uv, painting.keep_materials, painting.opacity, look.atlas)
+    sides = sides_of(picture.size)
+    if sides is not None:
+        check_size(sides)
+    if picture.seam != "180" and (painting.by_materials or look.atlas is not options.AtlasName.EQUIRECTANGULAR):
+        raise OmtwarpError("--seam is for --atlas equirectangular without --uv own, --keep-materials and --bake")
+    if not painting.by_materials:
+        if painting.detail is not None:
+            raise OmtwarpError("--detail is for --bake normal: add that")
+        return None
+    if isinstance(sides, tuple) or picture.size == "auto":
+        raise OmtwarpError(f"--size {picture.size} is for an atlas, without --uv own, --keep-materials and --bake")
+    ply = next((target for target in targets if target.suffix.lower() == ".ply"), None)
+    if ply is not None:
+        raise OmtwarpError(f"{ply}: PLY holds no materials: use .glb or .obj, or leave out {painting.by_materials}")
+    color_among(painting.bake or (), bool(painting.detail), look.pattern, picture.image, painting.keep_materials)
+    return sides
 
 
 def run_texture(
@@ -251,26 +275,14 @@ def run_texture(
     """
     from omtwarp.mesh.validate import mesh_arrays
     from omtwarp.texturing import read_image
-    from omtwarp.texturing.atlas import check_size
     from omtwarp.texturing.export import SUFFIXES, format_for
 
     inputs = (*source.files, picture.image, painting.detail)
     targets = _work.targets_of(source, output, ".glb", SUFFIXES, *inputs)
-    by_materials = painting.of_the_mesh or bool(painting.bake)
+    by_materials = painting.by_materials
     for target in targets:
         format_for(target.suffix.lower(), picture.texture_format)
-    if picture.image is not None and look.pattern is not None:
-        raise OmtwarpError("both --image and --pattern: give one")
-    sides = sides_of(picture.size)
-    if sides is not None:
-        check_size(sides)
-    width = None
-    if by_materials:
-        width = picture.width()
-        for target in targets:
-            check_output(target, (".glb", ".obj"))
-    elif painting.detail is not None:
-        raise OmtwarpError("--detail is for --bake normal: add that")
+    width = _width_for(targets, look, painting, picture)
     # What cannot be read is refused before the work
     looks, seam = vars(look) | {"rotate": rotation(look.rotate), "device": mapping.device}, picture.cut()
     paints = looks | vars(painting) | {"size": width, "bake": painting.bake or ()}
@@ -326,10 +338,9 @@ def _mapped(
     if mesh is None or mesh.suffix.lower() == ".npz":
         raise OmtwarpError("--uv own and --keep-materials need the mesh itself: give it together with the map")
     painted, surface = painted_with_map(mesh, source.finished, source.repair)
-    result = mapped(surface, mesh, mapping, printing)
     if painting.uv is Coordinates.OWN:
         painted.require_uv(str(mesh))
-    return painted, result
+    return painted, mapped(surface, mesh, mapping, printing)
 
 
 def _size_of(result: MapResult, picture: Picture, atlas: str) -> tuple[int | tuple[int, int] | None, str]:
@@ -483,7 +494,9 @@ def run_transfer(
         map_of_target (NPZ): A finished map of TO.
         repair: Repair the mesh first: equal vertices, orientation, small holes, largest component; prints what it did.
     """
+    from omtwarp.texturing.painter import check_options
 
+    check_options(how.uv, None, None, how.atlas)
     check_output(output, (".glb", ".obj"), source, target, map_of_source, map_of_target)
     given = (source, map_of_source), (target, map_of_target)
     pairs = [painted_with_map(*one, repair) for one in given]  # all are read before the first is mapped

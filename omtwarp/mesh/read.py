@@ -182,7 +182,7 @@ def _read_off(data: bytes) -> Triangles:
         raise OmtwarpError(f"damaged: {announced}")
     if len(lines) < 1 + vertex_count + face_count:
         raise OmtwarpError(f"cut short: {announced}, {len(lines) - 1} lines there")
-    vertices = np.array([line[:3] for line in lines[1 : 1 + vertex_count]], dtype=np.float64)
+    vertices = coordinates(lines[1 : 1 + vertex_count])
     rows = lines[1 + vertex_count : 1 + vertex_count + face_count]
     polygons = [line[1 : 1 + int(line[0])] for line in rows]
     short = [k for k, polygon in enumerate(polygons) if len(polygon) != int(rows[k][0])]
@@ -198,7 +198,7 @@ def _read_obj(data: bytes) -> Triangles:
     """
     text = utf8(data).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").replace(b"\r", b"\n")
     lines = re.findall(rb"^[ \t]*([vf])[ \t]+([^\n#]*)", text, flags=re.MULTILINE)
-    vertices = np.array([rest.split()[:3] for kind, rest in lines if kind == b"v"], dtype=np.float64)
+    vertices = coordinates([rest.split() for kind, rest in lines if kind == b"v"])
     polygons = [[word.partition(b"/")[0] for word in rest.split()] for kind, rest in lines if kind == b"f"]
     vertices_before = np.cumsum([kind == b"v" for kind, _ in lines])[[kind == b"f" for kind, _ in lines]]
     return vertices, *_from_polygons(polygons, vertices_before)
@@ -211,14 +211,46 @@ def _from_polygons(
 
     ``vertices_before`` says that corners count from 1, or if negative back from the last vertex before their face.
     """
-    if not polygons:
-        raise OmtwarpError("not a triangle mesh: no faces in it")
-    corners = np.array([len(polygon) for polygon in polygons])
-    flat = np.array([int(word) for polygon in polygons for word in polygon], dtype=np.int64)
+    corners = np.array([len(polygon) for polygon in polygons], dtype=np.int64)
+    flat = numbers_of(polygons, "face", int)
     if vertices_before is not None:
         require_counted_from_one(flat)
         flat = np.where(flat < 0, flat + np.repeat(vertices_before, corners), flat - 1)
     return fans(flat, corners)
+
+
+def coordinates(rows: list[list[bytes]]) -> NDArray[np.float64]:
+    """Convert the words of a text file's vertices to numbers, the first three of each, shape [V, 3].
+
+    Raises:
+        OmtwarpError: a vertex has fewer, or a word that is no number.
+    """
+    short = next((number for number, row in enumerate(rows) if len(row) < 3), None)
+    if short is not None:
+        raise OmtwarpError(f"cut short: vertex {short} has {len(rows[short])} of its three coordinates")
+    return numbers_of([row[:3] for row in rows], "vertex", float).reshape(-1, 3)
+
+
+def numbers_of(rows: list[list[bytes]], what: str, kind: type[float] | type[int]) -> NDArray:
+    """Convert the words of a text file's rows to numbers, one row after another.
+
+    Args:
+        rows: words of each.
+        what: a row is, for the error's text.
+        kind: of the numbers, which are float64 or int64.
+
+    Raises:
+        OmtwarpError: a word is no number of that kind.
+    """
+    numbers: list[float] = []
+    for number, row in enumerate(rows):
+        try:
+            numbers += map(kind, row)
+        except ValueError:
+            said = b" ".join(row)[:60].decode("utf-8", "replace")
+            wanted = "whole numbers" if kind is int else "numbers"
+            raise OmtwarpError(f"damaged: {what} {number} has '{said}', not {wanted} alone") from None
+    return np.array(numbers, dtype=np.int64 if kind is int else np.float64)
 
 
 def require_counted_from_one(corners: NDArray[np.int64]) -> None:
@@ -266,12 +298,12 @@ def _stl_text(data: bytes) -> tuple[NDArray[np.float64], int]:
     ends = [sum(kind == b"end" for kind in kinds) for kinds in (solids, facets)]
     if not solids or 2 * ends[0] != len(solids):
         raise OmtwarpError("cut short, or not an STL file: it does not end with 'endsolid'")
-    words = re.findall(rb"^[ \t]*vertex[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", text, re.M)
+    words = [line.split() for line in re.findall(rb"^[ \t]*vertex[ \t]+([^\n]*)", text, re.M)]
     if 2 * ends[1] != len(facets) or len(words) != 3 * ends[1]:
         raise OmtwarpError(f"damaged: {len(words)} corners of {ends[1]} facets")
     if not words:
         raise OmtwarpError("not a triangle mesh: no triangles in it")
-    return np.array(words, dtype=np.float64), ends[0]
+    return coordinates(words), ends[0]
 
 
 def _read_gifti(file: Path) -> Triangles:

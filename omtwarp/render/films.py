@@ -70,8 +70,8 @@ def film(
     """Write a film of a map: it flows from the conformal to the optimal one, then the surface becomes its sphere.
 
     A pattern on the sphere is carried to the surface by the map of every moment, so that its circles move and grow to
-    equal areas. The last frame shows the sphere of the final map; of other maps the disk, a ring torus, or the sphere
-    of every part, moved so that none hides another. No display is needed.
+    equal areas. The last frame shows the sphere of the final map; of other maps the disk from its front, a ring torus,
+    or the sphere of every part, moved so that none hides another. No display is needed.
 
     Args:
         result: a :class:`~omtwarp.MapResult`.
@@ -504,7 +504,8 @@ def fits_of(
 ) -> tuple[Floats, Floats]:
     """Return the matrices [P, 3, 3] and shifts [P, 3] that take every domain's points next to its part of the surface.
 
-    Every domain gets the area of its part. Where there are several, none hides another from the camera.
+    Every domain gets the area of its part, and a disk faces the camera. Where there are several, none hides another
+    from it.
 
     Args:
         surface: shape [V, 3].
@@ -525,8 +526,9 @@ def fits_of(
         covered = float(triangle_areas(points, mine).sum()) if covered is None else covered
         centre = np.average(surface[used], axis=0, weights=weights[used]) if several else np.zeros(3)
         here, there = surface[used] - centre, points[used]
-        turn = _facing(surface, mine, here, there, weights[used]) if kind == "disk" else None
-        if turn is None:
+        if kind == "disk":
+            turn = _facing(axes, here, there, weights[used])
+        else:
             turn = Rotation.align_vectors(here, there, weights=weights[used])[0].as_matrix()
         scale = math.sqrt(area / covered)
         matrices.append(scale * turn.T)
@@ -535,29 +537,18 @@ def fits_of(
     return np.array(matrices), _apart(np.array(shifts), np.array(radii), axes)
 
 
-def _facing(surface: Floats, faces: Ints, here: Floats, there: Floats, weights: Floats) -> Floats | None:
-    """Return the rotation of a disk to the side that a surface faces, nearest to it; None where it faces none.
+def _facing(axes: Floats, here: Floats, there: Floats, weights: Floats) -> Floats:
+    """Return the rotation of a disk that shows its front to the camera, turned in its plane to lie nearest to a part.
 
     Args:
-        surface, faces: the part, shapes [V, 3] and [F, 3].
-        here: its vertices about their middle, shape [N, 3].
+        axes: the camera's, as columns.
+        here: the part's vertices about their middle, shape [N, 3].
         there: the same on the disk, shape [N, 3].
         weights: of the vertices, shape [N].
     """
-    corner = surface[faces]
-    normal = 0.5 * cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]).sum(axis=0)
-    length = float(np.linalg.norm(normal))
-    # Flat, of a surface's area: the length of its mean normal below which it has no side
-    if length < 1e-3 * triangle_areas(surface, faces).sum():
-        return None
-    normal /= length
-    across = cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-    across /= np.linalg.norm(across)
-    above = cross(normal, across)
-    x, y = here @ across, here @ above
+    x, y = (here @ axes[:, :2]).T
     angle = math.atan2(weights @ (there[:, 0] * y - there[:, 1] * x), weights @ (there[:, 0] * x + there[:, 1] * y))
-    right = math.cos(angle) * across + math.sin(angle) * above
-    return np.column_stack([right, cross(normal, right), normal])
+    return axes @ Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
 
 
 def _apart(centres: Floats, radii: Floats, axes: Floats) -> Floats:

@@ -15,7 +15,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import as_path
 from omtwarp.mesh.arrays import WELD, Bytes, Floats, Ints, real_numbers, whole_numbers
 from omtwarp.mesh.read import compressed, seam_copies
-from omtwarp.mesh.surface import unit_normals, vertex_normals
+from omtwarp.mesh.surface import plane_areas, unit_normals, vertex_normals
 from omtwarp.mesh.write import write_mesh
 from omtwarp.options import TextureFormat
 from omtwarp.texturing.export import (
@@ -205,9 +205,21 @@ class PaintedMesh:
         Raises:
             OmtwarpError: some triangles, or all, have no texture coordinates.
         """
-        return split_corners(self.faces, self.require_uv(), len(self.vertices))
+        return split_corners(self.faces, self._known_uv(), len(self.vertices))
 
     def require_uv(self, name: str = "the mesh") -> Floats:
+        """Return the texture coordinates of every corner, shape [F, 3, 2], on which a picture can be drawn.
+
+        Raises:
+            OmtwarpError: some triangles, or all, have no texture coordinates, or all have no area in them, as where
+                each takes the colour of one texel.
+        """
+        uv = self._known_uv(name)
+        if not plane_areas(uv).any():
+            raise OmtwarpError(f"{name}: its texture coordinates give no face an area; leave out uv='own'")
+        return uv
+
+    def _known_uv(self, name: str = "the mesh") -> Floats:
         """Return the texture coordinates of every corner, shape [F, 3, 2].
 
         Raises:
@@ -304,7 +316,7 @@ class PaintedMesh:
         """Return red, green, blue and alpha of the first picture at the surface's vertices, uint8, shape [V, 4]."""
         if self.layout is None:
             place = np.zeros((len(self.vertices), 2))
-            place[self.faces] = self.require_uv()
+            place[self.faces] = self._known_uv()
             size = self.image.shape[1::-1]
             at = np.floor(place * (1.0, -1.0) % 1.0 * size).astype(np.int64)
             column, row = np.minimum(at, np.subtract(size, 1)).T

@@ -42,7 +42,7 @@ def paint(
     pattern: PatternLike | Pattern | None = None,
     uv: CoordinatesLike = "own",
     keep: KeepLike | None = None,
-    opacity: float = 0.5,
+    opacity: float | None = None,
     bake: Sequence[str | os.PathLike[str]] = (),
     detail: tuple[ArrayLike, ArrayLike] | None = None,
     projection: ProjectionLike = "equirectangular",
@@ -70,14 +70,14 @@ def paint(
         uv: ``own`` or ``atlas``.
         keep: ``over`` lays the pattern over the mesh's materials, ``under`` the materials over the pattern; None leaves
             the materials' colours out. The layers are put together by Porter and Duff's "over" in linear light.
-        opacity: of the upper layer, from 0 to 1, times its own.
+        opacity: with ``keep``, of the upper layer, from 0 to 1, times its own; 0.5 by default.
         bake: ``normal``, ``ao``, ``curvature``, ``area``, or files of numbers at the vertices. Ambient occlusion goes
             to the material's occlusion; normals of ``detail`` to its normal map, in tangent space; curvature (of the
             mean, 1 / length unit), area (on the sphere over that on the surface) and data become the colour, through a
             colour map, and so do normals without ``detail``, in the mesh's axes. Only one bake may become the colour.
         detail: vertices and faces of a finer mesh of the same surface in the same place, for ``normal``.
         projection: of the image, as in :func:`omtwarp.texture`.
-        atlas: which one, as in :func:`omtwarp.texture`.
+        atlas: which one, as in :func:`omtwarp.texture`, without own coordinates.
         rotate: turns the pattern on the sphere, as in :func:`omtwarp.texture`.
         size: width of the pictures in texels; by default that of the material's own picture, times a whole number so
             that a small one has up to 2048; or 2048.
@@ -101,7 +101,9 @@ def paint(
     """
     if image is not None and pattern is not None:
         raise OmtwarpError("both an image and a pattern were given: a texture is made from one of them")
-    _check_options(uv, keep, opacity, mesh)
+    check_options(uv, keep, opacity, atlas)
+    if mesh is None and (uv == "own" or keep is not None):
+        raise OmtwarpError("own texture coordinates and materials are kept from a mesh: give the one that was mapped")
     torus = result if is_torus_map(result) else None
     if torus is not None:
         vertices, faces, sphere, parts = torus.vertices, torus.faces, torus.vertices, None
@@ -110,9 +112,9 @@ def paint(
         vertices, faces, sphere = as_map(result)
         parts, on_map = spheres_of(result), triangle_areas(sphere, faces)
     names = tuple(os.fspath(name) for name in bake)
+    color = color_among(names, detail is not None, pattern, image, keep)
     if image is None and pattern is None and (keep is not None or not names):
         pattern = "circles"
-    drawn = image is not None or pattern is not None
     fine = None
     if detail is not None:
         fine = (np.asarray(detail[0], dtype=np.float64), np.ascontiguousarray(detail[1], dtype=np.int32))
@@ -120,34 +122,36 @@ def paint(
     origins, structure = (None, None) if stored is None else (stored.origins, stored.report.get("structure"))
     painting = _Painting(
         vertices, faces, sphere, torus, parts, on_map, origins, structure,
-        None if mesh is None else mesh.on(vertices, faces), keep, opacity,
-        names, _color_among(names, fine is not None, drawn), fine,
+        None if mesh is None else mesh.on(vertices, faces), keep, 0.5 if opacity is None else opacity,
+        names, color, fine,
         image, pattern, projection, atlas, rotate, size, resolve_device(device),
     )  # fmt: skip
     return painting.on_own_coordinates() if uv == "own" else painting.on_atlas()
 
 
-def _check_options(uv: str, keep: str | None, opacity: float, mesh: PaintedMesh | None) -> None:
-    """Refuse unknown options, and those that a mesh is needed for where there is none.
+def check_options(uv: str, keep: str | None, opacity: float | None, atlas: str) -> None:
+    """Refuse values that the options of :func:`paint` have not, and options without effect.
 
     Raises:
         OmtwarpError: an option cannot be taken.
     """
     check_word("texture coordinates", uv, ("own", "atlas"))
     check_word("way to keep materials", keep or "under", ("over", "under"))
-    if not 0.0 <= opacity <= 1.0:
+    if opacity is not None and not 0.0 <= opacity <= 1.0:
         raise OmtwarpError(f"the opacity is {opacity}: give a number from 0 to 1")
-    if mesh is None and (uv == "own" or keep is not None):
-        raise OmtwarpError("own texture coordinates and materials are kept from a mesh: give the one that was mapped")
+    if opacity is not None and keep is None:
+        raise OmtwarpError("an opacity is for materials that are kept: keep them, or leave the opacity out")
+    if uv == "own" and atlas != "cube":
+        raise OmtwarpError("an atlas is for new texture coordinates: leave it out, or the mesh's own")
 
 
-def _color_among(names: Sequence[str], detailed: bool, drawn: bool) -> str | None:
+def color_among(names: Sequence[str], detailed: bool, pattern: object, image: object, keep: object) -> str | None:
     """Return the bake that becomes the colour, if any.
 
     Args:
         names: of the bakes that were asked for.
         detailed: whether normals are those of a finer mesh.
-        drawn: whether a pattern or picture becomes the colour.
+        pattern, image, keep: what else becomes the colour, as :func:`paint` takes it; None for none.
 
     Raises:
         OmtwarpError: the bakes do not go together.
@@ -157,8 +161,10 @@ def _color_among(names: Sequence[str], detailed: bool, drawn: bool) -> str | Non
     colors = [name for name in names if name != "ao" and not (name == "normal" and detailed)]
     if len(colors) > 1:
         raise OmtwarpError(f"{' and '.join(colors)} would both be the colour: bake one at a time")
-    if colors and drawn:
-        raise OmtwarpError(f"{colors[0]} and the pattern or picture would both be the colour: leave one out")
+    others = {"the pattern": pattern, "the picture": image, "the materials that are kept, with a pattern,": keep}
+    other = next((other for other, given in others.items() if given is not None), None)
+    if colors and other:
+        raise OmtwarpError(f"{colors[0]} and {other} would both be the colour: leave one out")
     return colors[0] if colors else None
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import os
 import re
 from collections.abc import Callable
@@ -20,10 +21,10 @@ from omtwarp.files.limits import LARGEST_MESH_FILE, MOST_FACES
 from omtwarp.mesh.arrays import Bytes, Floats, Ints, whole_numbers
 from omtwarp.mesh.ply import Column, ply_columns, polygons_of
 from omtwarp.mesh.polygons import fans, taken_together
-from omtwarp.mesh.read import mesh_content, read_mesh, require_counted_from_one, utf8
+from omtwarp.mesh.read import coordinates, mesh_content, numbers_of, read_mesh, require_counted_from_one, utf8
 from omtwarp.mesh.scenes import gltf_pictures, load_scene, placed_meshes, scene_formats
 from omtwarp.texturing.export import SLOTS, Material
-from omtwarp.texturing.image import as_bytes, decoded, read_image, with_opacity
+from omtwarp.texturing.image import as_bytes, decoded, read_image, with_opacity, without_full_opacity
 from omtwarp.texturing.painted import PaintedMesh, corners_of, joined_seams
 
 if TYPE_CHECKING:
@@ -132,7 +133,8 @@ def read_painted_mesh(path: str | os.PathLike[str]) -> PaintedMesh:
     """Read a mesh with its texture coordinates, materials and colours.
 
     OBJ with its material library, PLY with coordinates at vertices or faces, and every format of scenes (GLB, glTF,
-    COLLADA, ...) keep a pair of coordinates per corner and a material per triangle. Formats of scenes, and PLY with
+    COLLADA, ...) keep a pair of coordinates per corner and a material per triangle. Colours of a PLY's faces become the
+    texels of a picture. Formats of scenes, and PLY with
     coordinates at its vertices, double vertices along seams: where boundaries have equal places, they are joined again.
     Several geometries of a scene are taken together. Formats without materials give a mesh with one, plain material.
 
@@ -193,11 +195,12 @@ def _from_obj(data: bytes, file: Path) -> PaintedMesh:
     """Read an OBJ file and its material libraries."""
     kinds, rests = _statements(data)
     words = {kind: [rests[row].split() for row in np.flatnonzero(kinds == kind)] for kind in (b"v", b"vt", b"f")}
+    points = coordinates(words[b"v"])
     split = [word.split(b"/") for face in words[b"f"] for word in face]
     counts = np.array([len(face) for face in words[b"f"]], dtype=np.int64)
     # How many points and coordinates stand before each corner, from which negative numbers count.
     ahead = [np.repeat(np.cumsum(kinds == kind)[kinds == b"f"], counts) for kind in (b"v", b"vt")]
-    vertex = np.array([int(parts[0]) for parts in split], dtype=np.int64)
+    vertex = numbers_of([[word.partition(b"/")[0] for word in face] for face in words[b"f"]], "face", int)
     require_counted_from_one(vertex)
     vertex = np.where(vertex < 0, vertex + ahead[0], vertex - 1)
     rows, notes = fans(np.arange(len(vertex)), counts)
@@ -211,20 +214,12 @@ def _from_obj(data: bytes, file: Path) -> PaintedMesh:
     known = _materials_beside(file, libraries, named, notes)
     names, used = _named(kinds, rests, b"usemtl")
     materials = tuple(known.get(name, Material(name or "material")) for (name,) in names)
-    points = np.array([row[:3] for row in words[b"v"]], dtype=np.float64)
     objects, number = _named(kinds, rests, b"o", b"g")
     return PaintedMesh(
-        points,
-        corners_of(vertex[rows], len(points)),
-        uv,
-        materials,
-        used[face],
-        _colors_behind(words[b"v"]),
-        tuple(notes),
-        source_files=tuple(named),
-        objects=tuple((name, group) for name, group in objects),
+        points, corners_of(vertex[rows], len(points)), uv, materials, used[face], _colors_behind(words[b"v"]),
+        tuple(notes), source_files=tuple(named), objects=tuple((name, group) for name, group in objects),
         face_object=number[face],
-    )
+    )  # fmt: skip
 
 
 def _materials_beside(file: Path, libraries: list[str], named: list[Path], notes: list[str]) -> dict[str, Material]:
@@ -290,21 +285,19 @@ def _from_ply(data: bytes, file: Path) -> PaintedMesh:
     names = re.findall(r"^[ \t]*comment[ \t]+TextureFile[ \t]+(\S.*?)\s*$", header, re.MULTILINE)
     pictures = list(map(_pictures_beside(file, named, notes), names))  # None for those that are missing
     uv, doubled = _ply_coordinates(vertex, sides, sizes, rows, faces)
+    colors, of_faces = _ply_colors(vertex), _ply_colors(sides)
+    if of_faces is not None and (colors is not None or uv is not None):
+        notes.append("left out the colours of faces: the file has texture coordinates, or colours at vertices")
+    elif of_faces is not None and len(faces):
+        palette, uv = _palette(of_faces[face])
+        pictures = [palette]
     number = np.zeros(len(faces), dtype=np.int32)
     if len(pictures) > 1 and "texnumber" in sides:
         named_picture = whole_numbers(_numbers(sides["texnumber"])[face], "'texnumber'", (None,))
         number = np.clip(named_picture, 0, len(pictures) - 1).astype(np.int32)
     materials = tuple(Material(f"material-{k}", picture=one) for k, one in enumerate(pictures)) or (Material(),)
-    mesh = PaintedMesh(
-        points,
-        faces,
-        uv,
-        materials,
-        number,
-        _ply_colors(vertex),
-        (*decided, *notes),
-        source_files=tuple(named),
-    )
+    known = (*decided, *notes)
+    mesh = PaintedMesh(points, faces, uv, materials, number, colors, known, source_files=tuple(named))
     return joined_seams(mesh) if doubled else mesh
 
 
@@ -329,14 +322,30 @@ def _ply_coordinates(
     return None, False
 
 
-def _ply_colors(vertex: dict[str, Column]) -> Bytes | None:
-    """Return the colours at a PLY file's vertices with their opacity, shape [V, 4], None where there are none."""
-    if not {"red", "green", "blue"} <= set(vertex):
+def _ply_colors(columns: dict[str, Column]) -> Bytes | None:
+    """Return the colours of a PLY file's vertices or polygons with their opacity, shape [N, 4], None without any."""
+    if not {"red", "green", "blue"} <= set(columns):
         return None
-    channels = [name for name in ("red", "green", "blue", "alpha") if name in vertex]
-    values = np.stack([_numbers(vertex[name]) for name in channels], axis=1)
-    scale = 255.0 if np.asarray(vertex["red"]).dtype.kind == "f" and values.max(initial=0.0) <= 1.0 else 1.0
+    channels = [name for name in ("red", "green", "blue", "alpha") if name in columns]
+    values = np.stack([_numbers(columns[name]) for name in channels], axis=1)
+    scale = 255.0 if np.asarray(columns["red"]).dtype.kind == "f" and values.max(initial=0.0) <= 1.0 else 1.0
     return with_opacity(np.rint(np.clip(values * scale, 0, 255)).astype(np.uint8))
+
+
+def _palette(colors: Bytes) -> tuple[Bytes, Floats]:
+    """Return a picture with a texel of every colour, and the texels of triangles as their corners' coordinates.
+
+    Args:
+        colors: of the triangles, with opacity, shape [F, 4].
+
+    Returns:
+        Shapes [N, N, 3 or 4], and [F, 3, 2] with the middle of a texel at all corners of a triangle.
+    """
+    known, texel = np.unique(colors, axis=0, return_inverse=True)
+    side = math.ceil(math.sqrt(len(known)))
+    row, column = np.divmod(texel.reshape(-1), side)
+    middle = np.stack([column + 0.5, side - 0.5 - row], axis=1) / side
+    return without_full_opacity(np.resize(known, (side, side, 4))), np.repeat(middle[:, None], 3, axis=1)
 
 
 def _numbers(column: Column) -> Floats:

@@ -111,7 +111,7 @@ def texture(
     vertices, faces, sphere = as_map(result)
     check_word("projection", projection, ProjectionName)
     rotation = _rotation(rotate, vertices, faces, sphere)
-    seam = _seam(seam_longitude, vertices, faces, sphere, rotation) if str(atlas) == "equirectangular" else np.pi
+    seam = _seam(seam_longitude, atlas, vertices, faces, sphere @ rotation)
     picture = None if image is None else pictures.read_image(image)
     if isinstance(size, str) or size is None:
         size = _chosen_size(size, picture, atlas, vertices, faces, sphere)
@@ -309,11 +309,14 @@ def as_map(result: SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike]) -> tuple[
     return vertices, faces, as_unit_vectors(parts[2], len(vertices))
 
 
-def _seam(given: float | str, vertices: Floats, faces: Ints, sphere: Floats, rotation: Floats) -> float:
+def _seam(given: float | str, atlas: str, vertices: Floats, faces: Ints, sphere: Floats) -> float:
+    """Return the longitude of the seam in radians, pi for an atlas without one."""
+    if atlas != "equirectangular" and given != 180.0:
+        raise OmtwarpError("a seam is for the equirectangular atlas: take that, or leave the seam out")
     if isinstance(given, str):
         if given != "auto":
             raise OmtwarpError(f"seam longitude '{given}': give degrees, or auto")
-        return least_visible_meridian(vertices, faces, sphere @ rotation)
+        return least_visible_meridian(vertices, faces, sphere)
     degrees = (real_number(given, "seam longitude in degrees, or auto") + 180.0) % 360.0 - 180.0
     return np.pi if degrees in (-180.0, 180.0) else float(np.deg2rad(degrees))
 

@@ -93,6 +93,29 @@ def test_a_new_layout_keeps_the_names_of_objects(tmp_path, monkeypatch, capsys, 
     assert len(made.faces) > len(ball.faces) or command == "unwrap"
 
 
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("texture two.obj -o a.glb --opacity 0.3", "an opacity is for materials that are kept"),
+        ("texture two.obj -o a.glb --opacity 0.3 --uv own", "an opacity is for materials that are kept"),
+        ("texture two.obj -o a.glb --seam 20", "--seam is for --atlas equirectangular"),
+        ("texture two.obj -o a.glb --seam auto --atlas octahedral", "--seam is for --atlas equirectangular"),
+        ("texture two.obj -o a.glb --uv own --atlas octahedral", "an atlas is for new texture coordinates"),
+        ("transfer two.obj two.obj -o a.glb --uv own --atlas octahedral", "an atlas is for new texture coordinates"),
+        ("texture two.obj -o a.ply --uv own --bake ao", "use .glb or .obj, or leave out --uv own and --bake\n"),
+        ("texture two.obj -o a.ply --keep-materials over", "use .glb or .obj, or leave out --keep-materials\n"),
+        ("texture two.obj -o a.glb --keep-materials over --bake area", "area and the materials that are kept"),
+        ("texture two.obj -o a.glb --pattern globe --bake area", "area and the pattern would both be the colour"),
+        ("texture plain.ply -o a.glb --uv own", "plain.ply: no texture coordinates in it"),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused_before_the_map(desk, capsys, monkeypatch, words, message):
+    monkeypatch.setattr("omtwarp.commands._work.map_on_the_way", None)
+    status, _, err = run(capsys, *words.split())
+    assert status == 1 and message in err
+    assert not list(desk.glob("a.*"))
+
+
 def test_unwrap_then_transfer(desk, capsys):
     status, out, _ = run(capsys, *"unwrap --map two.npz -o new.obj".split())
     assert status == 0 and "6 charts" in out
@@ -110,7 +133,7 @@ def test_unwrap_then_transfer(desk, capsys):
     [
         ("texture plain.ply --map two.npz -o a.glb --uv own", "plain.ply: no texture coordinates in it"),
         ("texture --map two.npz -o a.glb --uv own", "need the mesh itself"),
-        ("texture two.obj --map two.npz -o a.ply --uv own", "unknown suffix"),
+        ("texture two.obj --map two.npz -o a.ply --uv own", "PLY holds no materials"),
         ("texture two.obj --map two.npz -o a.glb --bake bumps", "add one of them"),
         ("texture --map two.npz -o a.glb --bake bumps", "cannot bake 'bumps'"),
         ("texture --map two.npz -o a.glb --detail plain.ply", "--detail is for --bake normal"),

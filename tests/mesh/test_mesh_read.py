@@ -10,6 +10,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.mesh import shapes
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.validate import check
+from omtwarp.texturing import read_painted_mesh
 
 BALL = shapes.shuffled(shapes.icosphere(3), seed=1)
 CUBE = [[0, 3, 2, 1], [4, 5, 6, 7], [0, 1, 5, 4], [2, 3, 7, 6], [1, 2, 6, 5], [0, 4, 7, 3]]
@@ -151,7 +152,7 @@ def test_binary_ply_with_mixed_polygons_is_not_read_as_nonsense(tmp_path, polygo
         ("noise.glb", b"\x00\x01" * 300, "cannot be read as glb"),
         ("noise.off", b"OFF\nthree four five\n", "cannot be read as off"),
         ("noise.npz", b"PK but not really", "no .npz"),
-        ("words.obj", b"v a b c\nf 1 2 3\n", "cannot be read as obj"),
+        ("words.obj", b"v a b c\nf 1 2 3\n", "damaged: vertex 0 has 'a b c'"),
         ("points.obj", b"v 0 0 0\nv 1 0 0\n", "no faces in it"),
         ("line.obj", b"v 0 0 0\nv 1 0 0\nf 1 2\n", "face 0 has fewer than three corners"),
         ("points.ply", ply(CUBE_VERTICES, []).encode(), "not a triangle mesh"),
@@ -169,6 +170,31 @@ def test_unreadable_files_say_why_in_one_line(tmp_path, name, content, words):
         assert not check(mesh.vertices, mesh.faces)
     assert words in str(caught.value) and str(tmp_path / name) in str(caught.value)
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 400
+
+
+SQUARE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
+FACET = "solid\nfacet\nouter loop\nvertex 0 0 0\nvertex 1 {} 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("a.obj", SQUARE[:-3], "cut short: vertex 2 has 2 of its three coordinates"),
+        ("a.obj", SQUARE.replace("1 0 0", "1 x 0") + "f 1 2 3\n", "damaged: vertex 1 has '1 x 0', not numbers alone"),
+        ("a.obj", "v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n", "cut short: vertex 0 has 2 of its three coordinates"),
+        ("a.obj", SQUARE + "f 1 2 3\nf 1 y/4 3/5\n", "damaged: face 1 has '1 y 3', not whole numbers alone"),
+        ("a.off", "OFF\n3 1 0\n0 0 0\n1 x 0\n0 1 0\n3 0 1 2\n", "damaged: vertex 1 has '1 x 0', not numbers alone"),
+        ("a.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1\n3 0 1 2\n", "cut short: vertex 2 has 2 of its three"),
+        ("a.stl", FACET.format("x"), "damaged: vertex 1 has '1 x 0', not numbers alone"),
+        ("a.stl", FACET.format(""), "cut short: vertex 1 has 2 of its three coordinates"),
+    ],
+)
+@pytest.mark.parametrize("read", [read_mesh, read_painted_mesh])
+def test_a_text_says_which_vertex_or_face_is_damaged(tmp_path, read, name, content, words):
+    (tmp_path / name).write_text(content)
+    with pytest.raises(OmtwarpError) as caught:
+        read(tmp_path / name)
+    assert str(caught.value).startswith(f"{tmp_path / name}: {words}")
 
 
 def test_a_directory_is_not_a_mesh(tmp_path):

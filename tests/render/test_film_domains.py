@@ -5,13 +5,14 @@ import pytest
 import trimesh
 from drawn_frames import film_frames
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 import omtwarp
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.render import films
-from omtwarp.render.camera import Camera, camera_axes
-from omtwarp.render.films import SPACING, Story, story_of
+from omtwarp.render.camera import VIEWS, Camera, camera_axes
+from omtwarp.render.films import SPACING, Story, fits_of, story_of
 
 CAMERA = Camera()
 
@@ -119,6 +120,40 @@ def test_every_part_ends_as_its_sphere_in_sight(places):
         assert min(apart) > SPACING
 
 
+def facing(story, camera):
+    """Return the cosine of the angle between the front of a story's disk and the direction to the camera."""
+    corner = story.domain[story.faces]
+    front = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]).sum(axis=0)
+    return front @ camera_axes(camera, "z")[:, 2] / np.linalg.norm(front)
+
+
+@pytest.fixture(scope="module")
+def open_to_the_right() -> omtwarp.MapResult:
+    """A ball with a hole at +x, and its map to the disk."""
+    ball = omtwarp.shapes.icosphere(6)
+    used, faces = np.unique(ball.faces[(ball.vertices[ball.faces, 0] < 0.7).all(axis=1)], return_inverse=True)
+    given = ball.vertices[used], faces.reshape(-1, 3)
+    return omtwarp.map_surface(given, domain="disk", until="conformal", device="cpu")
+
+
+@pytest.mark.parametrize("view", ["three-quarter", "front", "back", "left", "right", "top", "bottom"])
+def test_a_disk_shows_its_front_from_wherever_it_is_seen(open_to_the_right, view):
+    camera = Camera().looking(*VIEWS[view])
+    told_here = story_of(open_to_the_right, "circles", None, 96, camera, "z", None, "cpu")[0]
+    assert facing(told_here, camera) == pytest.approx(1.0)
+
+
+def test_a_disk_lies_nearest_to_a_flat_surface_seen_from_its_front(open_to_the_right):
+    """A disk that is turned in its plane, and is its own map, comes back to where it was."""
+    disk = np.column_stack([open_to_the_right.disk, np.zeros(len(open_to_the_right.vertices))])
+    axes = camera_axes(Camera().looking(*VIEWS["top"]), "z")
+    faces, turn = open_to_the_right.faces, Rotation.from_euler("z", 130, degrees=True).as_matrix()
+    number = np.zeros(len(faces), dtype=int)
+    (matrix,), (shift,) = fits_of(disk @ turn.T, disk, faces, number, "disk", axes)
+    size = np.linalg.norm(matrix[0])
+    np.testing.assert_allclose(disk @ matrix + shift, size * disk @ turn.T, atol=1e-12)
+
+
 @pytest.mark.parametrize("domain", ["disk", "hemisphere"])
 def test_open_surface_ends_as_its_own_domain(domain):
     blob = omtwarp.shapes.blob(seed=3, sphere=1280)
@@ -132,10 +167,7 @@ def test_open_surface_ends_as_its_own_domain(domain):
         centred = story.domain - story.domain.mean(axis=0)
         flat = np.linalg.svd(centred, full_matrices=False)[1]
         assert flat[2] < 1e-12 * flat[0]
-        corner = [places[story.faces] for places in (story.surface, story.domain)]
-        facing = [np.cross(at[:, 1] - at[:, 0], at[:, 2] - at[:, 0]).sum(axis=0) for at in corner]
-        facing = [way / np.linalg.norm(way) for way in facing]
-        assert facing[0] @ facing[1] == pytest.approx(1.0)  # it does not turn its back
+        assert facing(story, CAMERA) == pytest.approx(1.0)
     else:
         assert np.ptp(np.linalg.norm(story.domain, axis=1)) < 1e-12
 

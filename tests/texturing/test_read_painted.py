@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from scipy.spatial import cKDTree
 from two_materials import BLUE, RED, two_halves
 
 import omtwarp
 from omtwarp.errors import OmtwarpError
+from omtwarp.render.subject import painted_view
 from omtwarp.texturing import Material, PaintedMesh, read_painted_mesh
 
 
@@ -105,6 +107,49 @@ def test_ply_with_coordinates(tmp_path, per_face):
     mesh = read_painted_mesh(tmp_path / "a.ply")
     np.testing.assert_allclose(mesh.uv, uv[corners])
     assert mesh.materials[0].picture[0, 0, 0] == 90
+
+
+@pytest.mark.parametrize("opacity", [255, 128])
+def test_colours_of_a_plys_faces_are_shown_kept_and_transferred(tmp_path, opacity):
+    """Every face has its own colour to the byte, where it is read, kept, transferred and written."""
+    ball = omtwarp.shapes.icosphere(4)
+    colors = np.random.default_rng(0).integers(0, 256, (len(ball.faces), 4), dtype=np.uint8)
+    colors[:, 3] = opacity
+    given = trimesh.Trimesh(ball.vertices, ball.faces, process=False)
+    given.visual.face_colors = colors
+    given.export(tmp_path / "faces.ply")
+    mesh = read_painted_mesh(tmp_path / "faces.ply")
+    places = np.linalg.norm(ball.vertices, axis=1, keepdims=True)
+    result = mesh.vertices, mesh.faces, ball.vertices / places
+    kept = omtwarp.paint(result, mesh, pattern="checker", keep="under", opacity=1.0, uv="atlas", size=768)
+    moved = omtwarp.transfer_texture(mesh, result, result, aligned=True, size=768)
+    mesh.export(tmp_path / "again.glb")
+    for made in (mesh, read_painted_mesh(tmp_path / "again.glb"), moved, *([kept] if opacity == 255 else [])):
+        picture = made.materials[0].picture
+        middle, uv = made.vertices[made.faces].mean(axis=1), made.uv.mean(axis=1)
+        _, source = cKDTree(ball.vertices[ball.faces].mean(axis=1)).query(middle)
+        whole = len(made.faces) == len(
+            ball.faces
+        )  # the parts of a face that charts cut may have their middles elsewhere
+        size = np.array(picture.shape[1::-1])
+        column, row = np.floor(uv * (1, -1) % 1.0 * size).astype(int).T
+        off = np.abs(picture[row, column].astype(int) - colors[source, : picture.shape[2]]).max(axis=1)
+        assert (off <= 1).mean() > (0.999 if whole else 0.85)
+        assert picture.shape[2] == (3 if opacity == 255 else 4)
+    (shown,) = painted_view(mesh).materials
+    assert shown.image is mesh.materials[0].picture
+    with pytest.raises(OmtwarpError, match="give no face an area"):
+        omtwarp.paint(result, mesh, pattern="checker", size=64)
+
+
+def test_colours_of_faces_beside_those_of_vertices_are_left_out_with_a_note(tmp_path):
+    colored = "property uchar red\nproperty uchar green\nproperty uchar blue\n"
+    head = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n" + colored
+    head += f"element face 1\nproperty list uchar int vertex_indices\n{colored}end_header\n"
+    (tmp_path / "a.ply").write_text(head + "0 0 0 9 8 7\n1 0 0 9 8 7\n0 1 0 9 8 7\n3 0 1 2 1 2 3\n")
+    mesh = read_painted_mesh(tmp_path / "a.ply")
+    np.testing.assert_array_equal(mesh.vertex_colors, [[9, 8, 7, 255]] * 3)
+    assert mesh.uv is None and "left out the colours of faces" in mesh.notes[0]
 
 
 def test_coordinates_follow_a_repair_that_turns_faces(tmp_path):

@@ -396,6 +396,8 @@ def test_what_is_no_image_is_refused_in_one_line(surface, tmp_path):
         ({"projection": "mercator"}, "unknown projection"),
         ({"atlas": "mercator"}, "unknown atlas"),
         ({"rotate": "left"}, "rotate"),
+        ({"seam_longitude": 20.0}, "a seam is for the equirectangular atlas"),
+        ({"seam_longitude": "auto", "atlas": "octahedral"}, "a seam is for the equirectangular atlas"),
         ({"seam_longitude": "east", "atlas": "equirectangular"}, "seam longitude"),
         ({"seam_longitude": np.nan, "atlas": "equirectangular"}, "seam longitude"),
         ({"size": 3}, "texture size"),
