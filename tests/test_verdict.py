@@ -61,7 +61,7 @@ def test_the_areas_around_vertices_come_first_with_how_far_they_are_off():
     )
     off, count = re.match(words, str(around)).groups()
     assert error.max() == pytest.approx(int(off) / 100, abs=0.006) and int(count) == (error > 0.1).sum()
-    with pytest.raises(OmtwarpError, match="^not accepted with strict=True: areas around vertices are off by"):
+    with pytest.raises(OmtwarpError, match=r"^not accepted with strict=True: areas around vertices are off by"):
         accepted([around, triangles], strict=True)
     assert accepted([around, triangles], strict=False) == [around.to_dict(), triangles.to_dict()]
 

@@ -164,8 +164,7 @@ def map_surface(
     if together:
         maps, caps = _packed(parts, maps, shares, exact)
     maps = _finished(maps, given, exact)
-    for finding in (finding for each in maps for finding in each.report["warnings"]):
-        warnings.warn(finding["text"], OmtwarpWarning, stacklevel=2)
+    _warn_of(maps)
     return in_file(maps[0] if len(maps) == 1 else joined(maps, count, caps), of_file, count)
 
 
@@ -211,6 +210,13 @@ def _check_domain(domain: Domain, parts: list[Part], components: bool, together:
                 f"{which} is closed, without a boundary to put on the rim of a {domain}: "
                 + ("domain='sphere' maps all parts to spheres" if several else "map it to the sphere")
             )
+
+
+def _warn_of(maps: list[MapResult]) -> None:
+    """Warn the caller of :func:`map_surface` of what maps of parts do not keep."""
+    for each in maps:
+        for finding in each.report["warnings"]:
+            warnings.warn(finding["text"], OmtwarpWarning, stacklevel=3)
 
 
 def _finished(maps: list[MapResult], given: list[Part], exact: bool) -> list[MapResult]:

@@ -186,12 +186,7 @@ def judge(
     records = list(records)
     if image is None:
         image = triangle_areas(sphere, goal.faces)
-    wanted = goal.face_areas[: len(image)].reshape(-1, parts).sum(axis=1)
-    image = image.reshape(-1, parts).sum(axis=1)
-    image *= wanted.sum() / image.sum()
-    with np.errstate(divide="ignore"):
-        distortion = (image / wanted + wanted / image) * wanted / wanted.sum()
-    mean = float(distortion.sum())
+    mean, distorted = _area_distortion(goal, image, parts)
     unmatched = []
     if isinstance(options.refine, AreaMatch) and any(record["name"] == Stage.REFINE for record in records):
         missed = not_matched(options.refine.area, mean)
@@ -199,34 +194,25 @@ def judge(
     if options.method is not Method.OMT or Stage.OMT not in options.stages:
         return unmatched
     findings = []
-    remedy = ""
     if options.refine in (None, Refinement.AREA):
-        if uniform:
-            findings = _areas_around(goal, sphere, np.unique(goal.faces[: len(image)]))
-        if not mean < MAX_AREA_DISTORTION:
-            worst = int(np.argmax(distortion - 2.0 * wanted / wanted.sum()))
-            number, name = named(goal.origins, "face", parts * worst)
-            text = (
-                f"area distortion {mean:.4g}, where 2 is perfect, most of it in {name} "
-                f"{_place_of_face(goal, parts * worst)}, whose image has {image[worst] / wanted[worst]:.3g} times its "
-                "area"
-            )
-            findings.append(Finding("area-distortion", number, text, ""))
-    unfinished = [record for record in records if record.get("converged") is False and record["name"] != "refine"]
-    if any(record["name"] == "exact" and record.get("converged") for record in records):
-        unfinished = []  # the optimal map of the mesh as it was is only where the one of its quarters began
-    if findings or unfinished:
-        remedy = _remedy(goal, options.refine is None and not options.exact and uniform)
-    findings += [_unfinished(record) for record in unfinished]
+        around = _areas_around(goal, sphere, np.unique(goal.faces[: len(image)])) if uniform else []
+        findings = around + [distorted] * (not mean < MAX_AREA_DISTORTION)
+    findings += _unfinished(records)
+    remedy = _remedy(goal, options.refine is None and not options.exact and uniform) if findings else ""
     return [Finding(each.kind, each.where, each.message, remedy) for each in findings] + unmatched
 
 
-def _unfinished(record: StageReport) -> Finding:
-    """Make the warning about a stage that did not converge."""
-    text = f"the stage {record['name']} did not converge: {record.get('ended') or 'most steps taken'}"
-    if record.get("gave_up"):
-        text += f", {record['gave_up']}"
-    return Finding("not-converged", -1, text, "")
+def _unfinished(records: list[StageReport]) -> list[Finding]:
+    """Make the warnings about stages that did not converge."""
+    if any(record["name"] == "exact" and record.get("converged") for record in records):
+        return []  # the optimal map of the mesh as it was is only where the one of its quarters began
+    findings = []
+    for record in records:
+        if record.get("converged") is False and record["name"] != "refine":
+            text = f"the stage {record['name']} did not converge: {record.get('ended') or 'most steps taken'}"
+            text += f", {record['gave_up']}" if record.get("gave_up") else ""
+            findings.append(Finding("not-converged", -1, text, ""))
+    return findings
 
 
 def _remedy(goal: Surface, refinable: bool) -> str:
@@ -243,6 +229,22 @@ def accepted(findings: Sequence[Finding], strict: bool) -> list[Warned]:
         others = ", ".join(finding.kind for finding in findings[1:])
         raise OmtwarpError(f"not accepted with strict=True: {findings[0]}" + (f" (also: {others})" if others else ""))
     return [finding.to_dict() for finding in findings]
+
+
+def _area_distortion(goal: Surface, image: Floats, parts: int) -> tuple[float, Finding]:
+    """Return the area distortion of a map, and the warning about it; arguments are as of :func:`judge`."""
+    wanted = goal.face_areas[: len(image)].reshape(-1, parts).sum(axis=1)
+    shown = image.reshape(-1, parts).sum(axis=1) * (wanted.sum() / image.sum())
+    with np.errstate(divide="ignore"):
+        distortion = (shown / wanted + wanted / shown) * wanted / wanted.sum()
+    mean = float(distortion.sum())
+    worst = int(np.argmax(distortion - 2.0 * wanted / wanted.sum()))
+    number, name = named(goal.origins, "face", parts * worst)
+    text = (
+        f"area distortion {mean:.4g}, where 2 is perfect, most of it in {name} {_place_of_face(goal, parts * worst)}, "
+        f"whose image has {shown[worst] / wanted[worst]:.3g} times its area"
+    )
+    return mean, Finding("area-distortion", number, text, "")
 
 
 def _areas_around(goal: Surface, sphere: Floats, own: NDArray[np.integer]) -> list[Finding]:

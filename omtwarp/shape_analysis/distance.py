@@ -31,9 +31,9 @@ class ShapeDistance:
 
     Attributes:
         coefficients: root mean square distance of corresponding points, in the surfaces' unit.
-        transport: distance of the densities, in radians: the smaller of the two below, as a flow that ends short of the optimum goes
-            farther. Of twelve pairs of hippocampi it is 0.80 to 1.06 times what POT finds between vertices, the mean
-            up to 2.3 times.
+        transport: distance of the densities, in radians: the smaller of the two below, as a flow that ends short of the
+            optimum goes farther. Of twelve pairs of hippocampi it is 0.80 to 1.06 times what POT finds between
+            vertices, the mean up to 2.3 times.
         there: from the first density to the second.
         back: from the second to the first; its difference from ``there`` estimates the error due to the meshes.
         score: how well the spheres agree in the position in which they were compared (:func:`omtwarp.align`).

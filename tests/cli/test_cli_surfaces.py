@@ -457,7 +457,7 @@ def test_refusals_name_the_part_and_the_option(capsys, maps, tmp_path):
         ((mixed, "--components"), "part 2 of 2, at face 320, has genus 1, closed: --cut would map it"),
         ((mixed, "--together"), "part 2 of 2, at face 320, has genus 1, closed: --cut would map it"),
         ((mixed, "--components", "--cut", "--hemisphere"), "part 1 of 2, at face 0, is closed, without a boundary"),
-        ((mixed, "--torus"), "the surface has 2 parts, and only one of genus 1, closed, maps to a torus: --components"),
+        ((mixed, "--torus"), "only one of genus 1, closed, maps to a torus: --components (with --cut) or --together"),
         ((maps / "ring.ply", "--fill-area", "small"), "has genus 1, closed: --torus or --cut would map it"),
         ((maps / "pretzel.ply", "--torus"), "the surface has genus 2, closed, and only one of genus 1"),
         ((maps / "open.ply", "--torus"), "--hemisphere, --disk, --cap or --fill-area natural or small would map it"),
