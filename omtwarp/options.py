@@ -269,7 +269,7 @@ class MapOptions:
     The command line and the functions that take these options have their documentation from here (:func:`takes`).
 
     Raises:
-        OmtwarpError: options exclude each other.
+        OmtwarpError: options exclude each other, or one has no effect on such a map.
     """
 
     method: Annotated[Method, Option("How to map; all but omt are there for comparison.")] = Method.OMT
@@ -295,16 +295,26 @@ class MapOptions:
     strict: Annotated[bool, Option("Refuse a map that would come with a warning: an error, no output.")] = False
 
     def __post_init__(self) -> None:
-        optimal = self.method is Method.OMT and Stage.OMT in self.stages and self.refine is None
+        optimal = Stage.OMT in self.stages and self.refine is None
         if self.exact and not (optimal and self.scheme is Scheme.DEFAULT):
-            raise OmtwarpError("exact areas are those of the optimal map: leave method, scheme and refine as they are")
+            raise OmtwarpError(
+                "exact areas are those of the optimal map: leave method, until, scheme and refine as they are"
+            )
+        uses = {
+            "scheme": (self.method is Method.OMT, "the method omt"),  # whose start depends on it too
+            "cost": (Stage.MOSER in self.stages, "the stages moser and omt"),  # reports tell of both
+            "refine": (Stage.REFINE in self.stages, "the stage refine of the method omt"),
+        }
+        for name, (used, of) in uses.items():
+            if not used and getattr(self, name) != getattr(MapOptions, name):
+                raise OmtwarpError(f"{name} is of {of}: leave it out")
 
     @classmethod
     def parse(cls, **given: Unpack[MapKeywords]) -> "MapOptions":
         """Read options as users write them; those that are left out have their defaults.
 
         Raises:
-            OmtwarpError: an option is unknown, or has no such value.
+            OmtwarpError: an option is unknown, has no such value, or excludes another.
         """
         declared, values = options_of(cls), vars(cls()).copy()
         for name, value in given.items():
@@ -318,7 +328,8 @@ class MapOptions:
     @property
     def stages(self) -> tuple[Stage, ...]:
         """The stages that these options ask for, in their order."""
-        last = {Method.HAKER: Stage.CONFORMAL, Method.MOSER: Stage.MOSER}.get(self.method, self.until)
+        of_method = {Method.OMT: self.until, Method.MOSER: Stage.MOSER, Method.HAKER: Stage.CONFORMAL}
+        last = of_method.get(self.method, Stage.CONFORMAL)  # whose place barycentric maps take
         every = tuple(Stage)
         wanted = every[: every.index(last) + 1]
         return tuple(stage for stage in wanted if stage is not Stage.REFINE or self.refine is not None)

@@ -84,6 +84,40 @@ def test_stages_follow_from_the_options():
     assert MapOptions(method=Method.MOSER, until=Stage.REFINE).stages == every[:2]
 
 
+@pytest.mark.parametrize(
+    ("given", "unused"),
+    [
+        *(({"method": method, "refine": 2.0}, "refine") for method in tuple(Method)[1:]),
+        *(({"until": until, "refine": "area"}, "refine") for until in tuple(Stage)[:3]),
+        *(({"method": method, "scheme": "paper"}, "scheme") for method in tuple(Method)[1:]),
+        *(({"method": method, "cost": "geodesic"}, "cost") for method in ("haker", "tutte", "mean-value")),
+        ({"until": "conformal", "cost": "geodesic"}, "cost"),
+    ],
+    ids=str,
+)
+def test_options_without_effect_are_refused(given, unused):
+    with pytest.raises(OmtwarpError, match=f"^{unused} is of .*: leave it out$"):
+        MapOptions.parse(**given)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"method": "moser", "cost": "geodesic"},  # in which the report tells the cost
+        {"until": "conformal", "scheme": "paper"},  # which begins with another conformal map
+        {"method": "tutte", "cost": "squared", "scheme": "default", "refine": "none"},  # as where they are left out
+    ],
+    ids=str,
+)
+def test_options_with_an_effect_are_taken(given):
+    assert MapOptions.parse(**given).method == given.get("method", "omt")
+
+
+def test_exact_areas_name_every_option_that_they_exclude():
+    with pytest.raises(OmtwarpError, match="leave method, until, scheme and refine as they are"):
+        MapOptions(exact=True, until=Stage.MOSER)
+
+
 def test_what_a_report_says():
     options = MapOptions(cost=Cost.GEODESIC, refine=Refinement.ANGLE)
     assert options.to_dict() == {"method": "omt", "cost": "geodesic", "scheme": "default", "refine": "angle"}

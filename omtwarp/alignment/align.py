@@ -304,8 +304,8 @@ def align(
         The turned map, the rotation, and how well the two agree.
 
     Raises:
-        OmtwarpError: something that is not a map or sphere, features that do not belong together, or too few
-            features.
+        OmtwarpError: something that is not a map or sphere, features that do not belong together, too few features,
+            or an option that such an alignment does not use.
 
     Example:
         >>> from omtwarp import align, shapes
@@ -316,17 +316,19 @@ def align(
 
     .. [1] W. Kabsch, "A solution for the best rotation to relate two sets of vectors", Acta Cryst. A32 (1976).
     """
+    own, by = dict(features or {}), choose(AlignBy, by)
+    _check_options(degree, own, to_features or {})
+    of_features = {"features": own, "degree": degree != DEGREE}
     if isinstance(to, str) and to == "axes":
-        if any((features, to_features, mirror)):
-            raise OmtwarpError("aligning by the shape's own axes takes neither features nor mirror images")
+        _leave_out({**of_features, "mirror": mirror, "by": by != AlignBy.AUTO}, "to another map", "to='axes'")
         return align_to_axes(given)
-    own = dict(features or {})
-    _check_options(by, degree, own, to_features or {})
+    if by == AlignBy.VERTICES:
+        _leave_out(of_features, "by features", "by='vertices'")
     moving, fixed = as_points(given, "the map"), as_points(to, "the template")
-    if by == "vertices" and not _same_faces(moving, fixed):
+    if by == AlignBy.VERTICES and not _same_faces(moving, fixed):
         raise OmtwarpError("the two meshes have different faces: align them by features")
-    one_surface = _why_one_surface(moving, fixed) if by == "auto" and not own else ""
-    by_vertices = bool(one_surface) | (by == "vertices")
+    one_surface = _why_one_surface(moving, fixed) if by == AlignBy.AUTO and not own else ""
+    by_vertices = bool(one_surface) | (by == AlignBy.VERTICES)
 
     def aligned(points: SpherePoints, ours: Mapping[str, ArrayLike] | None = features) -> Alignment:
         if by_vertices:
@@ -361,15 +363,25 @@ def _warn_of_better(others: dict[str, float], score: float) -> None:
             warnings.warn(f"{words}: score {other:.3f}, not {score:.3f}", OmtwarpWarning, stacklevel=3)
 
 
-def _check_options(by: str, degree: int, features: Mapping[str, object], to_features: Mapping[str, object]) -> None:
-    """Refuse an unknown way to align, a degree out of range, and features of one side alone.
+def _leave_out(options: Mapping[str, object], of: str, given: str) -> None:
+    """Refuse options that alignments of one kind have, where another kind is asked for.
 
     Raises:
-        OmtwarpError: the way is unknown, the degree is out of range, or a feature is missing on a side.
+        OmtwarpError: one of them is given.
+    """
+    name = next((name for name, value in options.items() if value), None)
+    if name is not None:
+        raise OmtwarpError(f"'{name}' is of alignments {of}: leave it out with {given}")
+
+
+def _check_options(degree: int, features: Mapping[str, object], to_features: Mapping[str, object]) -> None:
+    """Refuse a degree out of range, and features of one side alone.
+
+    Raises:
+        OmtwarpError: the degree is out of range, or a feature is missing on a side.
     """
     if set(features) != set(to_features):
         raise OmtwarpError("features have to be given for both sides, with the same names")
-    choose(AlignBy, by)
     if not 1 <= check_degree(degree) <= 64:
         raise OmtwarpError(f"the degree is {degree}: give a whole number from 1 to 64")
 

@@ -80,6 +80,9 @@ class Topology:
 class Mass:
     """How much of the sphere the parts of the surface are to cover.
 
+    Raises:
+        OmtwarpError: an option is given without the one that it belongs to.
+
     Options:
         weights (FILE): Numbers per vertex or triangle (.npy, .csv, .gii, ...): twice the weight, twice the area.
         weights_at: What the weights belong to; auto goes by their number.
@@ -91,6 +94,12 @@ class Mass:
     weights_at: WeightsAt = WeightsAt.AUTO
     target_picture: Annotated[Path | None, Typed("--target")] = None
     target_floor: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.weights is None and self.weights_at is not WeightsAt.AUTO:
+            raise OmtwarpError("--weights-at is of --weights: leave it out")
+        if self.target_picture is None and self.target_floor:
+            raise OmtwarpError("--target-floor is of --target: leave it out")
 
     def target(self) -> omtwarp.TargetDensity | None:
         """Return the density that is to be reached, None for the uniform one.

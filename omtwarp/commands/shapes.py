@@ -204,6 +204,9 @@ def run_group(
 
     check_folder(output)
     names, paths, rows = _listed(sources)
+    folder = next((path for path in paths if path.is_dir()), None)
+    if folder is not None:
+        raise OmtwarpError(f"'{folder}' is no cohort's folder: give the maps in it, without a template")
     labels, covariates = _columns(rows, covariate or [], sources[0])
     if len(paths) < 2:
         raise OmtwarpError(f"{len(paths)} map in all: a group needs at least two")

@@ -175,27 +175,30 @@ def run_align(
 class Several:
     """What is done with more maps than one.
 
+    Raises:
+        OmtwarpError: options exclude each other, or one is given without the one that it belongs to.
+
     Options:
         more (MORE): Further maps, for --group and --sequence.
         group: Make a template from all maps and register them to it; -o is a folder. --feature: once for each map.
         sequence: Register one subject's maps in the order of time to the first; -o is a folder.
-        rounds (N): How many times the template of --group is made anew.
+        rounds (N): How many times the template of --group is made anew; 3 by default.
     """
 
     more: Annotated[list[Path] | None, Argument(file=input_file)] = None
     group: bool = False
     sequence: bool = False
-    rounds: Annotated[int, Typed(bounds=(1, None))] = 3
+    rounds: Annotated[int | None, Typed(bounds=(1, None))] = None
+
+    def __post_init__(self) -> None:
+        if self.group and self.sequence:
+            raise OmtwarpError("--group and --sequence exclude each other")
+        if self.rounds is not None and not self.group:
+            raise OmtwarpError("--rounds is of --group: leave it out")
 
     @property
     def mode(self) -> str:
-        """The option that asks for several maps, empty where none does.
-
-        Raises:
-            OmtwarpError: both options are given.
-        """
-        if self.group and self.sequence:
-            raise OmtwarpError("--group and --sequence exclude each other")
+        """The option that asks for several maps, empty where none does."""
         return "--group" if self.group else "--sequence" if self.sequence else ""
 
 
@@ -309,13 +312,15 @@ def run_register(
     from omtwarp.spheres import is_named
 
     if several.mode:
-        alone = {"--to": to, "--landmarks": landmarks, "--feature-weight": feature_weight}
+        alone = {"--to": to, "--hemisphere": hemisphere, "--landmarks": landmarks, "--feature-weight": feature_weight}
         _require_many(several.mode, pair, alone | {f"--{name}": file for name, file in vars(extras).items()})
         _register_many(pair, several, strength, printing)
         return
     if to is None or several.more:
         raise OmtwarpError("give one map and --to TARGET, or several maps and --group or --sequence")
     extras.check(pair)
+    if hemisphere is not None and with_side(to, hemisphere) == to:
+        raise OmtwarpError("--hemisphere is of targets that have two: leave it out")
     if not (pair.feature and is_named(to)):
         to = with_side(to, hemisphere or structure_of(pair.source) or structure_of(pair.surface))
     other = None if is_named(to) or is_average(to) else Path(to)
@@ -352,6 +357,7 @@ def _require_many(mode: str, pair: Pair, others: Mapping[str, object]) -> None:
 def _register_many(pair: Pair, several: Several, strength: Strength, printing: Printing) -> None:
     """Register maps to a template made from them, or to the first of them, and say how well."""
     from omtwarp.registration import register_group, register_sequence
+    from omtwarp.registration.group import ROUNDS
 
     maps = [pair.source, *(several.more or [])]
     files, count = pair.feature or [], len(maps)  # those of the first feature for all maps, then those of the next
@@ -361,12 +367,12 @@ def _register_many(pair: Pair, several: Several, strength: Strength, printing: P
     with progress_bar(printing.quiet, printing.verbose) as progress, warnings_as_lines():
         warp: Callable[..., GroupRegistration | SequenceRegistration] = register_sequence
         if several.group:
-            warp = partial(register_group, rounds=several.rounds)
+            warp = partial(register_group, rounds=several.rounds or ROUNDS)
         table = warp(maps, pair.output, features=features, progress=progress, **strength.keywords()).table
     made = pair.output / ("template.npz" if several.group else "strain.npz")
     drift = max(one.get("drift", 0.0) for one in table.values())
     told = "" if several.group else f"; drift at most {drift:.2f} degrees"
-    line = f"{made}: {_many_line(list(table.values()))}{told}"
+    line = f"{made}: {count} maps; {_many_line(list(table.values()))}{told}"
     show_facts({"output": str(pair.output), "maps": table}, line, printing)
 
 
@@ -378,8 +384,7 @@ def _many_line(facts: Sequence[Mapping[str, float]]) -> str:
     agreement = ", ".join(f"{one.partition('_')[2]} {sum(row[one] for row in facts) / len(facts):.3f}" for one in names)
     flips, doubtful = (int(sum(row[f"registration_{name}"] for row in facts)) for name in ("flips", "doubtful"))
     largest = max(one["registration_strain"] for one in facts)
-    line = f"{len(facts)} maps; {agreement} on average; largest strain {largest:.2f}"
-    return f"{line}; {flips} flips; {doubtful} doubtful"
+    return f"{agreement} on average; largest strain {largest:.2f}; {flips} flips; {doubtful} doubtful"
 
 
 def _named_weights(names: list[str], weights: list[float]) -> dict[str, float]:

@@ -49,7 +49,6 @@ from omtwarp.options import (
     FillAreaLike,
     MapKeywords,
     MapOptions,
-    Method,
     Progress,
     Stage,
     WeightsAt,
@@ -667,7 +666,7 @@ def _on_hemisphere(
     refinement = None
     if refined and options.refine is not None:
         refinement = options.refine if isinstance(options.refine, AreaMatch) else refinement_weight(options.refine)
-    conformal = options.method not in (Method.OMT, Method.MOSER) or options.stages == (Stage.CONFORMAL,)
+    conformal = options.stages == (Stage.CONFORMAL,)
     return _projected(part, half, result, domain, refinement, conformal=conformal)
 
 

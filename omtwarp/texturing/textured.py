@@ -311,7 +311,7 @@ def as_map(result: SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike]) -> tuple[
 
 def _seam(given: float | str, atlas: str, vertices: Floats, faces: Ints, sphere: Floats) -> float:
     """Return the longitude of the seam in radians, pi for an atlas without one."""
-    if atlas != "equirectangular" and given != 180.0:
+    if str(atlas) != "equirectangular" and given != 180.0:
         raise OmtwarpError("a seam is for the equirectangular atlas: take that, or leave the seam out")
     if isinstance(given, str):
         if given != "auto":

@@ -64,7 +64,7 @@ def test_map_writes_the_map_and_the_report(tmp_path, capsys, radial, blob):
     report = tmp_path / "report.json"
     status, out, err = run(
         capsys, "map", tmp_path / "blob.ply", "-o", tmp_path / "blob.npz", "--report", report, "--device", "cpu",
-        "--until", "moser", "--cost", "geodesic", "--method", "omt", "--scheme", "paper", "--refine", "0.5",
+        "--until", "refine", "--cost", "geodesic", "--method", "omt", "--scheme", "paper", "--refine", "0.5",
     )  # fmt: skip
     assert (status, err) == (0, "")
     assert "320 faces; flips 0, degree 1.000000" in out
@@ -73,7 +73,7 @@ def test_map_writes_the_map_and_the_report(tmp_path, capsys, radial, blob):
         np.testing.assert_array_equal(arrays["faces"], blob.faces)
     written = json.loads(report.read_text())
     assert written["input"]["path"].endswith("blob.ply") and written["stages"][0]["seconds"] is None
-    expected = {"until": "moser", "cost": "geodesic", "method": "omt", "scheme": "paper", "refine": 0.5}
+    expected = {"until": "refine", "cost": "geodesic", "method": "omt", "scheme": "paper", "refine": 0.5}
     assert radial == {
         **expected,
         "strict": False,

@@ -375,6 +375,62 @@ def test_bad_input_is_one_line(desk, capsys, words, message):
 @pytest.mark.parametrize(
     "words",
     [
+        "register lh.npz --to template.npz -o x.ply --before x.ply",
+        "register lh.npz --to template.npz -o x.npz --strain x.ply --before ./x.ply",
+        "register lh.npz --to template.npz -o x.npz --before x.gii --strain x.gii",
+        "resample lh.npz --to ico1 -o x.ply --sphere x.ply",
+    ],
+)
+def test_one_name_for_two_outputs_is_refused(desk, capsys, words):
+    before = sorted(desk.iterdir())
+    assert run(*words.split()) == 1
+    said = capsys.readouterr().err
+    assert "twice" in said and said.count("\n") == 1
+    assert sorted(desk.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("align lh.npz -o x.npz --degree 5", "'degree' is of alignments to another map"),
+        ("align lh.npz -o x.npz --mirror", "'mirror' is of alignments to another map: leave it out with --to axes"),
+        ("align lh.npz -o x.npz --by features", "'by' is of alignments to another map"),
+        (
+            "align lh.npz -o x.npz --to template.npz --by vertices --feature thickness.npy --to-feature thickness.npy",
+            "'features' is of alignments by features: leave it out with --by vertices",
+        ),
+        ("align lh.npz -o x.npz --to template.npz --by vertices --degree 5", "'degree' is of alignments by features"),
+        ("register lh.npz -o x.npz --to template.npz --rounds 2", "--rounds is of --group"),
+        ("register lh.npz template.npz -o x --sequence --rounds 2", "--rounds is of --group"),
+        ("register lh.npz -o x.npz --to template.npz --hemisphere left", "--hemisphere is of targets that have two"),
+        ("register lh.npz -o x.npz --to fsaverage5-left --hemisphere right", "--hemisphere is of targets that have"),
+        ("register lh.npz template.npz -o x --group --hemisphere left", "--hemisphere is of one map"),
+        ("register lh.npz template.npz -o x --sequence --hemisphere left", "--hemisphere is of one map"),
+        ("map lh.white.ply -o x.npz --weights-at vertices", "--weights-at is of --weights"),
+        ("map lh.white.ply -o x.npz --target-floor 0.1", "--target-floor is of --target"),
+        ("map lh.white.ply -o x.npz --until moser --refine area", "refine is of the stage refine"),
+        ("map lh.white.ply -o x.npz --method moser --scheme paper", "scheme is of the method omt"),
+    ],
+)
+def test_options_without_effect_are_refused(desk, capsys, words, message):
+    before = sorted(desk.iterdir())
+    assert run(*words.split()) == 1
+    said = capsys.readouterr().err
+    assert message in said and "leave it out" in said and said.count("\n") == 1
+    assert sorted(desk.iterdir()) == before
+
+
+def test_a_folder_that_no_cohort_wrote_is_no_group(desk, capsys):
+    (desk / "registered").mkdir()
+    for name in ("table.csv", "template.npz", "lh.npz"):
+        (desk / "registered" / name).write_text("id\n", "utf-8")
+    assert run("group", "registered", "-o", "x") == 1
+    assert "'registered' is no cohort's folder: give the maps in it" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
         ["align", "bad.npz", "-o", "x.npz"],
         ["resample", "bad.npz", "--to", "ico2", "-o", "x.ply"],
         ["spharm", "bad.npz", "-o", "x.coef"],

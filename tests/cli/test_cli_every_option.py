@@ -26,7 +26,7 @@ LINES = {
     "preview": "preview ball.ply -o preview.png --size 24 --backend warp --device cpu",
     "film": "film --map ball.npz -o film.gif --size 16 --seconds 0.2 --fps 2 --backend warp --device cpu",
     "report": "report --map ball.npz -o report.html --device cpu",
-    "align": "align ball.npz -o align.npz --degree 4",
+    "align": "align ball.npz -o align.npz",
     "register": "register ball.npz --to other.npz -o register.npz",
     "resample": "resample ball.npz --to ico1 -o resample.ply --device cpu",
     "check": "check ball.ply",
@@ -47,6 +47,8 @@ FROM_A_MESH = {
 OF_A_MAP = {"--method", "--until", "--cost", "--scheme", "--refine", "--solver", "--repair", "--device"}
 INSTEAD = {
     "map --beside": "map ball.ply -o map.ply --device cpu --until conformal",
+    "map --weights-at": "map ball.ply -o map.npz --device cpu --weights numbers.npy",
+    "map --weights-at triangles": "map ball.ply -o map.npz --device cpu --weights areas.npy",
     "map --target-floor": "map ball.ply -o map.npz --device cpu --target picture.png",
     "map --hemisphere": "map cup.ply -o map.npz --device cpu --until conformal",
     "map --disk": "map cup.ply -o map.npz --device cpu --until conformal",
@@ -70,11 +72,12 @@ INSTEAD = {
     "preview --image": "preview ball.npz -o preview.png --size 24 --backend warp --device cpu",
     "preview --frames": "preview ball.ply -o preview.gif --size 24 --backend warp --device cpu",
     "preview --fps": "preview ball.ply -o preview.gif --frames 2 --size 24 --backend warp --device cpu",
-    "align --surface": "align sphere.ply -o align.ply --degree 4",
+    "align --surface": "align sphere.ply -o align.ply",
     "align --to-surface": "align ball.npz --to sphere.ply -o align.npz --degree 4",
     "align --to-feature": "align ball.npz --to other.npz --feature numbers.npy -o align.npz --degree 4",
     "align --feature": "align ball.npz --to other.npz --to-feature numbers.npy -o align.npz --degree 4",
-    "align --by": "align ball.npz --to other.npz -o align.npz --degree 4",
+    "align --by": "align ball.npz --to other.npz -o align.npz",
+    "align --degree": "align ball.npz --to other.npz -o align.npz",
     "align --mirror": "align ball.npz --to other.npz -o align.npz --degree 4",
     "align --radius": "align ball.npz -o align.ply",
     "register --surface": "register sphere.ply --to other.npz -o register.ply",
@@ -85,6 +88,7 @@ INSTEAD = {
         "register ball.npz --to other.npz --feature numbers.npy --to-feature numbers.npy -o register.npz"
     ),
     "register --radius": "register ball.npz --to other.npz -o register.ply",
+    "register --hemisphere": "register ball.npz --to fsaverage5 -o register.npz",
     "register --group": "register ball.npz other.npz -o registered --rounds 1",
     "register --sequence": "register ball.npz other.npz -o registered",
     "register --rounds": "register ball.npz other.npz -o registered --group",
@@ -99,6 +103,9 @@ INSTEAD = {
     "cohort --register": "cohort table.csv --workers 1 --device cpu -o cohort",
     "cohort --until": "cohort table.csv --device cpu --workers 1 -o cohort",
     "cohort --method": "cohort table.csv --device cpu -o cohort --workers 1",
+    "film --method": "film ball.ply -o film.gif --size 16 --seconds 0.2 --fps 2 --device cpu --backend warp",
+    "report --method": "report ball.ply --device cpu -o report.html",
+    "report --until": "report -o report.html ball.ply --device cpu",
     "check --output": "check ball.ply --repair",
 }  # fmt: skip
 # Values of options whose help names a kind of value in place of one.
@@ -241,6 +248,7 @@ def inputs(tmp_path_factory):
     write_mesh(folder / "sphere.ply", shapes.icosphere(3).vertices, ball.faces)
     (folder / "places.csv").write_text("label,side,vertex\na,moving,1\na,target,1\n")
     np.save(folder / "numbers.npy", ball.vertices[:, 0] - ball.vertices[:, 0].min() + 1.0)
+    np.save(folder / "areas.npy", np.ones(len(ball.faces)))
     np.save(folder / "labels.npy", (ball.vertices[:, 0] > 0).astype(np.int64))
     Image.fromarray(np.tile(np.arange(64, dtype=np.uint8)[:, None, None] + 60, (1, 128, 3))).save(
         folder / "picture.png"

@@ -146,7 +146,7 @@ def test_the_command_says_how_well_it_went(files, tmp_path, capsys):
     with pytest.raises(SystemExit) as ended:
         main(["register", *map(str, files[:2]), "--sequence", "-o", str(tmp_path / "out")])
     told = capsys.readouterr().out
-    assert not ended.value.code and "1 maps; sulc 0.99" in told and "0 flips" in told and "drift at most 0." in told
+    assert not ended.value.code and "2 maps; sulc 0.99" in told and "0 flips" in told and "drift at most 0." in told
     with pytest.raises(SystemExit) as ended:
         main(["register", *map(str, files[:2]), "--sequence", "--group", "-o", str(tmp_path / "out")])
     assert ended.value.code == 1 and "exclude each other" in capsys.readouterr().err
