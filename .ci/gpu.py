@@ -41,11 +41,7 @@ from omtwarp.reporting.markup import Markup, element, table, write_plain_page
 Record = dict[str, object]
 
 # The kinds of maps that are compared on small meshes: the default, the device's solver, and the paper's flow.
-VARIANTS: dict[str, MapKeywords] = {
-    "default": {},
-    "refined": {"refine": "balanced"},
-    "flow": {"scheme": Scheme.PLAIN},
-}
+VARIANTS: dict[str, MapKeywords] = {"default": {}, "refined": {"refine": "balanced"}, "flow": {"scheme": Scheme.PLAIN}}
 SMALL_FACES = 10_000  # up to here all variants are compared, above the default alone
 STAGES = ("conformal", "transported", "sphere")
 READS = 200  # of one number, whose mean time is that of a synchronising read

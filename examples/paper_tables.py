@@ -297,10 +297,7 @@ def markdown(rows: list[dict[str, Any]], curves: list[dict[str, Any]]) -> str:
     names = list(dict.fromkeys(entry["mesh"] for entry in rows))
     methods = [m for m in METHODS if any(entry["method"] == m for entry in rows)]
     found = {(entry["mesh"], entry["method"]): entry for entry in rows}
-    lines = [
-        f"Made by `examples/paper_tables.py` on {machine()}. Ours / the paper's; 2 is perfect.",
-        "",
-    ]
+    lines = [f"Made by `examples/paper_tables.py` on {machine()}. Ours / the paper's; 2 is perfect.", ""]
 
     def table(title: str, cell: Any, columns: list[str] = methods) -> None:
         lines.extend([f"## {title}", "", "| mesh | faces | " + " | ".join(TITLES[m] for m in columns) + " |"])

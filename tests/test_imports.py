@@ -40,12 +40,7 @@ HEAVY = {
 }
 HEAVY_ROOMS = {
     # Kernels that few maps launch: reading their text takes as long as a tenth of a small map.
-    "omtwarp.mapping": {
-        "omtwarp.baselines",
-        "omtwarp.moser",
-        "omtwarp.transport.flow",
-        "omtwarp.transport.paper",
-    },
+    "omtwarp.mapping": {"omtwarp.baselines", "omtwarp.moser", "omtwarp.transport.flow", "omtwarp.transport.paper"},
     "omtwarp.optimal": {"omtwarp.start.hierarchical"},
     "omtwarp.start": {"omtwarp.start.hierarchical"},
     "omtwarp.open_surfaces": {"omtwarp.start.hierarchical"},

@@ -183,12 +183,7 @@ def test_exact_areas_of_every_triangle():
 
 @pytest.mark.parametrize(
     "options",
-    [
-        {"refine": "angle", "until": "refine"},
-        {"scheme": "plain"},
-        {"method": "moser"},
-        {"until": "moser"},
-    ],
+    [{"refine": "angle", "until": "refine"}, {"scheme": "plain"}, {"method": "moser"}, {"until": "moser"}],
     ids=str,
 )
 def test_exact_areas_are_those_of_the_optimal_map(options):

@@ -17,13 +17,7 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 PACKAGE = Path(__file__).parent.parent.parent / "omtwarp"
-WIDTH, BOX, GAP, ARROW, SPACE = (
-    760,
-    56,
-    56,
-    10,
-    14,
-)  # in CSS pixels
+WIDTH, BOX, GAP, ARROW, SPACE = (760, 56, 56, 10, 14)  # in CSS pixels
 STYLE = (
     ".data-flow rect{fill:var(--color-background-secondary);stroke:var(--color-brand-primary)}"
     ".data-flow text{fill:var(--color-foreground-primary);font-family:sans-serif;text-anchor:middle}"

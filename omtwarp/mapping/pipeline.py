@@ -150,12 +150,7 @@ def map_to_sphere(
 
 @blas_threads(1)
 def map_closed(
-    surface: Surface,
-    own: int,
-    options: MapOptions,
-    *,
-    mirror: Double | None = None,
-    progress: Progress | None = None,
+    surface: Surface, own: int, options: MapOptions, *, mirror: Double | None = None, progress: Progress | None = None
 ) -> MapResult:
     """Map a surface that was closed for it to the sphere; whether the map is good is for the caller to judge.
 

@@ -250,11 +250,7 @@ def tube(
 
 
 def hippocampus(
-    seed: int = 0,
-    bump: float = 0.0,
-    width: float = 0.5,
-    variation: float = 0.1,
-    face_count: int = 2000,
+    seed: int = 0, bump: float = 0.0, width: float = 0.5, variation: float = 0.1, face_count: int = 2000
 ) -> Surface:
     """Return a bent, flattened tube with a thick head and a thin tail, different for every seed.
 

@@ -58,13 +58,7 @@ from omtwarp.mesh.arrays import (
     squared_norms,
     whole_number,
 )
-from omtwarp.mesh.surface import (
-    SPHERE_AREA,
-    MeshLike,
-    Surface,
-    as_sphere,
-    as_surface,
-)
+from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_sphere, as_surface
 from omtwarp.metrics.dual import Bound, TorusDual, TransportDual, ascend, log_maps
 from omtwarp.options import Cost, CostLike, Progress, Record, tell
 from omtwarp.solvers.poisson import EdgeLaplacianSolver

@@ -320,13 +320,7 @@ class TransportEnergy:
         masses = self.cells.masses(terms.areas, self.cost_weight / SPHERE_AREA)
         return self.vertex_cost.hessian(points, masses, LEAST_EIGENVALUE)
 
-    def factorise(
-        self,
-        factor: SaddlePointFactor,
-        points: wp.array,
-        terms: MapTerms,
-        compliance: wp.array,
-    ) -> None:
+    def factorise(self, factor: SaddlePointFactor, points: wp.array, terms: MapTerms, compliance: wp.array) -> None:
         """Factorise the matrix of a map, with a larger diagonal where rounding made a pivot's sign wrong.
 
         Args:

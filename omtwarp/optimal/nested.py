@@ -202,12 +202,7 @@ def smoothed(surface: Surface, sphere: Floats, *, device: str | None = "auto") -
 
 
 def minimised(
-    surface: Surface,
-    sphere: Floats,
-    start: Floats,
-    solve: Callable[..., OptimalMap],
-    *,
-    device: str | None = "auto",
+    surface: Surface, sphere: Floats, start: Floats, solve: Callable[..., OptimalMap], *, device: str | None = "auto"
 ) -> tuple[OptimalMap, ShapeTerm]:
     """Return the optimal map from a map near it, and the weights of its shape term.
 

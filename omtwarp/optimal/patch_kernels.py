@@ -14,14 +14,7 @@ from omtwarp.mesh import surface
 from omtwarp.optimal.kernels import Fit, area_gradient, cost_slope, moving_cost, neighbour_fit, raised_fit
 from omtwarp.optimal.shape_kernels import distortion_gradient, distortion_hessian, distortion_terms
 from omtwarp.solvers import newton
-from omtwarp.solvers.cholesky.envelope import (
-    Envelope,
-    add_block,
-    clear_row,
-    factorise_envelope,
-    meet,
-    solve_envelope,
-)
+from omtwarp.solvers.cholesky.envelope import Envelope, add_block, clear_row, factorise_envelope, meet, solve_envelope
 from omtwarp.solvers.motion_kernels import keeps_volume
 from omtwarp.solvers.newton import packed
 from omtwarp.solvers.triangle import first_tangent, in_tangent

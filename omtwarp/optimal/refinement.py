@@ -105,11 +105,7 @@ def not_matched(area: float, reached: float) -> tuple[str, str] | None:
 
 
 # λ, the weight of area against angle, of each named refinement
-WEIGHTS = {
-    Refinement.AREA: 1000.0,
-    Refinement.BALANCED: AREA_WEIGHT,
-    Refinement.ANGLE: 2.0,
-}
+WEIGHTS = {Refinement.AREA: 1000.0, Refinement.BALANCED: AREA_WEIGHT, Refinement.ANGLE: 2.0}
 # Where ``area`` leaves more than the first times the area distortion above 2 of the map given, as on limbs of few
 # vertices, the areas of triangles count more, up to the first of the others that does not. An octopus goes from 2.038
 # to 2.26 with 10 and to 2.020 with 100, at six tenths of the angle distortion of the map given; a person from 2.031 to
@@ -267,12 +263,7 @@ class _Refinement:
     ):
         self.surface, self.own, self.tolerance = surface, own, tolerance
         self.minimised = partial(
-            least_distortion,
-            surface,
-            iterations=iterations,
-            tolerance=tolerance,
-            device=device,
-            progress=progress,
+            least_distortion, surface, iterations=iterations, tolerance=tolerance, device=device, progress=progress
         )
 
     def run(self, sphere: NDArray[np.float64], weight: float, of_triangles: float = AREA_WEIGHT) -> RefineResult:

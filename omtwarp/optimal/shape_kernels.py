@@ -8,13 +8,7 @@ from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, THREE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import corners_of, oriented_volume
 from omtwarp.mesh import surface
 from omtwarp.solvers.newton import packed
-from omtwarp.solvers.triangle import (
-    first_column,
-    first_tangent,
-    first_weights,
-    second_column,
-    second_weights,
-)
+from omtwarp.solvers.triangle import first_column, first_tangent, first_weights, second_column, second_weights
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -104,14 +98,7 @@ def triangle_terms(
 
 
 @wp.func
-def distortion_gradient(
-    frame: wp.vec3d,
-    area: wp.float64,
-    a: wp.vec3d,
-    b: wp.vec3d,
-    c: wp.vec3d,
-    pressures: wp.vec3d,
-):
+def distortion_gradient(frame: wp.vec3d, area: wp.float64, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, pressures: wp.vec3d):
     """Return the gradient of A [fro / D + p0 D + p1 / D + p2 needle], p the pressures, by the corners, one per row."""
     c1 = first_column(frame, a, b)
     c2 = second_column(frame, a, b, c)
@@ -178,12 +165,7 @@ def gather_tangent(
 
 @wp.func
 def distortion_modes(
-    frame: wp.vec3d,
-    c1: wp.vec3d,
-    c2: wp.vec3d,
-    axes: wp.mat33d,
-    others: wp.mat33d,
-    pressures: wp.vec3d,
+    frame: wp.vec3d, c1: wp.vec3d, c2: wp.vec3d, axes: wp.mat33d, others: wp.mat33d, pressures: wp.vec3d
 ) -> wp.spatial_matrixd:
     """Return the modes m of which Σ m mᵀ is the Hessian of fro / D + p0 D + p1 / D, as :func:`triangle_hessian` has it.
 

@@ -237,12 +237,7 @@ class _Newton:
         energy, gain, penalty: as of :func:`minimise`.
     """
 
-    def __init__(
-        self,
-        energy: TransportEnergy,
-        gain: float,
-        penalty: float | None = None,
-    ):
+    def __init__(self, energy: TransportEnergy, gain: float, penalty: float | None = None):
         self.constrained, self.stage = penalty is None, "omt" if penalty is None else "refine"
         self.energy, self.device, self.gain = energy, energy.device, gain
         self.surface, self.domain = energy.surface, energy.domain
@@ -256,13 +251,7 @@ class _Newton:
         self.multipliers = wp.zeros(len(energy.wanted), dtype=wp.float64, device=self.device)
         self.max_rms, self.max_error = energy.cells.tolerances
 
-    def run(
-        self,
-        given: Floats,
-        multipliers: Floats | None,
-        iterations: int,
-        progress: Progress | None,
-    ) -> OptimalMap:
+    def run(self, given: Floats, multipliers: Floats | None, iterations: int, progress: Progress | None) -> OptimalMap:
         """Take Newton steps until one was expected to gain next to nothing, or none lowers the energy."""
         energy = self.energy
         points = self.domain.sent(given)

@@ -83,10 +83,7 @@ def folding_features(vertices: Floats, faces: NDArray[np.int32]) -> dict[str, Fl
     moved = HeatFlow(surface, points, flow_time).step(points)
     depth = np.einsum("ij,ij->i", moved - points, vertex_normals(moved, surface.faces))
     # Curvature fwhm: mm, of the kernel that curvature is smoothed with
-    return {
-        "sulc": depth - np.average(depth, weights=areas),
-        "curv": smoothed(surface, points, curvature, 4.0),
-    }
+    return {"sulc": depth - np.average(depth, weights=areas), "curv": smoothed(surface, points, curvature, 4.0)}
 
 
 def vertex_areas(points: Floats, faces: NDArray[np.int32]) -> Floats:

@@ -175,7 +175,4 @@ def area_changes(before: Floats, after: Floats, faces: NDArray[np.int32]) -> dic
     """
     wanted = areas_around(before, faces)
     relative = areas_around(after, faces) / wanted - 1.0
-    return {
-        "rms": float(np.sqrt(wanted @ relative**2 / wanted.sum())),
-        "largest": float(np.abs(relative).max()),
-    }
+    return {"rms": float(np.sqrt(wanted @ relative**2 / wanted.sum())), "largest": float(np.abs(relative).max())}

@@ -18,12 +18,7 @@ from omtwarp.device.policy import solves_with_cudss, solves_with_scipy
 from omtwarp.device.start import wp
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import Surface
-from omtwarp.solvers.cholesky import (
-    Dissection,
-    MultifrontalCholesky,
-    part_dissection,
-    surface_dissection,
-)
+from omtwarp.solvers.cholesky import Dissection, MultifrontalCholesky, part_dissection, surface_dissection
 from omtwarp.solvers.cholesky.saddle import COORDINATES, SaddleMatrix, expand, expand_with_cells
 from omtwarp.solvers.cudss import CudssFactor
 from omtwarp.solvers.factor import Factor, MeshFactor, MeshMatrix, NotPositiveDefinite
@@ -170,11 +165,7 @@ def solve_parts(factor: SaddlePointFactor, first: Floats, second: Floats) -> tup
 
 
 def _block_matrix(
-    count: int,
-    edges: NDArray[np.int32],
-    diagonal: Floats,
-    off_diagonal: Floats,
-    block: int,
+    count: int, edges: NDArray[np.int32], diagonal: Floats, off_diagonal: Floats, block: int
 ) -> sparse.csc_matrix:
     """Assemble the symmetric matrix with these blocks of vertices and edges."""
     vertices = np.arange(count)

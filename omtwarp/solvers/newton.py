@@ -28,10 +28,7 @@ def packed(row: int, column: int) -> int:
 
 @wp.func
 def vertex_block(
-    v: int,
-    offsets: wp.array[wp.int32],
-    corners: wp.array[wp.int32],
-    blocks: wp.array2d[wp.float64],
+    v: int, offsets: wp.array[wp.int32], corners: wp.array[wp.int32], blocks: wp.array2d[wp.float64]
 ) -> wp.vec4d:
     """Sum the 2x2 block of a vertex over the triangles around it."""
     s0, s1, s2 = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
@@ -47,10 +44,7 @@ def vertex_block(
 
 @wp.func
 def edge_block(
-    end: int,
-    opposite_corners: wp.vec2i,
-    faces: wp.array[wp.vec3i],
-    blocks: wp.array2d[wp.float64],
+    end: int, opposite_corners: wp.vec2i, faces: wp.array[wp.vec3i], blocks: wp.array2d[wp.float64]
 ) -> wp.vec4d:
     """Sum the 2x2 block of an edge, rows of one end and columns of the other, over its two triangles."""
     s0, s1, s2, s3 = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)

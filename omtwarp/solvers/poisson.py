@@ -115,11 +115,7 @@ class EdgeLaplacianSolver:
     """
 
     def __init__(
-        self,
-        surface: Surface,
-        weights: NDArray[np.float64],
-        pinned: int = 0,
-        edges: NDArray[np.int32] | None = None,
+        self, surface: Surface, weights: NDArray[np.float64], pinned: int = 0, edges: NDArray[np.int32] | None = None
     ):
         edges = surface.edges if edges is None else edges
         count = surface.vertex_count

@@ -375,12 +375,7 @@ def _half_edges(faces: Ints, count: int) -> tuple[Ints, ...]:
 
 
 def _propose(
-    alive: wp.array,
-    kinds: wp.array,
-    adjacency: list[wp.array],
-    masses: wp.array,
-    points: wp.array,
-    device: wp.Device,
+    alive: wp.array, kinds: wp.array, adjacency: list[wp.array], masses: wp.array, points: wp.array, device: wp.Device
 ) -> tuple[Floats, Ints]:
     cost: wp.array = wp.empty(len(alive), dtype=wp.float64, device=device)
     target: wp.array = wp.empty(len(alive), dtype=wp.int32, device=device)
@@ -439,12 +434,7 @@ def _scramble(indices: Ints, round_index: int) -> NDArray[np.int64]:
 
 
 def _rings(
-    removed: Ints,
-    targets: Ints,
-    adjacency: list[wp.array],
-    masses: wp.array,
-    points: wp.array,
-    device: wp.Device,
+    removed: Ints, targets: Ints, adjacency: list[wp.array], masses: wp.array, points: wp.array, device: wp.Device
 ) -> tuple[Ints, Floats]:
     rings: wp.array = wp.zeros((len(removed), MAX_VALENCE), dtype=wp.int32, device=device)
     fan_masses: wp.array = wp.zeros((len(removed), MAX_VALENCE - 2), dtype=wp.float64, device=device)

@@ -30,11 +30,7 @@ from omtwarp.mesh.surface import MeshLike, Surface, as_surface, triangle_areas
 from omtwarp.options import Progress, tell
 from omtwarp.solvers.triangle import AREA_WEIGHT
 from omtwarp.start.decimation import MAX_VALENCE, Hierarchy, Level, Removal, Vertex, integers, simplify
-from omtwarp.start.hierarchical_kernels import (
-    insert_on_equator,
-    insert_vertices,
-    relax_vertices,
-)
+from omtwarp.start.hierarchical_kernels import insert_on_equator, insert_vertices, relax_vertices
 from omtwarp.topology.kind import boundary_half_edges
 
 # Moves of every vertex on a level, and once more at the end. Of 56 made surfaces areas and angles are the same in the

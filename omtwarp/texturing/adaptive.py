@@ -63,13 +63,7 @@ def fill_calm(given: Pattern, look: Look, picture: wp.array) -> Ints:
     return np.flatnonzero(left & look.atlas.covered).astype(np.int32)
 
 
-def rasterize(
-    source: str | Pattern,
-    width: int = 2048,
-    *,
-    supersample: int = 3,
-    device: str | None = "auto",
-) -> Bytes:
+def rasterize(source: str | Pattern, width: int = 2048, *, supersample: int = 3, device: str | None = "auto") -> Bytes:
     """Draw a pattern as a supersampled equirectangular picture of the whole sphere.
 
     Args:

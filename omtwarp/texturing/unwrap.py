@@ -30,10 +30,7 @@ _Charts: TypeAlias = tuple[Floats, NDArray[np.intp]]
 
 
 def unwrap_uv(
-    result: SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike],
-    *,
-    aspect: float = 1.0,
-    margin: float = MARGIN,
+    result: SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike], *, aspect: float = 1.0, margin: float = MARGIN
 ) -> PaintedMesh:
     """Lay a surface out on a picture through its map, as texture coordinates for the triangles that it has.
 

@@ -18,13 +18,7 @@ from omtwarp.optimal.energy import TransportEnergy
 from omtwarp.optimal.exact import minimise_cells, restore_areas
 from omtwarp.optimal.nested import shape_term_by_law
 from omtwarp.optimal.plane import Plane, PlaneCost, PlaneShape
-from omtwarp.optimal.refinement import (
-    MATCH_TOLERANCE,
-    MATCH_TRIALS,
-    MOST_WEIGHT,
-    match_area,
-    refinement_weight,
-)
+from omtwarp.optimal.refinement import MATCH_TOLERANCE, MATCH_TRIALS, MOST_WEIGHT, match_area, refinement_weight
 from omtwarp.optimal.solver import GAIN, OptimalMap, minimise
 from omtwarp.options import AreaMatch, Progress, Record, parse_refinement
 from omtwarp.solvers.triangle import AREA_WEIGHT

@@ -43,13 +43,7 @@ def test_every_stage_of_every_mesh_is_measured(result):
     assert [mesh["family"] for mesh in result["meshes"]] == ["blob", "blob", "mesh 1"]
     for mesh in result["meshes"]:
         (one,) = mesh["runs"]
-        assert [stage["name"] for stage in one["stages"]] == [
-            "conformal",
-            "omt",
-            "refine",
-            "optimality",
-            "other",
-        ]
+        assert [stage["name"] for stage in one["stages"]] == ["conformal", "omt", "refine", "optimality", "other"]
         assert one["device"] == "cpu" and one["flips"] == 0 and one["bijective"]
         assert mesh["splu"]["seconds"] > 0 and one["ratio"] > 0
         assert 3 * mesh["vertices"] == 1.5 * mesh["faces"] + 6

@@ -257,8 +257,7 @@ runpy.run_module("omtwarp", run_name="__main__")
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are POSIX")
 @pytest.mark.parametrize(
-    "module",
-    ["omtwarp.files.interruptions", "omtwarp.commands._cli", "omtwarp.commands.map", "click"],
+    "module", ["omtwarp.files.interruptions", "omtwarp.commands._cli", "omtwarp.commands.map", "click"]
 )
 def test_an_interruption_while_the_command_is_read_gives_one_line(module):
     """Control-C before the command line has been read ends the process with one line too."""

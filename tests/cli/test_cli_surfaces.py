@@ -121,10 +121,7 @@ def test_degree_is_told_for_each_part(capsys, tmp_path):
     ball = shapes.blob(seed=1, sphere=320)
     half = ball.faces[(shapes.icosphere(4).vertices[ball.faces, 2] > -1e-9).all(axis=1)]
     used, rim = np.unique(half, return_inverse=True)
-    pieces = {
-        "closed": [(ball.vertices, ball.faces)] * 3,
-        "open": [(ball.vertices[used], rim.reshape(-1, 3))] * 2,
-    }
+    pieces = {"closed": [(ball.vertices, ball.faces)] * 3, "open": [(ball.vertices[used], rim.reshape(-1, 3))] * 2}
     for name, parts in pieces.items():
         counts = np.cumsum([0] + [len(points) for points, _ in parts])
         vertices = np.concatenate([points + 4.0 * k for k, (points, _) in enumerate(parts)])

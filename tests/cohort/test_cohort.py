@@ -20,15 +20,7 @@ import omtwarp
 from omtwarp.cohort import read_manifest, run_cohort
 from omtwarp.cohort.executors import Host, make_folders
 from omtwarp.cohort.host import run_item
-from omtwarp.cohort.item import (
-    Job,
-    complete_journal,
-    forget_failure,
-    key_of,
-    read_journal,
-    read_record,
-    settle,
-)
+from omtwarp.cohort.item import Job, complete_journal, forget_failure, key_of, read_journal, read_record, settle
 from omtwarp.cohort.page import outliers
 from omtwarp.cohort.tables import map_of, read_table
 from omtwarp.commands._cli import main

@@ -18,12 +18,7 @@ FORWARDS = "for (size_t task_index = 0; task_index < dim->size; ++task_index)\n 
 BACKWARDS = (
     "for (size_t turn = 0; turn < dim->size; ++turn)\n    {{\n        const size_t task_index = dim->size - 1 - turn;\n"
 )
-VARIANTS = (
-    {"refine": "balanced"},
-    {"exact": True},
-    {"scheme": "plain"},
-    {"scheme": "paper"},
-)
+VARIANTS = ({"refine": "balanced"}, {"exact": True}, {"scheme": "plain"}, {"scheme": "paper"})
 
 
 def digests() -> list[str]:

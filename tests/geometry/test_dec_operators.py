@@ -18,12 +18,7 @@ from scipy import sparse
 from scipy.spatial import ConvexHull
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.geometry import (
-    DifferentialOperators,
-    circumcentric_coordinates,
-    corner_cotangents,
-    cotangent_laplacian,
-)
+from omtwarp.geometry import DifferentialOperators, circumcentric_coordinates, corner_cotangents, cotangent_laplacian
 from omtwarp.mesh.surface import Surface
 
 

@@ -111,11 +111,7 @@ def place(tmp_path):
     return folder
 
 
-WRITERS = {
-    "obj": write_obj,
-    "ply": write_ply,
-    "gltf picture": lambda folder, name: write_gltf(folder, {"uri": name}),
-}
+WRITERS = {"obj": write_obj, "ply": write_ply, "gltf picture": lambda folder, name: write_gltf(folder, {"uri": name})}
 
 
 @pytest.mark.parametrize("kind", WRITERS)

@@ -49,8 +49,7 @@ def test_a_field_that_is_too_long_is_one_line(place, text):
 
 
 @pytest.mark.parametrize(
-    "change",
-    [{"status": []}, {"status": "fine"}, {"area": "small"}, {"message": {}}, {"seconds": [1]}, {"id": 7}],
+    "change", [{"status": []}, {"status": "fine"}, {"area": "small"}, {"message": {}}, {"seconds": [1]}, {"id": 7}]
 )
 def test_a_record_with_wrong_types_is_none(place, change):
     """The item is computed again, and the table has no such value."""

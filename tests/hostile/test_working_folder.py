@@ -80,7 +80,4 @@ def test_every_interpreter_is_started_in_one_place():
         for file in package.rglob("*.py")
         if re.search(r"sys\.executable", file.read_text("utf-8"))
     }
-    assert named == {
-        str(Path("files") / "interruptions.py"),
-        str(Path("render") / "gl_client.py"),
-    }
+    assert named == {str(Path("files") / "interruptions.py"), str(Path("render") / "gl_client.py")}

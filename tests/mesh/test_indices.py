@@ -141,10 +141,7 @@ def test_numbers_of_a_glb_are_unsigned_and_in_range(tmp_path):
             {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3"},
             {"bufferView": 1, "componentType": 5125, "count": 6, "type": "SCALAR"},
         ],
-        "bufferViews": [
-            {"buffer": 0, "byteLength": 48},
-            {"buffer": 0, "byteOffset": 48, "byteLength": 24},
-        ],
+        "bufferViews": [{"buffer": 0, "byteLength": 48}, {"buffer": 0, "byteOffset": 48, "byteLength": 24}],
         "buffers": [{"byteLength": len(binary)}],
     }
     words = json.dumps(header).encode()

@@ -121,10 +121,7 @@ def test_a_single_pentagon_among_triangles_is_found(tmp_path, write):
 
 @pytest.mark.parametrize(
     ("polygons", "words"),
-    [
-        ([[0, 3, 2], [0, 2, 1], *CUBE[1:]], "cut 5 faces"),
-        ([*CUBE, [0, 1, 2], [4, 5, 6, 7, 3]], "cut 7 faces"),
-    ],
+    [([[0, 3, 2], [0, 2, 1], *CUBE[1:]], "cut 5 faces"), ([*CUBE, [0, 1, 2], [4, 5, 6, 7, 3]], "cut 7 faces")],
 )
 def test_binary_ply_with_mixed_polygons_is_not_read_as_nonsense(tmp_path, polygons, words):
     """A body of mixed polygons as long as one of quads alone is not read as quads."""

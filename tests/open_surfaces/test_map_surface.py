@@ -11,12 +11,7 @@ from omtwarp.flips.exact import count_flips, flipped_faces
 from omtwarp.mapping import any_surface, verdict
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import Surface, plane_areas, triangle_areas
-from omtwarp.open_surfaces.caps import (
-    cap_radius,
-    disk_to_cap,
-    hemisphere_to_disk,
-    pack_caps,
-)
+from omtwarp.open_surfaces.caps import cap_radius, disk_to_cap, hemisphere_to_disk, pack_caps
 from omtwarp.open_surfaces.held import flipped_in_plane, untangle_in_plane, untangle_on_cap
 from omtwarp.topology.kind import boundary_half_edges, boundary_loops, parts_of
 

@@ -24,10 +24,7 @@ def singular_values(points, faces):
         x = a / np.linalg.norm(a, axis=1)[:, None]
         y = np.cross(np.cross(a, b), x)
         y /= np.linalg.norm(y, axis=1)[:, None]
-        return np.stack(
-            [np.stack([(e * x).sum(1), (e * y).sum(1)], axis=1) for e in (a, b)],
-            axis=2,
-        )
+        return np.stack([np.stack([(e * x).sum(1), (e * y).sum(1)], axis=1) for e in (a, b)], axis=2)
 
     source, image = flat(points[0][faces]), flat(points[1][faces])
     return np.linalg.svd(image @ np.linalg.inv(source), compute_uv=False)

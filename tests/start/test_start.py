@@ -98,11 +98,7 @@ def test_hard_shapes_have_a_bijective_start(name):
 
 
 @settings(max_examples=10)
-@given(
-    seed=st.integers(0, 10_000),
-    amplitude=st.floats(0.1, 0.6),
-    rounds=st.integers(0, 6),
-)
+@given(seed=st.integers(0, 10_000), amplitude=st.floats(0.1, 0.6), rounds=st.integers(0, 6))
 def test_random_blobs_have_a_bijective_start(seed, amplitude, rounds):
     surface = flip_edges(blob(seed=seed, amplitude=amplitude, sphere=random_sphere(400, seed)), rounds, seed)
     start = bijective_start(surface)

@@ -5,15 +5,7 @@ import pytest
 from texturing_shapes import ellipsoid, texel_directions, unit
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.texturing import (
-    VertexValues,
-    bake,
-    bake_to_uv,
-    bake_vertex_values,
-    pattern,
-    sample,
-    texture,
-)
+from omtwarp.texturing import VertexValues, bake, bake_to_uv, bake_vertex_values, pattern, sample, texture
 from omtwarp.texturing.atlas import ATLASES, make_atlas
 
 

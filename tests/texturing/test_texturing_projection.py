@@ -7,11 +7,7 @@ from texturing_shapes import texel_directions
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import direction_from_angles
-from omtwarp.texturing.image import (
-    direction_to_image,
-    longitude_latitude,
-    rotation_matrix,
-)
+from omtwarp.texturing.image import direction_to_image, longitude_latitude, rotation_matrix
 
 
 def test_the_convention_of_the_picture():

@@ -12,13 +12,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import GraphsByArray, step_by_step
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import cotangent_laplacian
-from omtwarp.wavelets import (
-    SphereSampler,
-    SphericalWavelets,
-    WaveletPreconditioner,
-    level_for,
-    sphere_hierarchy,
-)
+from omtwarp.wavelets import SphereSampler, SphericalWavelets, WaveletPreconditioner, level_for, sphere_hierarchy
 
 LEVEL = 3
 

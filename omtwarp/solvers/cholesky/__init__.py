@@ -3,10 +3,4 @@
 from omtwarp.solvers.cholesky.dissection import Dissection, dissect, part_dissection, surface_dissection
 from omtwarp.solvers.cholesky.multifrontal import MultifrontalCholesky
 
-__all__ = [
-    "Dissection",
-    "MultifrontalCholesky",
-    "dissect",
-    "part_dissection",
-    "surface_dissection",
-]
+__all__ = ["Dissection", "MultifrontalCholesky", "dissect", "part_dissection", "surface_dissection"]

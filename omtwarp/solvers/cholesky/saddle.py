@@ -164,9 +164,7 @@ def _expand_nodes(
     vertex_rank = np.arange(nodes) - d.first[front_of] - cell_rank
     begin = first[front_of]
     place = np.where(
-        is_cell,
-        begin + COORDINATES * (d.owned - own_cells)[front_of] + cell_rank,
-        begin + COORDINATES * vertex_rank,
+        is_cell, begin + COORDINATES * (d.owned - own_cells)[front_of] + cell_rank, begin + COORDINATES * vertex_rank
     )  # of the first unknown of the node in every place
     unknown = np.where(is_cell, vertices + d.order, COORDINATES * d.order)  # 2 V + c = V + node
     count = np.where(is_cell, 1, COORDINATES)

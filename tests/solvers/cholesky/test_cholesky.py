@@ -12,13 +12,7 @@ from omtwarp.geometry import cotangent_laplacian
 from omtwarp.geometry.operators import cotangent_edge_weights
 from omtwarp.mesh.shapes import blob, icosphere, random_sphere, uv_sphere
 from omtwarp.mesh.surface import Surface
-from omtwarp.solvers.cholesky import (
-    MultifrontalCholesky,
-    dissect,
-    multifrontal,
-    part_dissection,
-    surface_dissection,
-)
+from omtwarp.solvers.cholesky import MultifrontalCholesky, dissect, multifrontal, part_dissection, surface_dissection
 from omtwarp.solvers.factor import MeshMatrix, NotPositiveDefinite
 from omtwarp.solvers.poisson import LaplacianSolver, cotangent_solver
 
@@ -32,13 +26,7 @@ def block_matrix(surface: Surface, diagonal: np.ndarray, off: np.ndarray) -> spa
     blocks = np.concatenate([diagonal, off, off.transpose(0, 2, 1)])
     u, v = np.meshgrid(np.arange(block), np.arange(block), indexing="ij")
     return sparse.csc_matrix(
-        (
-            blocks.ravel(),
-            (
-                (block * rows[:, None, None] + u).ravel(),
-                (block * columns[:, None, None] + v).ravel(),
-            ),
-        )
+        (blocks.ravel(), ((block * rows[:, None, None] + u).ravel(), (block * columns[:, None, None] + v).ravel()))
     )
 
 
@@ -98,11 +86,7 @@ def test_pieces_that_do_not_touch(seed, counts, block, leaf, threads):
 
 
 @settings(max_examples=15)
-@given(
-    seed=st.integers(0, 10_000),
-    chosen=st.sampled_from([1, 3, 20, 300, 1212]),
-    threads=st.sampled_from([1, 3]),
-)
+@given(seed=st.integers(0, 10_000), chosen=st.sampled_from([1, 3, 20, 300, 1212]), threads=st.sampled_from([1, 3]))
 def test_a_part_is_ordered_by_the_separators_of_the_whole(seed, chosen, threads):
     """Systems on any vertices of a surface, as those of patches, are solved in the order of the whole surface."""
     surface = blob(seed=seed % 7, sphere=2560)

@@ -8,13 +8,7 @@ from hypothesis import given, settings, strategies as st
 
 from omtwarp.device.start import KERNEL_OPTIONS, wp
 from omtwarp.mesh.shapes import blob, icosphere
-from omtwarp.solvers.cholesky.envelope import (
-    COLUMNS,
-    Envelope,
-    Envelopes,
-    factorise_envelope,
-    solve_envelope,
-)
+from omtwarp.solvers.cholesky.envelope import COLUMNS, Envelope, Envelopes, factorise_envelope, solve_envelope
 
 wp.set_module_options(KERNEL_OPTIONS)
 
