@@ -39,6 +39,8 @@ def image_density(image: PictureLike, floor: float = 0.0) -> TargetDensity:
         True
     """
     grey = as_floats(read_image(image))[..., :3].astype(np.float64) @ (0.2126, 0.7152, 0.0722)  # ITU-R BT.709
+    if not grey.max() > 0.0:
+        raise OmtwarpError("the target image is black everywhere: it says nothing of where mass is to be")
     if floor == 0.0 and grey.min() <= 0.0:
         row, column = np.unravel_index(int(np.argmin(grey)), grey.shape)
         raise OmtwarpError(

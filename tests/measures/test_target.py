@@ -221,6 +221,12 @@ def test_methods_that_know_the_uniform_sphere_alone_say_so(option):
         omtwarp.map_to_sphere(icosphere(3), target=pushed_density, device="cpu", **option)
 
 
+@pytest.mark.parametrize("floor", [0.0, 0.1])
+def test_a_picture_that_is_black_everywhere_is_no_target(floor):
+    with pytest.raises(OmtwarpError, match="the target image is black everywhere"):
+        image_density(np.zeros((8, 16, 3), dtype=np.uint8), floor=floor)
+
+
 def test_floors_that_there_are_not():
     with pytest.raises(OmtwarpError, match="floor"):
         TargetDensity(pushed_density, floor=1.0)
