@@ -307,13 +307,20 @@ def test_occlusion_inside_a_ball_with_an_opening_is_even():
 
 
 def test_occlusion_of_long_triangles_takes_at_most_five_seconds():
-    """Rays meet the 3,000 triangles around two tips, a picture of 1024 x 1024, in 5 CPU seconds; measured 3.5."""
+    """Rays meet the 3,000 triangles around two tips, a picture of 1024 x 1024, in 5 CPU seconds; measured 3.5.
+
+    On a slow machine in five times what a ball of as many triangles takes, of which 3.1 to 4.1 were measured.
+    """
     points, triangles = bipyramid(1500)
     result = points, triangles, points / np.linalg.norm(points, axis=1, keepdims=True)
+    round_one = omtwarp.shapes.icosphere(12)
     paint(result, uv="atlas", bake=["ao"], size=64, device="cpu")  # kernels are compiled
-    start = time.process_time()
-    made = paint(result, uv="atlas", bake=["ao"], size=1024, device="cpu")
-    assert time.process_time() - start < 5.0
+    seconds = []
+    for given in ((round_one.vertices, round_one.faces, round_one.vertices), result):
+        start = time.process_time()
+        made = paint(given, uv="atlas", bake=["ao"], size=1024, device="cpu")
+        seconds.append(time.process_time() - start)
+    assert seconds[1] < max(5.0, 5.0 * seconds[0])
     assert made.materials[0].occlusion_picture.shape == (512, 512, 3)
 
 
