@@ -8,7 +8,6 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from operator import itemgetter
 from typing import Unpack, cast
 
 import numpy as np
@@ -468,16 +467,16 @@ class MapComputation:
         """Compute the discrete optimal map: areas around vertices kept, and the cost at its minimum."""
         assert self.source is not None
         solve: Callable[..., OptimalMap]
-        found: list[tuple[bool, float, str, Callable[..., OptimalMap], OptimalMap, ShapeTerm]] = []
+        found: list[tuple[str, Callable[..., OptimalMap], OptimalMap, ShapeTerm]] = []
         for sphere, road in self.nearby_maps():
             solve = partial(self.minimisation(sphere), self.surface, start=self.source, device=self.device)
             optimal, term = minimised(self.surface, sphere, self.source, solve, device=self.device)
-            found.append((not optimal.converged, optimal.history[-1]["ring_rms"], road, solve, optimal, term))
+            found.append((road, solve, optimal, term))
             if optimal.converged:
                 break
             if road == NESTED:
                 self.give_up(f"the minimisation from the nested map: {optimal.ended}")
-        *_, road, solve, optimal, term = min(found, key=itemgetter(0, 1))
+        road, solve, optimal, term = min(found, key=lambda one: (not one[2].converged, one[2].history[-1]["ring_rms"]))
         self.remember(optimal.history)
         weight = term.weight
         if self.options.cost is Cost.GEODESIC:
@@ -538,14 +537,13 @@ class MapComputation:
                 mirror = None if self.mirror is None else self.mirror.mirror
                 sphere = nested_start(self.surface, self.source, mirror=mirror, device=self.device)
                 sphere = self.symmetric(sphere, repair=True)
-                known = self.mirror is None or is_symmetric(self.mirror, sphere)
+                if self.mirror is not None and not is_symmetric(self.mirror, sphere):
+                    raise OmtwarpError("the nested map could not be made symmetric")
             except OmtwarpError as error:
                 self.give_up(str(error))
             else:
-                if known:
-                    yield sphere, NESTED
-                else:
-                    self.give_up("the nested map could not be made symmetric")
+                known = True
+                yield sphere, NESTED
         if self.mirror is not None and (embedding is None or not is_symmetric(self.mirror, embedding)):
             embedding = self.coarse_start(self.mirror)
         try:

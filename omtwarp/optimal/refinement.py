@@ -276,10 +276,10 @@ class _Refinement:
 
     def towards_area(self, sphere: NDArray[np.float64]) -> RefineResult:
         """Refine at the weight of ``area``, with more of it on triangles where their areas would become worse."""
-        largest = LOST_AREA * self.excess(sphere)
+        largest = LOST_AREA * (self.area_of(sphere) - 2.0)
         refined = self.run(sphere, WEIGHTS[Refinement.AREA])
         for of_triangles in RAISED_WEIGHTS:
-            if self.excess(refined.sphere) <= largest:
+            if self.area(refined) - 2.0 <= largest:
                 break
             refined = self.run(refined.sphere, WEIGHTS[Refinement.AREA], of_triangles)
         return refined
@@ -311,8 +311,8 @@ class _Refinement:
 
     def area(self, refined: RefineResult) -> float:
         """Return the mean area distortion of the triangles of a refined map."""
-        return mass_distortion(self.surface, refined.sphere, self.own)["mean"]
+        return self.area_of(refined.sphere)
 
-    def excess(self, sphere: NDArray[np.float64]) -> float:
-        """Return how far the mean area distortion of the triangles of a map is above 2."""
-        return mass_distortion(self.surface, sphere, self.own)["mean"] - 2.0
+    def area_of(self, sphere: NDArray[np.float64]) -> float:
+        """Return the mean area distortion of the triangles of a map."""
+        return mass_distortion(self.surface, sphere, self.own)["mean"]
