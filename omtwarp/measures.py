@@ -95,6 +95,13 @@ class TargetDensity:
         return values
 
 
+def area_distortions(image: Floats, wanted: Floats) -> tuple[Floats, Floats]:
+    """Return the ratios r of areas of images to those wanted, in shares of all, and r + 1/r, shape [F] each."""
+    with np.errstate(divide="ignore"):
+        ratio = image / image.sum() * wanted.sum() / wanted
+        return ratio, ratio + 1.0 / ratio
+
+
 def mass_distortion(goal: Surface, sphere: Floats, own: NDArray[np.bool_] | None = None) -> dict[str, float]:
     """Measure how well images keep the mass asked for: r + 1/r, r the area of an image over the area wanted.
 
@@ -107,10 +114,8 @@ def mass_distortion(goal: Surface, sphere: Floats, own: NDArray[np.bool_] | None
         ``mean`` weighted by the area wanted, ``p95`` and ``max`` over triangles; 2 is perfect.
     """
     chosen = slice(None) if own is None else own
-    image, wanted = triangle_areas(sphere, goal.faces[chosen]), goal.face_areas[chosen]
-    with np.errstate(divide="ignore"):
-        ratio = image / image.sum() * wanted.sum() / wanted
-        error = ratio + 1.0 / ratio
+    wanted = goal.face_areas[chosen]
+    _, error = area_distortions(triangle_areas(sphere, goal.faces[chosen]), wanted)
     mean = float(wanted @ error) / float(wanted.sum())
     return {"mean": mean, "p95": float(np.percentile(error, 95)), "max": float(error.max())}
 

@@ -12,6 +12,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.limbs import thinnest_ring, vertices_needed
 from omtwarp.geometry.sphere_hierarchy import triangle_solid_angles
 from omtwarp.maps.result import StageReport, Warned
+from omtwarp.measures import area_distortions
 from omtwarp.mesh.arrays import Floats, cross, dots, normalised, norms
 from omtwarp.mesh.origins import named
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
@@ -234,15 +235,13 @@ def accepted(findings: Sequence[Finding], strict: bool) -> list[Warned]:
 def _area_distortion(goal: Surface, image: Floats, parts: int) -> tuple[float, Finding]:
     """Return the area distortion of a map, and the warning about it; arguments are as of :func:`judge`."""
     wanted = goal.face_areas[: len(image)].reshape(-1, parts).sum(axis=1)
-    shown = image.reshape(-1, parts).sum(axis=1) * (wanted.sum() / image.sum())
-    with np.errstate(divide="ignore"):
-        distortion = (shown / wanted + wanted / shown) * wanted / wanted.sum()
-    mean = float(distortion.sum())
-    worst = int(np.argmax(distortion - 2.0 * wanted / wanted.sum()))
+    ratio, distortion = area_distortions(image.reshape(-1, parts).sum(axis=1), wanted)
+    mean = float(wanted @ distortion / wanted.sum())
+    worst = int(np.argmax(wanted * (distortion - 2.0)))
     number, name = named(goal.origins, "face", parts * worst)
     text = (
         f"area distortion {mean:.4g}, where 2 is perfect, most of it in {name} {_place_of_face(goal, parts * worst)}, "
-        f"whose image has {shown[worst] / wanted[worst]:.3g} times its area"
+        f"whose image has {ratio[worst]:.3g} times its area"
     )
     return mean, Finding("area-distortion", number, text, "")
 
