@@ -537,12 +537,12 @@ class MapComputation:
                 mirror = None if self.mirror is None else self.mirror.mirror
                 sphere = nested_start(self.surface, self.source, mirror=mirror, device=self.device)
                 sphere = self.symmetric(sphere, repair=True)
-                if self.mirror is not None and not is_symmetric(self.mirror, sphere):
-                    raise OmtwarpError("the nested map could not be made symmetric")
+                known = self.mirror is None or is_symmetric(self.mirror, sphere)
+                if not known:
+                    self.give_up("the nested map could not be made symmetric")
             except OmtwarpError as error:
                 self.give_up(str(error))
-            else:
-                known = True
+            if known:
                 yield sphere, NESTED
         if self.mirror is not None and (embedding is None or not is_symmetric(self.mirror, embedding)):
             embedding = self.coarse_start(self.mirror)
