@@ -35,7 +35,7 @@ class Axes:
 
 
 def principal_axes(surface: Surface) -> Axes:
-    """Find the axes of a surface by the second moments of its area, and their directions by the third.
+    """Find the axes of a surface by the second moments of its area, and their directions by the third, once.
 
     Moments are integrals over the triangles, which do not depend on how the surface is cut into them. Where the shape
     has no such axes (a ball, a cube) or no such directions (an ellipsoid), the axes of the coordinates decide.
@@ -43,6 +43,10 @@ def principal_axes(surface: Surface) -> Axes:
     Args:
         surface: a surface, in any position.
     """
+    return surface.cached("principal axes", lambda: _axes_of_moments(surface))
+
+
+def _axes_of_moments(surface: Surface) -> Axes:
     corners = surface.scaled_vertices[surface.faces]
     areas = surface.own_areas / surface.own_areas.sum()
     centre = areas @ (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0

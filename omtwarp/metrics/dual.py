@@ -253,6 +253,8 @@ class TransportDual(MapDual):
         self._nodes = wp.array(nodes, dtype=wp.int32, device=self.device)
         self._segments = wp.array(segments[spread], dtype=wp.vec2i, device=self.device)
         self._offsets = wp.array(offsets, dtype=wp.int32, device=self.device)
+        # Paraboloids of the nodes, fitted to the first potential; raised above a later one, they bound that, too.
+        self._tree: list[wp.array] | None = None
 
     def admissible_differences(self) -> tuple[Floats, Floats]:
         """Return the least and the largest difference of ψ along every edge with which its ends swap no partners."""
@@ -268,11 +270,12 @@ class TransportDual(MapDual):
         places = wp.empty(kernels.SAMPLES * parts, dtype=wp.vec3d, device=self.device)
         values = wp.empty(kernels.SAMPLES * parts, dtype=wp.float64, device=self.device)
         self._launch(kernels.sample_triangles, parts, mesh, [places, values])
-        node = (wp.vec3d, wp.vec3d, kernels.vec11d)
-        tree = [wp.empty(nodes, dtype=kind, device=self.device) for kind in node]
         samples = [places, values, parts, self._leaves]
-        extremes = wp.empty(self._segments.size, dtype=kernels.vec6d, device=self.device)
-        launch_parts(kernels.fit_nodes, nodes, [*samples, Each(self._nodes)], tree, self.device)
+        if self._tree is None:
+            node = (wp.vec3d, wp.vec3d, kernels.vec11d)
+            self._tree = [wp.empty(nodes, dtype=kind, device=self.device) for kind in node]
+            launch_parts(kernels.fit_nodes, nodes, [*samples, Each(self._nodes)], self._tree, self.device)
+        tree, extremes = self._tree, wp.empty(self._segments.size, dtype=kernels.vec6d, device=self.device)
         inputs = [*samples, *tree, self._offsets, Each(self._segments)]
         launch_parts(kernels.measure_segments, extremes.size, inputs, [extremes], self.device)
         self._launch(kernels.bound_nodes, nodes, [self._offsets, extremes], [tree[2]])

@@ -159,7 +159,7 @@ def _fronts(node: NDArray[np.int64], edges: NDArray[np.int32]) -> Dissection:
         return rank_of[np.searchsorted(by_number, numbers)]
 
     front = rank(node)
-    order = np.argsort(front, kind="stable")
+    order = _stable_order(front, len(nodes))
     place = np.empty(count, dtype=np.int64)
     place[order] = np.arange(count)
     owned = np.bincount(front, minlength=len(nodes))
@@ -181,7 +181,7 @@ def _fronts(node: NDArray[np.int64], edges: NDArray[np.int32]) -> Dissection:
     turned = low < high
     low, high = np.minimum(low, high), np.maximum(low, high)
     edge_front = front[order[low]]
-    entering = np.argsort(edge_front, kind="stable").astype(np.int32)
+    entering = _stable_order(edge_front, len(nodes)).astype(np.int32)
     edge_front, low, high, turned = edge_front[entering], low[entering], high[entering], turned[entering]
     return Dissection(
         order=order,
@@ -199,6 +199,11 @@ def _fronts(node: NDArray[np.int64], edges: NDArray[np.int32]) -> Dissection:
         edge_turned=turned,
         edges=edges,
     )
+
+
+def _stable_order(keys: NDArray[np.int64], most: int) -> NDArray[np.intp]:
+    """Return the stable order of keys from 0 to ``most``: NumPy sorts by digits where 16 bits hold them."""
+    return np.argsort(keys.astype(np.min_scalar_type(most)), kind="stable")
 
 
 def _depth(nodes: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -387,7 +392,7 @@ def _boundaries(node: NDArray[np.int64], edges: NDArray[np.int64]) -> NDArray[np
     deeper = np.maximum(ends[across, 0], ends[across, 1])
     upper = np.where(ends[across, 0] > ends[across, 1], edges[across, 1], edges[across, 0])
     depth = _depth(deeper)
-    order = np.argsort(depth, kind="stable")
+    order = _stable_order(depth, int(depth.max(initial=0)))
     bounds = np.searchsorted(depth[order], np.arange(int(depth.max(initial=0)) + 2))
     pairs = (deeper * count + upper)[order]
     passed = np.zeros(0, dtype=np.int64)
@@ -474,7 +479,7 @@ def of_unknowns(
     one, other = place[couplings[:, 0]], place[couplings[:, 1]]
     low, high = np.minimum(one, other), np.maximum(one, other)
     edge_front = np.repeat(np.arange(fronts), owned)[low]
-    entering = np.argsort(edge_front.astype(np.min_scalar_type(fronts)), kind="stable")  # by digits where they are few
+    entering = _stable_order(edge_front, fronts)
     edge_front, low, high = edge_front[entering], low[entering], high[entering]
     return Dissection(
         order=order,
