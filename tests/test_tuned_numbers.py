@@ -67,7 +67,7 @@ OTHERS = {
         "optimal/energy.py": "LEAST_EIGENVALUE REGULARISATION STIFFER",
         "optimal/kernels.py": "LINE",
         "optimal/local.py": "REGULARISATION",
-        "optimal/nested.py": "LEAST_COST LEAST_BEND",
+        "optimal/nested.py": "APART LEAST_COST LEAST_BEND",
         "optimal/solver.py": "LEAST_PENALTY MIN_COST",
         "optimal/turns.py": "SHORTEST",
         "flips/exact.py": "SCALE UNIT_ROUNDOFF",

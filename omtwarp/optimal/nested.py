@@ -3,8 +3,8 @@
 Where the points of the conformal map are apart, the Delaunay triangulation of some of them on the sphere, with the
 mesh's masses, is a small surface whose optimal map takes little time. It is carried to the mesh by linear interpolation
 at the points x, and a few steps on the mesh itself end at the optimum; their number does not grow with the mesh. Where
-points coincide, as at the ends of long limbs, there is no such triangulation: the minimisation then begins at a
-coarse-to-fine embedding.
+points coincide, as at the ends of long limbs, there is no such triangulation: places in a coarse-to-fine embedding,
+which are apart, then stand for them.
 """
 
 from __future__ import annotations
@@ -42,6 +42,8 @@ LEAST_COST, LEAST_BEND = 1e-4, 1e-3
 # Vertices of the mesh for one of the coarse triangulation: fewer make the coarse map better and slower.
 VERTICES_PER_COARSE = 8
 LEAST_COARSE, MOST_COARSE = 200, 20_000  # vertices of the coarse triangulation
+# Part of an embedding that is added to places in space, so that no coarse triangle is without area.
+APART = 0.01
 STEPS = 40  # most of a minimisation
 # Weight of area against angle, and tolerance and most steps, of smoothing an embedding: its slivers stop the
 # minimisation; more smoothing costs time and gains nothing. With a weight of 10 four more of 120 made surfaces end with
@@ -87,10 +89,25 @@ def shape_term_by_law(cost: float, angle: float) -> ShapeTerm:
     return ShapeTerm(SHAPE_SHARE * (cost + LEAST_COST) / bend, AREA_FACTOR * float(np.sqrt(bend)))
 
 
+@dataclass(frozen=True)
+class Coarse:
+    """A Delaunay triangulation of some of a surface's points on the sphere.
+
+    Attributes:
+        surface: K vertices, with the masses of all vertices of the surface.
+        vertices: which of the surface's they are, shape [K].
+        carried: carries a map of it, shape [K, 3], to all vertices, shape [V, 3].
+    """
+
+    surface: Surface
+    vertices: NDArray[np.intp]
+    carried: Callable[[Floats], Floats]
+
+
 def coarse_surface(
-    surface: Surface, start: Floats, mirror: NDArray[np.int64] | None = None
-) -> tuple[Surface, Callable[[Floats], Floats]]:
-    """Return the Delaunay triangulation of some of a surface's points on the sphere, and how its maps are carried over.
+    surface: Surface, points: Floats, places: Floats | None = None, mirror: NDArray[np.int64] | None = None
+) -> Coarse:
+    """Triangulate some of a surface's points on the sphere.
 
     One vertex is taken from each cell of a grid along the surface's own axes, the one nearest to the cell's centre:
     they are spread evenly, and their choice depends on the shape alone. The masses of all vertices are shared out to
@@ -98,12 +115,10 @@ def coarse_surface(
 
     Args:
         surface: closed, V vertices.
-        start: its points x, unit vectors, shape [V, 3]; triangles may be flipped there.
+        points: unit vectors, shape [V, 3]; triangles may be flipped there.
+        places: those of the triangulation's vertices, by which distortion is measured, shape [V, 3]; the points by
+            default.
         mirror: the copy of every vertex of a double, which lies where the vertex does: both are taken, shape [V].
-
-    Returns:
-        The triangulation, K vertices, whose own positions are points x; and a function that carries a map of it, shape
-        [K, 3], to all vertices, shape [V, 3].
 
     Raises:
         OmtwarpError: points coincide, so that there is no triangulation.
@@ -112,34 +127,33 @@ def coarse_surface(
 
     count = int(np.clip(surface.vertex_count / VERTICES_PER_COARSE, LEAST_COARSE, MOST_COARSE))
     vertices = surface.scaled_vertices - surface.vertex_areas @ surface.scaled_vertices / SPHERE_AREA
-    places = vertices @ principal_axes(surface).frame.T / np.sqrt(SPHERE_AREA / count)
+    along = vertices @ principal_axes(surface).frame.T / np.sqrt(SPHERE_AREA / count)
     own = np.arange(surface.vertex_count)
     own = own if mirror is None else own[own <= mirror]
-    cells = np.floor(places[own])
-    order = np.argsort(squared_norms(places[own] - cells - 0.5), kind="stable")
+    cells = np.floor(along[own])
+    order = np.argsort(squared_norms(along[own] - cells - 0.5), kind="stable")
     _, first = np.unique(cells[order], axis=0, return_index=True)
     chosen = own[order[first]]
     if mirror is not None:
         chosen = np.union1d(chosen, mirror[chosen])
     try:
-        hull = ConvexHull(start[chosen]).simplices
+        hull = ConvexHull(points[chosen]).simplices
     except QhullError as error:
         raise OmtwarpError("the points of the conformal map have no triangulation") from error
     used, corners = np.unique(hull, return_inverse=True)
     faces: NDArray[np.int32] = corners.reshape(-1, 3).astype(np.int32)
-    points = start[chosen[used]]
-    a, b, c = (points[faces[:, k]] for k in range(3))
+    used = chosen[used]
+    a, b, c = (points[used][faces[:, k]] for k in range(3))
     inwards = np.einsum("ij,ij->i", a, cross(b, c)) < 0.0
     faces[inwards] = faces[inwards][:, ::-1]
-    place = Locator(points, faces, device="cpu").find(start)
-    mass = np.zeros(len(points))
+    place = Locator(points[used], faces, device="cpu").find(points)
+    mass = np.zeros(len(used))
     np.add.at(mass, faces[place.faces].ravel(), (surface.vertex_areas[:, None] * place.coordinates).ravel())
-    areas = triangle_areas(points, faces)
-    ring = np.bincount(faces.ravel(), np.repeat(areas, 3), len(points))
+    areas = triangle_areas(points[used], faces)
+    ring = np.bincount(faces.ravel(), np.repeat(areas, 3), len(used))
     density = 3.0 * mass / ring
-    coarse = Surface(points, faces, areas=areas * density[faces].mean(axis=1))
-
-    return coarse, partial(place.on_sphere, faces)
+    coarse = Surface((points if places is None else places)[used], faces, areas=areas * density[faces].mean(axis=1))
+    return Coarse(coarse, used, partial(place.on_sphere, faces))
 
 
 def nested_start(
@@ -156,25 +170,31 @@ def nested_start(
     Raises:
         OmtwarpError: points coincide, or the map has flipped triangles that could not be repaired.
     """
-    coarse, carried = coarse_surface(surface, start, mirror)
-    points = coarse.vertices
-    first = untangled(coarse, moser_map(coarse, points, device=device).sphere, device=device)
-    term = shape_term(coarse, first, points, device)
-    optimal = optimal_map(
-        coarse, first, start=points, shape_weight=term.weight, area_weight=term.area, iterations=STEPS, device=device
-    )
-    return untangled(surface, carried(optimal.sphere), device=device)
+    coarse = coarse_surface(surface, start, mirror=mirror)
+    points = coarse.surface.vertices
+    first = untangled(coarse.surface, moser_map(coarse.surface, points, device=device).sphere, device=device)
+    return _carried(surface, coarse, first, points, device)
 
 
 def embedded_start(
-    surface: Surface, start: Floats, embedding: Floats | None = None, *, device: str | None = "auto"
+    surface: Surface,
+    start: Floats,
+    embedding: Floats | None = None,
+    *,
+    double: bool = False,
+    device: str | None = "auto",
 ) -> Floats:
-    """Return a map of even areas made from coarse to fine, turned towards the points x limb by limb.
+    """Return a map near the optimal one, made from a coarse-to-fine embedding of even areas.
+
+    The embedding, turned towards the points x, is triangulated coarsely, and so is the triangulation, down to a few
+    hundred vertices. The optimal map of each is carried to the next, turned back limb by limb, and its slivers smoothed
+    away.
 
     Args:
         surface: closed, V vertices.
         start: the points x, unit vectors, shape [V, 3].
         embedding: the coarse-to-fine embedding, where it is known already, shape [V, 3].
+        double: whether the surface is a double, whose triangulations are not symmetric: there are then none.
         device: where the kernels run.
 
     Raises:
@@ -189,7 +209,26 @@ def embedded_start(
         sphere = untangled(surface, moser_map(surface, sphere, device=device).sphere, device=device)
     except OmtwarpError:
         pass  # the flow flips more than can be repaired: the map before stays
+    if surface.vertex_count >= VERTICES_PER_COARSE * LEAST_COARSE and not double:
+        try:
+            coarse = coarse_surface(surface, sphere, surface.scaled_vertices + APART * sphere)
+            points = start[coarse.vertices]
+            first = embedded_start(coarse.surface, points, sphere[coarse.vertices], device=device)
+            sphere = _carried(surface, coarse, first, points, device)
+        except OmtwarpError:
+            pass  # the carried map has flips that cannot be repaired: steps begin on the mesh itself
     return smoothed(surface, turned_back(surface, sphere, start, device=device), device=device)
+
+
+def _carried(surface: Surface, coarse: Coarse, first: Floats, start: Floats, device: str | None) -> Floats:
+    """Return the optimal map of a triangulation from a first one, carried to the surface.
+
+    Raises:
+        OmtwarpError: it has flipped triangles that could not be repaired.
+    """
+    solve = partial(optimal_map, coarse.surface, start=start, device=device)
+    optimal, _ = minimised(coarse.surface, first, start, solve, device=device)
+    return untangled(surface, coarse.carried(optimal.sphere), device=device)
 
 
 def smoothed(surface: Surface, sphere: Floats, *, device: str | None = "auto") -> Floats:

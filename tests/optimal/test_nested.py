@@ -1,5 +1,8 @@
 """The road to the optimal map: the coarse triangulation, the law of the shape term, and where it leads."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from sphere_truths import apart, random_rotation, turned
@@ -14,6 +17,10 @@ from omtwarp.open_surfaces.symmetric import ACROSS
 from omtwarp.optimal.nested import coarse_surface, embedded_start, nested_start, shape_term
 from omtwarp.topology.closing import double
 
+sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))
+
+from random_shapes import random_shape
+
 
 @pytest.fixture(scope="module")
 def shape():
@@ -23,7 +30,8 @@ def shape():
 
 def test_the_coarse_triangulation_is_a_delaunay_sphere_with_the_whole_mass(shape):
     surface, points = shape
-    coarse, carried = coarse_surface(surface, points)
+    found = coarse_surface(surface, points)
+    coarse, carried = found.surface, found.carried
     assert coarse.vertex_count < surface.vertex_count / 4
     assert len(coarse.faces) == 2 * coarse.vertex_count - 4
     assert coarse.face_areas.sum() == pytest.approx(SPHERE_AREA)
@@ -42,7 +50,7 @@ def test_the_choice_of_coarse_vertices_follows_the_shape(shape):
     order = rng.permutation(surface.vertex_count)
     rotation = random_rotation(3)
     other = Surface(surface.vertices[order] @ rotation.T + 5.0, np.argsort(order)[surface.faces])
-    one, two = coarse_surface(surface, points)[0], coarse_surface(other, points[order])[0]
+    one, two = coarse_surface(surface, points).surface, coarse_surface(other, points[order]).surface
     assert one.vertex_count == two.vertex_count
     np.testing.assert_allclose(np.sort(one.vertices[:, 0]), np.sort(two.vertices[:, 0]), atol=1e-12)
 
@@ -56,7 +64,8 @@ def test_the_coarse_triangulation_of_a_double_has_both_of_its_halves():
     surface = Surface(whole.vertices, whole.faces)
     points = omtwarp.harmonic_points(surface, device="cpu").sphere
     points = symmetrised(whole, points @ mirror_frame(whole, points, surface.vertex_areas))
-    coarse, carried = coarse_surface(surface, points, whole.mirror)
+    found = coarse_surface(surface, points, mirror=whole.mirror)
+    coarse, carried = found.surface, found.carried
     assert len(coarse.faces) == 2 * coarse.vertex_count - 4
     np.testing.assert_allclose(np.unique(coarse.vertices, axis=0), np.unique(coarse.vertices * ACROSS, axis=0))
     assert np.linalg.norm(carried(coarse.vertices) - points, axis=1).max() < 0.1
@@ -94,6 +103,21 @@ def test_points_that_coincide_have_no_coarse_triangulation():
         nested_start(surface, np.tile(points[:1], (len(points), 1)), device="cpu")
     start = embedded_start(surface, points, device="cpu")
     assert count_flips(start, surface.faces) == 0
+
+
+def test_triangulations_of_an_embedding_lead_nearer_to_the_optimum():
+    """A serpent's conformal points coincide: its embedding is optimised from coarse to fine."""
+    _, serpent = random_shape(315, 8000)
+    found = omtwarp.map_to_sphere(serpent, device="cpu")
+    assert next(stage for stage in found.report["stages"] if stage["name"] == "omt")["road"] == "embedded"
+    surface = omtwarp.Surface(found.vertices, found.faces)
+    weights = surface.vertex_areas / SPHERE_AREA
+    away = []
+    for alone in (False, True):  # the map of a double is turned back on the surface alone
+        start = embedded_start(surface, found.source, double=alone, device="cpu")
+        assert count_flips(start, surface.faces) == 0
+        away.append(np.sqrt(weights @ ((start - found.sphere) ** 2).sum(axis=1)))
+    assert away[0] < 0.8 * away[1] and away[0] < 0.12
 
 
 @pytest.mark.parametrize("frequency", [8, 16])
