@@ -22,7 +22,8 @@ def to_linear(color: NDArray[Number]) -> NDArray[Number]:
 def to_srgb(light: NDArray[Number]) -> NDArray[Number]:
     """Convert linear light of any shape to sRGB colours, in its own precision; values are clipped to 0 to 1."""
     clipped = np.clip(light, 0.0, 1.0)
-    return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1.0 / 2.4) - 0.055).astype(light.dtype)
+    curve = np.where(clipped < 1.0, 1.055 * clipped ** (1.0 / 2.4) - 0.055, 1.0)  # which is less by rounding at 1
+    return np.where(clipped <= 0.0031308, 12.92 * clipped, curve).astype(light.dtype)
 
 
 _CONTROL_COLORS: dict[str, str] = tomllib.loads((files("omtwarp") / "colormaps.toml").read_text("utf-8"))

@@ -143,6 +143,6 @@ def _on_sphere(mesh: PaintedMesh, sphere: Floats, atlas: Atlas, where: wp.Device
 
 def _material(mesh: PaintedMesh, picture: NDArray[np.float32]) -> Material:
     """Make a material of the transferred picture, as rough and metallic as the mesh's most common material."""
-    common = mesh.materials[int(np.bincount(mesh.material_of).argmax())]
+    common = mesh.materials[int(np.bincount(mesh.material_of).argmax())].on_other_coordinates()
     texels = without_full_opacity(as_bytes(picture))
     return Material("transferred", picture=texels, metallic=common.metallic, roughness=common.roughness)

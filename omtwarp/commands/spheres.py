@@ -319,10 +319,11 @@ def run_register(
     if to is None or several.more:
         raise OmtwarpError("give one map and --to TARGET, or several maps and --group or --sequence")
     extras.check(pair)
-    if hemisphere is not None and with_side(to, hemisphere) == to:
+    if hemisphere is not None and (is_average(to) or with_side(to, hemisphere) == to):
         raise OmtwarpError("--hemisphere is of targets that have two: leave it out")
     if not (pair.feature and is_named(to)):
-        to = with_side(to, hemisphere or structure_of(pair.source) or structure_of(pair.surface))
+        own = structure_of(pair.source) or structure_of(pair.surface)
+        to = with_side(with_side(to, hemisphere or own), own)
     other = None if is_named(to) or is_average(to) else Path(to)
     pair.check(other)
     with progress_bar(printing.quiet, printing.verbose) as progress:

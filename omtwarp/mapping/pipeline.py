@@ -547,8 +547,9 @@ class MapComputation:
         if self.mirror is not None and (embedding is None or not is_symmetric(self.mirror, embedding)):
             embedding = self.coarse_start(self.mirror)
         try:
-            double = self.mirror is not None
-            sphere = embedded_start(self.surface, self.source, embedding, double=double, device=self.device)
+            sphere = embedded_start(
+                self.surface, self.source, embedding, double=self.mirror is not None, device=self.device
+            )
         except OmtwarpError:
             if known:
                 return  # with the nested map

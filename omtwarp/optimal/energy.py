@@ -346,7 +346,7 @@ class TransportEnergy:
                 added = 0.0
                 continue
             return
-        raise OmtwarpError("the second derivative of the transport cost is not finite")
+        raise OmtwarpError("the second derivative of what is minimised is not finite")
 
     def newton_step(
         self, factor: SaddlePointFactor, gradient: wp.array | None, missing: wp.array | None

@@ -20,7 +20,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import is_bijective
 from omtwarp.geometry.axes import principal_axes, turned_towards
 from omtwarp.location import Locator
-from omtwarp.mesh.arrays import Floats, cross, normalised, squared_norms
+from omtwarp.mesh.arrays import Floats, normalised, squared_norms
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.moser import moser_map
@@ -143,8 +143,7 @@ def coarse_surface(
     used, corners = np.unique(hull, return_inverse=True)
     faces: NDArray[np.int32] = corners.reshape(-1, 3).astype(np.int32)
     used = chosen[used]
-    a, b, c = (points[used][faces[:, k]] for k in range(3))
-    inwards = np.einsum("ij,ij->i", a, cross(b, c)) < 0.0
+    inwards = np.linalg.det(points[used][faces]) < 0.0
     faces[inwards] = faces[inwards][:, ::-1]
     place = Locator(points[used], faces, device="cpu").find(points)
     mass = np.zeros(len(used))

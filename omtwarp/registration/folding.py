@@ -54,13 +54,19 @@ def _order(surface: Surface) -> Dissection:
 
 
 def smoothed(surface: Surface, points: Floats, values: Floats, fwhm: float) -> Floats:
-    """Smooth values at the vertices, shape [V] or [V, K], by heat with a kernel of a full width at half maximum."""
+    """Smooth values at the vertices, shape [V] or [V, K], by heat with a kernel of a full width at half maximum.
+
+    Values that are not finite have no weight, and stay.
+    """
     smoothing_steps = 2  # implicit steps of heat: their kernel is between an exponential's and Gauss's
     # Fwhm: full width at half maximum of a Gaussian over its standard deviation
     flow = HeatFlow(surface, points, (fwhm / (2.0 * np.sqrt(2.0 * np.log(2.0)))) ** 2 / 2.0 / smoothing_steps)
+    known = np.isfinite(values)
+    total, weight = np.where(known, values, 0.0), known.astype(np.float64)
     for _ in range(smoothing_steps):
-        values = flow.step(values)
-    return values
+        total = flow.step(total)
+        weight = weight if known.all() else flow.step(weight)
+    return np.where(known, total / np.where(known, weight, 1.0), values)
 
 
 def folding_features(vertices: Floats, faces: NDArray[np.int32]) -> dict[str, Floats]:

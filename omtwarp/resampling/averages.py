@@ -39,11 +39,13 @@ def with_side(name: str, side: str | None) -> str:
         side: ``left`` or ``right``, or a structure of the brain such as ``CortexLeft``; None where it is not known.
 
     Raises:
-        OmtwarpError: it is not known which hemisphere.
+        OmtwarpError: it is not known which hemisphere, or the text names the other one.
     """
+    word = {"CortexLeft": Side.LEFT, "CortexRight": Side.RIGHT}.get(side or "", side)
+    if is_average(name) and word in tuple(Side) and not name.endswith(f"-{word}"):
+        raise OmtwarpError(f"a {word} hemisphere, and '{name}': take the template of the same hemisphere")
     if name not in SURFACES:
         return name
-    word = {"CortexLeft": Side.LEFT, "CortexRight": Side.RIGHT}.get(side or "", side)
     if word not in tuple(Side):
         raise OmtwarpError(f"'{name}' has two hemispheres: use {name}-left or {name}-right")
     return f"{name}-{word}"

@@ -365,7 +365,7 @@ class Resampling:
         Target points in filled holes of the source get 0, which files of labels have for what has none.
 
         Args:
-            keys: whole numbers, shape [S].
+            keys: whole numbers, shape [S]; what is NaN, as at a medial wall, has none: it counts as 0.
 
         Returns:
             int64, shape [T].
@@ -373,7 +373,8 @@ class Resampling:
         Raises:
             OmtwarpError: another length, or numbers that are not whole.
         """
-        given = whole_numbers(keys.astype(np.int64) if _of_truth(keys) else keys, "the labels", (None,))
+        known = np.where(np.isnan(keys), 0.0, keys) if np.asarray(keys).dtype.kind == "f" else keys
+        given = whole_numbers(known.astype(np.int64) if _of_truth(known) else known, "the labels", (None,))
         array = self.source.at_own_points(given)
         self._require_length(array)
         names, index = np.unique(array, return_inverse=True)

@@ -10,7 +10,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.stats import false_discovery_control
 
 from omtwarp.alignment import GroupAlignment, procrustes_mean
@@ -104,7 +104,8 @@ def linear_effects(
     their number [2]_.
 
     Args:
-        values: of N shapes at V points, shape [N, V], or D each, shape [N, V, D].
+        values: of N shapes at V points, shape [N, V], or D each, shape [N, V, D]. A point at which one is not finite or
+            masked is not tested: what is found there is NaN.
         table: columns by name, N values each: numbers as they are, words as factors.
         factors: columns whose numbers are words too, such as those of sites.
         permutations: how many; the smallest p is 1 over one more.
@@ -114,7 +115,8 @@ def linear_effects(
         The effect of each column.
 
     Raises:
-        OmtwarpError: a missing value, a column that is constant or that others determine, or too few shapes.
+        OmtwarpError: values of another shape, or none at all; a missing value, a column that is constant or that others
+            determine; or too few shapes.
 
     Example:
         >>> import numpy as np
@@ -130,8 +132,13 @@ def linear_effects(
     .. [2] T. E. Nichols, A. P. Holmes, "Nonparametric permutation tests for functional neuroimaging", Human Brain
        Mapping 15 (2002).
     """
-    given = np.asarray(values, dtype=np.float64)
+    given = np.ma.filled(np.ma.asarray(values, dtype=np.float64), np.nan)
+    if given.ndim not in (2, 3):
+        raise OmtwarpError(f"values of shapes have the shape [N, V] or [N, V, D], not {list(given.shape)}")
     given = given[:, :, None] if given.ndim == 2 else given
+    known = np.asarray(np.isfinite(given).all(axis=(0, 2)))
+    if not known.any():
+        raise OmtwarpError("there is no point at which the values of all shapes are known")
     if permutations < 1:
         raise OmtwarpError(f"{permutations} permutations: give at least 1")
     columns = check_table(table, len(given), factors, given.shape[2])
@@ -139,12 +146,21 @@ def linear_effects(
     for name, (tested, levels) in columns.items():
         others = [numbers for other, (numbers, _) in columns.items() if other != name]
         nuisance = np.column_stack([np.ones(len(given)), *others])
-        squares, size, p_values, fdr = _tested(given, tested, nuisance, permutations, seed)
+        found, sizes = _tested(given[:, known], tested, nuisance, permutations, seed)
+        squares, p_values, fdr = (_at(known, one) for one in found)
+        size = None if sizes is None else _at(known, sizes)
         shown = None if size is None else size if size.shape[1] > 1 else size[:, 0]
         signed = shown is not None and shown.ndim == 1
         statistic = np.sign(shown) * np.sqrt(squares) if signed and shown is not None else squares
         effects[name] = Effect(name, levels, shown, statistic, signed, p_values, fdr)
     return effects
+
+
+def _at(known: NDArray[np.bool_], found: Floats) -> Floats:
+    """Return what was found at the points known, NaN at all others."""
+    whole = np.full((len(known), *found.shape[1:]), np.nan)
+    whole[known] = found
+    return whole
 
 
 def check_table(
@@ -189,8 +205,8 @@ def _scaled(columns: Floats) -> Floats:
 
 def _tested(
     values: Floats, tested: Floats, nuisance: Floats, permutations: int, seed: int
-) -> tuple[Floats, Floats | None, Floats, Floats]:
-    """Return the statistic, the size for one tested column, p corrected by the largest, and by the rate of discoveries.
+) -> tuple[tuple[Floats, Floats, Floats], Floats | None]:
+    """Return statistic, p corrected by the largest, and by the rate of discoveries; and the size for one tested column.
 
     The scatter of residuals of the smaller model does not depend on their order: in coordinates in which it is 1 every
     permutation takes two products of small matrices.
@@ -205,10 +221,13 @@ def _tested(
     size = None
     if tested.shape[1] == 1:
         size = (left.T @ residuals / (left**2).sum()).reshape(points, width)
-    shaped = residuals.reshape(count, points, width)
+    # Residuals of a point below this part of its values are round-off: there is nothing to be explained.
+    sizes = np.linalg.norm(residuals, axis=0)
+    residuals = np.where(sizes > 1e-12 * np.linalg.norm(values.reshape(count, -1), axis=0), residuals, 0.0)
+    shaped = (residuals / np.where(sizes > 0.0, sizes, 1.0)).reshape(count, points, width)  # units do not count
     scales, axes = np.linalg.eigh(np.einsum("nvi,nvj->vij", shaped, shaped))
-    # Scatter of a point below this part of the largest is round-off: there is nothing to be explained.
-    real = scales > 1e-10 * max(float(scales.max()), np.finfo(float).tiny)
+    # Scatter in a direction below this part of the point's largest is that of columns that follow from others.
+    real = scales > 1e-10 * np.maximum(scales.max(axis=1, keepdims=True), np.finfo(float).tiny)
     inverse = np.where(real, 1.0 / np.sqrt(np.where(real, scales, 1.0)), 0.0)
     white = (np.einsum("nvi,vij->nvj", shaped, axes) * inverse).reshape(count, -1)
     first, freedom = kept.shape[1], count - kept.shape[1] - added.shape[1]
@@ -230,7 +249,7 @@ def _tested(
         larger += statistic >= least
         extremes[k] = statistic.max()
     p_values = (extremes[:, None] >= least).mean(axis=0)
-    return observed, size, np.asarray(p_values), np.asarray(false_discovery_control(larger / (permutations + 1)))
+    return (observed, np.asarray(p_values), np.asarray(false_discovery_control(larger / (permutations + 1)))), size
 
 
 GROUP = ("group",)  # the column of labels, whose numbers are names too

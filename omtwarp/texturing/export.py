@@ -6,7 +6,7 @@ The files appear once all of them are complete, so that a failure, a full disk o
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -74,6 +74,19 @@ class Material:
         """Whether the material has no picture of any kind."""
         pictures = (self.picture, self.normal_picture, self.occlusion_picture)
         return all(one is None for one in (*pictures, self.roughness_picture, self.emission_picture))
+
+    def on_other_coordinates(self) -> "Material":
+        """Return the material without pictures but that of its colours, which are laid out for coordinates left.
+
+        It is as rough and metallic as in the mean, and sends out no light where a picture says where it did.
+        """
+        picture = self.roughness_picture
+        rough, metal = np.ones(2) if picture is None else picture[..., 1:3].mean(axis=(0, 1)) / 255.0
+        look = Material(
+            self.name, self.color, self.picture, float(metal * self.metallic), float(rough * self.roughness)
+        )
+        emission = self.emission if self.emission_picture is None else look.emission
+        return replace(look, emission=emission, two_sided=self.two_sided, phong=self.phong)
 
     @property
     def opaque(self) -> bool:

@@ -272,7 +272,8 @@ class _Painting:
                 "(mirrored parts?), and show what the first one has there"
             )
             warnings.warn(text, OmtwarpWarning, stacklevel=3)
-        return replace(mesh, materials=tuple(materials))
+        painted = self.drawn or self.color is not None  # the colours at the vertices would tint the new picture
+        return replace(mesh, materials=tuple(materials), vertex_colors=None if painted else mesh.vertex_colors)
 
     def _drawn(self) -> Callable[[NDArray, Floats, tuple[int, int]], Picture]:
         """Return what draws the pattern on triangles, shape [T], with coordinates [T, 3, 2], on a picture of a size."""
@@ -382,10 +383,11 @@ class _Painting:
         if color is not None and self.keep is not None and self.own is not None:
             color = self._together(color, self._atlas_base(self.own, target))
         tangents = self._tangents(mesh)
-        shared = self._finish(mesh.materials[0], color, target, None if tangents is None else tangents[which])
+        materials = [material.on_other_coordinates() for material in mesh.materials]
+        shared = self._finish(materials[0], color, target, None if tangents is None else tangents[which])
         common = ("color", "picture", "occlusion_picture", "normal_picture", "own_tangents")
-        look = {name: getattr(shared, name) for name in common} | {"roughness_picture": None, "emission_picture": None}
-        return replace(mesh, materials=tuple(replace(material, **look) for material in mesh.materials))
+        look = {name: getattr(shared, name) for name in common}
+        return replace(mesh, materials=tuple(replace(material, **look) for material in materials))
 
     def _textured(self, result: MapLike, size: int | None) -> PaintedMesh:
         """Return the texture of a map, with a picture of one colour where there are bakes alone."""

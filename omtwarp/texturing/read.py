@@ -8,6 +8,7 @@ import os
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,8 +32,9 @@ if TYPE_CHECKING:
     import trimesh
 
 
+# Names may hold the # that begins a comment elsewhere.
 _STATEMENT = re.compile(
-    rb"^[ \t]*(vt|v|f|usemtl|mtllib|o|g)[ \t]+([^\n#]*)|^[ \t]*(usemtl|o|g)[ \t]*$", flags=re.MULTILINE
+    rb"^[ \t]*(vt|v|f)[ \t]+([^\n#]*)|^[ \t]*(usemtl|mtllib|o|g)(?:[ \t]+([^\n]*))?$", flags=re.MULTILINE
 )
 
 # How many values the options of a picture in a material library take.
@@ -45,7 +47,7 @@ _OPTIONS = {
 def _statements(data: bytes) -> tuple[NDArray[np.bytes_], list[bytes]]:
     """Return the kinds of an OBJ file's statements, shape [N], and what stands behind each."""
     joined = utf8(data).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").replace(b"\r", b"\n")
-    statements = [(match[1] or match[3], match[2] or b"") for match in _STATEMENT.finditer(joined)]
+    statements = [(match[1] or match[3], match[2] or match[4] or b"") for match in _STATEMENT.finditer(joined)]
     return np.array([kind for kind, _ in statements], dtype="S6"), [rest for _, rest in statements]
 
 
@@ -75,8 +77,8 @@ def read_mtl(text: str, picture: Callable[[str], Bytes | None]) -> dict[str, Mat
     materials: dict[str, Material] = {}
     name = ""
     for line in text.splitlines():
-        words = line.split("#", 1)[0].split()
-        if not words:
+        words = line.split()
+        if not words or words[0].startswith("#"):
             continue
         key, values = words[0].lower(), words[1:]
         if key == "newmtl":
@@ -93,7 +95,7 @@ def _with(material: Material, key: str, values: list[str], picture: Callable[[st
     if slot is not None:
         return replace(material, **{slot: picture(_picture_name(values))})  # type: ignore[arg-type]
     try:
-        numbers = [float(word) for word in values]
+        numbers = [float(word) for word in takewhile(lambda word: not word.startswith("#"), values)]
     except ValueError:
         return material
     if not numbers or not np.isfinite(numbers).all():
@@ -426,6 +428,9 @@ def gltf_materials(data: bytes, file: Path, suffix: str) -> list[GltfLook]:
         factor = material.get("pbrMetallicRoughness", {}).get("baseColorFactor")
         exact = np.clip(np.asarray(factor, dtype=np.float64), 0.0, 1.0) if factor and len(factor) == 4 else None
         by_role = {role: picture(content) for role, content in pictures.items()}
+        if material.get("alphaMode", "OPAQUE") == "OPAQUE":  # whatever opacity it has
+            exact = None if exact is None else np.append(exact[:3], 1.0)
+            by_role |= {role: by_role[role][..., :3] for role in by_role if role == "baseColorTexture"}
         looks.append(GltfLook(material.get("name") or "material", exact, by_role))
     return looks
 

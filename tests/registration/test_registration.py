@@ -18,7 +18,7 @@ from omtwarp.mesh import shapes
 from omtwarp.mesh.data import read_data
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.registration.feature_term import FeatureField, FeatureTerm
-from omtwarp.registration.folding import HeatFlow, folding_features
+from omtwarp.registration.folding import HeatFlow, folding_features, smoothed
 from omtwarp.registration.sides import target_points
 from omtwarp.registration.strain import kept_within, octaves, strain_at_vertices
 from omtwarp.resampling import SpherePoints
@@ -270,3 +270,16 @@ def test_a_template_is_a_sphere_with_its_surface():
     found = omtwarp.register(moved, "fsaverage5-left")
     assert not found.doubtful and found.certificate.bijective
     assert rms(found.sphere, fixed.grid.points) < 1e-3 and found.largest_strain < 0.05
+
+
+def test_smoothing_gives_no_weight_to_what_is_not_known():
+    ball = omtwarp.shapes.icosphere(12)
+    wall = ball.vertices[:, 0] < -0.8
+    for values in (np.full(ball.vertex_count, 2.5), np.random.default_rng(3).normal(size=(ball.vertex_count, 2))):
+        smooth = smoothed(
+            ball, ball.vertices, np.where(wall if values.ndim == 1 else wall[:, None], np.nan, values), 0.3
+        )
+        assert np.isnan(smooth[wall]).all() and np.isfinite(smooth[~wall]).all()
+        far = ball.vertices[:, 0] > 0.9
+        np.testing.assert_allclose(smooth[far], smoothed(ball, ball.vertices, values, 0.3)[far], atol=1e-4)
+    np.testing.assert_allclose(smoothed(ball, ball.vertices, np.where(wall, np.nan, 2.5), 0.3)[~wall], 2.5)

@@ -102,6 +102,8 @@ def test_what_is_missing_is_one_line(folder, name, words):
 def test_the_hemisphere_is_the_structures():
     assert with_side("fsaverage5", "CortexRight") == with_side("fsaverage5", "right") == "fsaverage5-right"
     assert with_side("fsaverage5-left", None) == "fsaverage5-left" and with_side("a.npz", "left") == "a.npz"
+    with pytest.raises(OmtwarpError, match="a left hemisphere, and 'fsaverage5-right'"):
+        with_side("fsaverage5-right", "CortexLeft")
     for unknown in (None, "Cerebellum"):
         with pytest.raises(OmtwarpError, match="fsLR32k-left or fsLR32k-right"):
             with_side("fsLR32k", unknown)

@@ -136,6 +136,14 @@ def test_labels_go_to_the_largest_overlap():
     np.testing.assert_array_equal(found, np.array([-3, 0, 7, 1000])[votes.argmax(axis=1)])
 
 
+def test_vertices_without_a_label_have_label_zero():
+    """As a medial wall, where files of CIFTI's have NaN."""
+    source = irregular(6)
+    keys = np.random.default_rng(2).choice([3.0, 5.0, np.nan], size=len(source.points))
+    found = resample(source, named_grid("ico2"), device="cpu")
+    np.testing.assert_array_equal(found.labels(keys), found.labels(np.nan_to_num(keys).astype(int)))
+
+
 def test_surface_has_the_same_faces_for_all_subjects():
     subjects = [shapes.blob(seed=k, amplitude=0.2, sphere=shapes.icosphere(16)) for k in (1, 2)]
     sphere = shapes.icosphere(16)

@@ -124,3 +124,31 @@ def test_numbers_of_factors_are_words():
     found = linear_effects(NOISE, {"site": numbered}, factors=["site"], permutations=9)["site"]
     wanted = linear_effects(NOISE, {"site": SITE}, permutations=9)["site"]
     np.testing.assert_allclose(found.statistic, wanted.statistic)
+
+
+def test_points_without_a_number_are_not_tested_and_change_nothing():
+    """A medial wall is NaN, or masked."""
+    values = NOISE.copy()
+    values[:, 5], values[3, 9] = np.nan, np.inf
+    alone = linear_effects(np.delete(NOISE, [5, 9], axis=1), {"age": AGE}, permutations=30)["age"]
+    for given in (values, np.ma.array(NOISE, mask=~np.isfinite(values))):
+        found = linear_effects(given, {"age": AGE}, permutations=30)["age"]
+        for name in ("statistic", "size", "p_values", "fdr"):
+            assert np.flatnonzero(np.isnan(getattr(found, name))).tolist() == [5, 9]
+            np.testing.assert_array_equal(np.delete(getattr(found, name), [5, 9]), getattr(alone, name))
+    for bad, words in ((NOISE[0], "have the shape"), (np.full((COUNT, 3), np.nan), "no point")):
+        with pytest.raises(OmtwarpError, match=words):
+            linear_effects(bad, {"age": AGE})
+
+
+def test_a_statistic_depends_on_its_own_point_and_on_no_unit():
+    alone = linear_effects(NOISE, {"age": AGE}, permutations=20)["age"].statistic
+    beside = linear_effects(np.column_stack([NOISE, 1e9 * NOISE[:, :1]]), {"age": AGE}, permutations=20)[
+        "age"
+    ].statistic
+    np.testing.assert_allclose(beside, np.append(alone, alone[0]), rtol=1e-9)
+    pairs = RNG.normal(size=(COUNT, 6, 2))
+    one, other = (linear_effects(pairs * units, {"sex": SEX}, permutations=20)["sex"] for units in (1.0, [1e-6, 1e6]))
+    np.testing.assert_allclose(one.statistic, other.statistic, rtol=1e-6)
+    constant = np.column_stack([NOISE, np.full(COUNT, 0.1)])  # varies by nothing but rounding
+    assert linear_effects(constant, {"age": AGE}, permutations=20)["age"].statistic[-1] == 0.0

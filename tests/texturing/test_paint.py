@@ -2,6 +2,7 @@
 
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -420,3 +421,34 @@ def test_a_mesh_too_coarse_to_unwrap_is_refused():
 
 def test_material_keeps_what_it_is_given():
     assert Material(color=(1, 1, 1, 0.5)).opaque is False and Material().opaque is True
+
+
+def test_an_atlas_takes_over_no_picture_of_other_coordinates(halves):
+    """Nor the factors that such pictures were multiplied with."""
+    mesh, result = halves
+    grey = np.full((16, 16, 3), 128, dtype=np.uint8)
+    rough = np.zeros((16, 16, 3), dtype=np.uint8) + np.array([0, 51, 204], dtype=np.uint8)
+    pictures = {"normal_picture": grey, "occlusion_picture": grey, "roughness_picture": rough, "emission_picture": grey}
+    one = Material("one", (0.9, 0.1, 0.1, 1.0), metallic=1.0, roughness=1.0, emission=(1.0, 1.0, 1.0), **pictures)
+    two = Material("two", metallic=0.3, roughness=0.7, emission=(0.1, 0.2, 0.3))
+    painted = paint(
+        result, replace(mesh, materials=(one, two)), pattern="checker", keep="over", opacity=0.5, uv="atlas", size=64
+    )
+    first, second = painted.materials
+    for material in painted.materials:
+        assert all(getattr(material, name) is None for name in pictures) and not material.own_tangents
+    assert (first.roughness, first.metallic, first.emission) == (
+        pytest.approx(0.2),
+        pytest.approx(0.8),
+        (0.0, 0.0, 0.0),
+    )
+    assert (second.roughness, second.metallic, second.emission) == (0.7, 0.3, (0.1, 0.2, 0.3))
+
+
+def test_colours_at_vertices_tint_no_new_picture(halves):
+    mesh, result = halves
+    red = np.full((len(mesh.vertices), 4), (255, 0, 0, 255), dtype=np.uint8)
+    tinted = replace(mesh, vertex_colors=red)
+    assert paint(result, tinted, pattern="checker", uv="own", size=64).vertex_colors is None
+    assert paint(result, tinted, bake=["curvature"], uv="own", size=64).vertex_colors is None
+    np.testing.assert_array_equal(paint(result, tinted, bake=["ao"], uv="own", size=64).vertex_colors, red)

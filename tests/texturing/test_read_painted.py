@@ -326,3 +326,45 @@ def test_a_library_of_blender_comes_back_as_it_went_in(tmp_path):
     for one in written[:2]:
         assert numbers(one.splitlines()[1:]) == numbers(lines)
     assert numbers(written[2].splitlines()[1:])["Pr"] == [0.3]
+
+
+def test_names_of_materials_and_libraries_may_hold_a_hash(tmp_path):
+    """As "Material #1" of 3ds Max does."""
+    whole = read_painted_mesh(two_halves(tmp_path)[0])
+    for name in ("two.obj", "two.mtl"):
+        text = (tmp_path / name).read_text().replace("two.mtl", "a#b.mtl")
+        text = re.sub("^(usemtl|newmtl) (red|blue)", r"\1 Material #\2", text, flags=re.M)
+        (tmp_path / name.replace("two", "a#b")).write_text(text.replace("\nnewmtl", " # a comment\nnewmtl"))
+    read = read_painted_mesh(tmp_path / "a#b.obj")
+    assert [material.name for material in read.materials] == ["Material #red", "Material #blue"] and not read.notes
+    assert [material.color for material in read.materials] == [material.color for material in whole.materials]
+
+
+def test_opacity_of_an_opaque_material_of_glb_counts_for_nothing(tmp_path):
+    """As glTF 2.0 has it, where alphaMode is OPAQUE or left out."""
+    clear = np.full((8, 8, 4), (200, 60, 30, 0), dtype=np.uint8)
+    whole = read_painted_mesh(two_halves(tmp_path)[0])
+    materials = (Material("clear", picture=clear), *whole.materials[1:])
+    file = tmp_path / "clear.glb"
+    for mode in ("BLEND", "OPAQUE"):
+        replace(whole, materials=materials).export(file)
+        data = file.read_bytes()
+        length = int.from_bytes(data[12:16], "little")
+        text = data[20 : 20 + length].replace(b'"BLEND"', f'"{mode}"'.encode().ljust(7))
+        text += b" " * (length - len(text))
+        file.write_bytes(data[:20] + text[:length] + data[20 + length :])
+        picture = read_painted_mesh(file).materials[0].picture
+        assert picture.shape[2] == (4 if mode == "BLEND" else 3)
+        np.testing.assert_array_equal(picture[..., :3], clear[..., :3])
+
+
+def test_white_of_glb_is_white(tmp_path):
+    """So that colours at the vertices alone are seen in a preview."""
+    whole = read_painted_mesh(two_halves(tmp_path)[0])
+    colors = np.full((len(whole.vertices), 4), (255, 0, 0, 255), dtype=np.uint8)
+    replace(whole, materials=(Material("white"),), face_material=None, vertex_colors=colors).export(
+        tmp_path / "red.glb"
+    )
+    read = read_painted_mesh(tmp_path / "red.glb")
+    assert read.materials[0].color == (1.0, 1.0, 1.0, 1.0)
+    np.testing.assert_array_equal(painted_view(read).colors, colors[:, :3] / 255.0)
