@@ -143,15 +143,16 @@ def coarse_surface(
     used, corners = np.unique(hull, return_inverse=True)
     faces: NDArray[np.int32] = corners.reshape(-1, 3).astype(np.int32)
     used = chosen[used]
-    inwards = np.linalg.det(points[used][faces]) < 0.0
+    kept = points[used]
+    inwards = np.linalg.det(kept[faces]) < 0.0
     faces[inwards] = faces[inwards][:, ::-1]
-    place = Locator(points[used], faces, device="cpu").find(points)
+    place = Locator(kept, faces, device="cpu").find(points)
     mass = np.zeros(len(used))
     np.add.at(mass, faces[place.faces].ravel(), (surface.vertex_areas[:, None] * place.coordinates).ravel())
-    areas = triangle_areas(points[used], faces)
+    areas = triangle_areas(kept, faces)
     ring = np.bincount(faces.ravel(), np.repeat(areas, 3), len(used))
     density = 3.0 * mass / ring
-    coarse = Surface((points if places is None else places)[used], faces, areas=areas * density[faces].mean(axis=1))
+    coarse = Surface(kept if places is None else places[used], faces, areas=areas * density[faces].mean(axis=1))
     return Coarse(coarse, used, partial(place.on_sphere, faces))
 
 

@@ -6,7 +6,7 @@ The files appear once all of them are complete, so that a failure, a full disk o
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -82,11 +82,11 @@ class Material:
         """
         picture = self.roughness_picture
         rough, metal = np.ones(2) if picture is None else picture[..., 1:3].mean(axis=(0, 1)) / 255.0
-        look = Material(
-            self.name, self.color, self.picture, float(metal * self.metallic), float(rough * self.roughness)
+        metallic, roughness = float(metal * self.metallic), float(rough * self.roughness)
+        emission = self.emission if self.emission_picture is None else (0.0, 0.0, 0.0)
+        return Material(
+            self.name, self.color, self.picture, metallic, roughness, emission, self.two_sided, phong=self.phong
         )
-        emission = self.emission if self.emission_picture is None else look.emission
-        return replace(look, emission=emission, two_sided=self.two_sided, phong=self.phong)
 
     @property
     def opaque(self) -> bool:

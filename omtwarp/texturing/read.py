@@ -416,21 +416,24 @@ def gltf_materials(data: bytes, file: Path, suffix: str) -> list[GltfLook]:
     Raises:
         OmtwarpError: a picture cannot be read, or is elsewhere than in the file's directory.
     """
-    known: dict[int, Bytes] = {}  # by the identity of their content, which several materials may have
+    # By the identity of their content, which several materials may have, and whether their opacity is left out.
+    known: dict[tuple[int, bool], Bytes] = {}
 
-    def picture(content: bytes) -> Bytes:
-        if id(content) not in known:
-            known[id(content)] = as_bytes(decoded(io.BytesIO(content), "a picture in it"))
-        return known[id(content)]
+    def picture(content: bytes, opaque: bool = False) -> Bytes:
+        key = id(content), opaque
+        if key not in known:
+            whole = picture(content) if opaque else as_bytes(decoded(io.BytesIO(content), "a picture in it"))
+            known[key] = whole[..., :3] if opaque and whole.shape[2] == 4 else whole
+        return known[key]
 
     looks = []
     for material, pictures in gltf_pictures(data, file, suffix):
         factor = material.get("pbrMetallicRoughness", {}).get("baseColorFactor")
         exact = np.clip(np.asarray(factor, dtype=np.float64), 0.0, 1.0) if factor and len(factor) == 4 else None
-        by_role = {role: picture(content) for role, content in pictures.items()}
-        if material.get("alphaMode", "OPAQUE") == "OPAQUE":  # whatever opacity it has
-            exact = None if exact is None else np.append(exact[:3], 1.0)
-            by_role |= {role: by_role[role][..., :3] for role in by_role if role == "baseColorTexture"}
+        opaque = material.get("alphaMode", "OPAQUE") == "OPAQUE"  # whatever opacity its colours have
+        if exact is not None and opaque:
+            exact[3] = 1.0
+        by_role = {role: picture(content, opaque and role == "baseColorTexture") for role, content in pictures.items()}
         looks.append(GltfLook(material.get("name") or "material", exact, by_role))
     return looks
 

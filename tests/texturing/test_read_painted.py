@@ -368,3 +368,14 @@ def test_white_of_glb_is_white(tmp_path):
     read = read_painted_mesh(tmp_path / "red.glb")
     assert read.materials[0].color == (1.0, 1.0, 1.0, 1.0)
     np.testing.assert_array_equal(painted_view(read).colors, colors[:, :3] / 255.0)
+
+
+def test_a_picture_of_two_opaque_materials_is_read_and_written_once(tmp_path):
+    shared = np.random.default_rng(5).integers(0, 255, (16, 16, 3)).astype(np.uint8)
+    whole = read_painted_mesh(two_halves(tmp_path)[0])
+    materials = tuple(Material(name, picture=shared, emission_picture=shared) for name in ("one", "two"))
+    (file,) = replace(whole, materials=materials).export(tmp_path / "one.glb")
+    read = read_painted_mesh(file)
+    assert len({id(one) for m in read.materials for one in (m.picture, m.emission_picture)}) == 1
+    (again,) = read.export(tmp_path / "again.glb")
+    assert file.read_bytes().count(b"\x89PNG") == again.read_bytes().count(b"\x89PNG") == 1

@@ -392,8 +392,9 @@ def _boundaries(node: NDArray[np.int64], edges: NDArray[np.int64]) -> NDArray[np
     deeper = np.maximum(ends[across, 0], ends[across, 1])
     upper = np.where(ends[across, 0] > ends[across, 1], edges[across, 1], edges[across, 0])
     depth = _depth(deeper)
-    order = _stable_order(depth, int(depth.max(initial=0)))
-    bounds = np.searchsorted(depth[order], np.arange(int(depth.max(initial=0)) + 2))
+    deepest = int(depth.max(initial=0))
+    order = _stable_order(depth, deepest)
+    bounds = np.searchsorted(depth[order], np.arange(deepest + 2))
     pairs = (deeper * count + upper)[order]
     passed = np.zeros(0, dtype=np.int64)
     done = []
