@@ -168,6 +168,8 @@ ProjectionLike: TypeAlias = ProjectionName | Literal["equirectangular", "sinusoi
 
 PICTURE_SIZE = (1024, 1024)  # pixels of a view where no size is given
 BACKGROUND = "white"
+# Of registration: weight of distortion against features; bound of log2 of ratios of areas, and of stretches
+STIFFNESS, MAX_STRAIN = 0.59, 1.12
 FILM_RATE = 20.0  # frames per second; a .gif counts in hundredths of a second, of which this is a whole number
 
 

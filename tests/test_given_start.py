@@ -46,6 +46,13 @@ def test_the_cost_is_that_from_the_points(mapped):
     assert cost < omtwarp.transport_cost(surface, result.sphere, start=haker, device="cpu")
 
 
+def test_points_that_cover_nothing_are_refused(mapped):
+    pole = np.array([0.0, 0.0, 1.0])
+    for height in (mapped[1].sphere[:, 2:] > 0.0, np.ones((len(mapped[1].sphere), 1), dtype=bool)):
+        with pytest.raises(OmtwarpError, match="give points that cover the sphere"):
+            omtwarp.map_to_sphere(mapped[0], start=np.where(height, pole, -pole), device="cpu")
+
+
 def test_flipped_points_are_repaired_and_still_measured_from(mapped):
     surface, result = mapped
     points = result.conformal.copy()

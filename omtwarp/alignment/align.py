@@ -62,9 +62,7 @@ def own_features(points: SpherePoints) -> dict[str, Floats]:
 
 
 def checked_features(given: Mapping[str, ArrayLike], points: SpherePoints, whose: str) -> dict[str, Floats]:
-    """Return the features as float64 arrays of one number per vertex, 0 in what fills holes.
-
-    Where a feature has no number, NaN, it has its mean over the sphere, which counts for nothing.
+    """Return the features as float64 arrays of one number per vertex, 0 in what fills holes, NaN where there is none.
 
     Raises:
         OmtwarpError: a feature has another length, infinite numbers, or none at all.
@@ -75,13 +73,19 @@ def checked_features(given: Mapping[str, ArrayLike], points: SpherePoints, whose
     for name, values in given.items():
         own = points.at_own_points(np.asarray(values))
         array: Floats = real_numbers(own, f"feature '{name}' of {whose}", (count,), finite=False)
-        without = np.isnan(array)
-        if np.isinf(array).any() or without.all():
+        if np.isinf(array).any() or np.isnan(array).all():
             raise OmtwarpError(f"feature '{name}' of {whose} has infinite numbers, or none at all")
-        if without.any():
-            weights = sphere_weights(points)[:count] * ~without
-            array = np.where(without, weights @ np.where(without, 0.0, array) / weights.sum(), array)
         out[name] = np.concatenate([in_range(array), filling])
+    return out
+
+
+def filled_by_means(features: Mapping[str, Floats], points: SpherePoints) -> dict[str, Floats]:
+    """Return features with their means over the sphere where there is no number: they count for nothing there."""
+    weights, out = sphere_weights(points), {}
+    for name, values in features.items():
+        known = ~np.isnan(values)
+        here = np.where(known, values, 0.0)
+        out[name] = np.where(known, values, weights @ here / (weights @ known))
     return out
 
 
@@ -198,9 +202,11 @@ class Alignment:
         """Return the map that was aligned in its new position, all stages turned, with the alignment in its report.
 
         After a mirror image has been aligned, the surface is mirrored in x and its faces are reversed too. Save it as
-        any map: ``align(left, right).turned(left).save("left.npz")``.
+        any map: ``align(left, right).turned(left).save("left.npz")``. A registered map is none any more.
         """
-        changed: dict[str, object] = {"report": result.report | {"alignment": self.to_dict()}}
+        report = {**result.report, "alignment": self.to_dict()}
+        report.pop("registration", None)
+        changed: dict[str, object] = {"report": report}
         if self.mirrored:
             for name in ("vertices", "filled_vertices"):
                 points = getattr(result, name)
@@ -335,7 +341,7 @@ def align(
             return _by_vertices(points, fixed)
         here, there = common_features(points, fixed, ours, to_features)
         if not here:
-            return _by_places(points, fixed)
+            return aligned_by_places(points, fixed)
         best = feature_rotations(points, fixed, here, there, degree, most=1)[0]
         turned = _own_turned(points, best.rotation)
         return Alignment(best.rotation, turned, "features", best.score, best.runner_up, False, basis=", ".join(here))
@@ -435,7 +441,7 @@ def feature_rotations(
 
     Args:
         moving, fixed: the two spheres.
-        ours, theirs: their features, as :func:`omtwarp.alignment.align.checked_features` returns them.
+        ours, theirs: their features, a number at every point.
         degree: the highest degree of the harmonics.
         most: how many rotations to return at most.
 
@@ -452,7 +458,7 @@ def feature_rotations(
     return rotations
 
 
-def _by_places(moving: SpherePoints, fixed: SpherePoints) -> Alignment:
+def aligned_by_places(moving: SpherePoints, fixed: SpherePoints) -> Alignment:
     """Align two maps so that their surfaces lie to each other as they do in space."""
     (ours, ours_score), (theirs, theirs_score) = _onto_directions(moving), _onto_directions(fixed)
     rotation = theirs.T @ ours
@@ -482,8 +488,8 @@ def common_features(
     Features of the surfaces' own that are constant on a side are left out, which may leave none.
     """
     if features and to_features:
-        ours = checked_features(features, moving, "the map")
-        theirs = checked_features(to_features, fixed, "the template")
+        ours = filled_by_means(checked_features(features, moving, "the map"), moving)
+        theirs = filled_by_means(checked_features(to_features, fixed, "the template"), fixed)
     else:
         ours, theirs = varying_features(moving), varying_features(fixed)
     names = [name for name in ours if name in theirs]

@@ -8,10 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.alignment.align import DEGREE, feature_coefficients, mirror_image, own_features
+from omtwarp.alignment.align import (
+    DEGREE,
+    aligned_by_places,
+    feature_coefficients,
+    mirror_image,
+    own_features,
+    varying_features,
+)
 from omtwarp.alignment.rotation_search import Complex, best_rotation, complex_coefficients, rotated
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.axes import fitted_rotation
+from omtwarp.maps.result import MapResult
 from omtwarp.mesh.arrays import Floats, Ints
 from omtwarp.options import Progress, tell
 from omtwarp.resampling import SpherePoints, as_points, resample
@@ -61,9 +69,10 @@ def procrustes_mean(
     """Align the spheres of a group to their mean, resample the surfaces there and average them.
 
     Spheres are turned to the mean of the surfaces' features (:func:`omtwarp.align`), which is recomputed from the
-    rotated spheres until none moves. The surfaces at the grid's points then are superposed on their mean by
-    translations and rotations, in the same manner [1]_. Filled holes are part of the surfaces, but have no weight where
-    the spheres are aligned.
+    rotated spheres until none moves; surfaces without features, such as balls, to the first as they lie in space.
+    Spheres of maps that are all registered stay as they are. The surfaces at the grid's points then are superposed on
+    their mean by translations and rotations, in the same manner [1]_. Filled holes are part of the surfaces, but have
+    no weight where the spheres are aligned.
 
     Args:
         maps: at least two maps with their surfaces, in any form that :func:`omtwarp.align` takes.
@@ -78,36 +87,14 @@ def procrustes_mean(
 
     .. [1] J. C. Gower, "Generalized Procrustes analysis", Psychometrika 40 (1975).
     """
-    # Shapes are taken for mirror images of one another where features of the mirrored one correlate so well, and by so
-    # much better than its own. A scanned hippocampus and a caudate nucleus, with noise of 1 % or without, correlate by
-    # 0.0053 to 0.0099 better with the right one of the two; made hippocampi that vary by 5 %, which have a plane of
-    # symmetry, by up to 0.0004; shapes that have nothing in common, with either by 0.65 to 0.86.
-    alike, mirrored_margin = 0.9, 0.003
     if len(maps) < 2:
         raise OmtwarpError("a group needs at least two maps")
     common = as_points(grid, "the grid")
     if common.grid.faces is None:
         raise OmtwarpError(f"{common.grid.name}: a mean surface needs a grid with triangles")
     members = [as_points(one, f"map {k + 1}") for k, one in enumerate(maps)]
-    own = [own_features(one) for one in members]
-    names = [name for name in own[0] if all(name in each for each in own)]
-    coefficients: list[Complex] = []
-    mirrored = np.zeros(len(members), dtype=bool)
-    for k, (one, each) in enumerate(zip(members, own, strict=True)):
-        coefficients.append(_coefficients(one, each, names, degree))
-        image = mirror_image(one)
-        other = best_rotation(_coefficients(image, own_features(image), names, degree), coefficients[0]).score
-        unchanged = best_rotation(coefficients[k], coefficients[0]).score
-        mirrored[k] = other >= alike and other > unchanged + mirrored_margin
-        tell(progress, "align", k + 1, len(members), {})
-    rotations = np.tile(np.eye(3), (len(members), 1, 1))
-    mean, rounds = coefficients[0], 0
-    for rounds in range(1, ROUNDS + 1):  # noqa: B007
-        before = rotations
-        rotations = np.stack([best_rotation(each, mean).rotation for each in coefficients])
-        mean = np.mean([rotated(each, turn) for each, turn in zip(coefficients, rotations, strict=True)], axis=0)
-        if np.abs(rotations - before).max() < TOLERANCE:
-            break
+    registered = all(isinstance(one, MapResult) and "registration" in one.report for one in maps)
+    rotations, mirrored, rounds = _onto_mean(members, degree, registered, progress)
     surfaces = []
     for k, (one, turn) in enumerate(zip(members, rotations, strict=True)):
         turned = replace(one.grid, points=one.grid.points @ turn.T)
@@ -115,6 +102,43 @@ def procrustes_mean(
         tell(progress, "resample", k + 1, len(members), {})
     posed, average, scales, poses = superpose(np.stack(surfaces), common.grid.areas, scale)
     return GroupAlignment(rotations, posed, average, common.grid.faces, scales, (rounds, poses), mirrored)
+
+
+def _onto_mean(
+    members: Sequence[SpherePoints], degree: int, registered: bool, progress: Progress | None
+) -> tuple[Floats, Bools, int]:
+    """Return the rotations of spheres to the mean of their features, which fit better as mirror images, and the rounds.
+
+    Those of registered maps are the identity.
+    """
+    # Shapes are taken for mirror images of one another where features of the mirrored one correlate so well, and by so
+    # much better than its own. A scanned hippocampus and a caudate nucleus, with noise of 1 % or without, correlate by
+    # 0.0053 to 0.0099 better with the right one of the two; made hippocampi that vary by 5 %, which have a plane of
+    # symmetry, by up to 0.0004; shapes that have nothing in common, with either by 0.65 to 0.86.
+    alike, mirrored_margin = 0.9, 0.003
+    own = [varying_features(one) for one in members]
+    names = [name for name in own[0] if all(name in each for each in own)]
+    rotations, mirrored = np.tile(np.eye(3), (len(members), 1, 1)), np.zeros(len(members), dtype=bool)
+    if not names:
+        if not registered:
+            rotations = np.stack([aligned_by_places(one, members[0]).rotation for one in members])
+        return rotations, mirrored, 0
+    coefficients: list[Complex] = []
+    for k, (one, each) in enumerate(zip(members, own, strict=True)):
+        coefficients.append(_coefficients(one, each, names, degree))
+        image = mirror_image(one)
+        other = best_rotation(_coefficients(image, own_features(image), names, degree), coefficients[0]).score
+        unchanged = best_rotation(coefficients[k], coefficients[0]).score
+        mirrored[k] = other >= alike and other > unchanged + mirrored_margin
+        tell(progress, "align", k + 1, len(members), {})
+    mean, rounds = coefficients[0], 0
+    for rounds in () if registered else range(1, ROUNDS + 1):  # noqa: B007
+        before = rotations
+        rotations = np.stack([best_rotation(each, mean).rotation for each in coefficients])
+        mean = np.mean([rotated(each, turn) for each, turn in zip(coefficients, rotations, strict=True)], axis=0)
+        if np.abs(rotations - before).max() < TOLERANCE:
+            break
+    return rotations, mirrored, rounds
 
 
 def _coefficients(points: SpherePoints, features: Mapping[str, Floats], names: list[str], degree: int) -> Complex:

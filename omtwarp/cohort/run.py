@@ -127,8 +127,8 @@ def run_cohort(
     for item, job in zip(items, jobs, strict=True):
         own: Row = {"id": item.id, "path": str(item.path)}  # as it was given
         rows.append(own | item.fields | (read_record(job) or {"status": "waiting", "message": ""}) | own)
-    if register == GROUP and not collect:
-        _register_all(rows, target, progress)
+    if register == GROUP:
+        _register_all(rows, target, progress, collect)
     with folder_of_results(target, *RESULTS):
         table = write_table(rows, target)
         page = write_page(rows, target)
@@ -215,9 +215,12 @@ def _follow(records: Generator[Row, None, None], done: int, total: int, progress
         raise KeyboardInterrupt(f"{done} of {total} items done; run again to continue") from None
 
 
-def _register_all(rows: list[Row], folder: Path, progress: Progress | None) -> None:
-    """Register all maps to a template made from them, unless some are not made yet, and add the facts to their rows."""
-    from omtwarp.registration.group import register_group
+def _register_all(rows: list[Row], folder: Path, progress: Progress | None, collect: bool) -> None:
+    """Register all maps to a template made from them, unless some are not made yet, and add the facts to their rows.
+
+    Only what is there is read where the run is to ``collect``.
+    """
+    from omtwarp.registration.group import finished_group, register_group
 
     done = [row for row in rows if row["status"] == OK]
     if len(done) < 2 or any(row["status"] == "waiting" for row in rows):
@@ -227,6 +230,9 @@ def _register_all(rows: list[Row], folder: Path, progress: Progress | None) -> N
         tell(progress, "register", step, steps, {"failed": len(rows) - len(done)})
 
     maps = [folder / "maps" / f"{row['id']}.npz" for row in done]
-    table = register_group(maps, folder / REGISTERED_MAPS, progress=notify).table
+    place = folder / REGISTERED_MAPS
+    group = finished_group(maps, place) if collect else register_group(maps, place, progress=notify)
+    if group is None:
+        return
     for row in done:
-        row |= {"registered_to": GROUP, **table[str(row["id"])]}
+        row |= {"registered_to": GROUP, **group.table[str(row["id"])]}

@@ -16,7 +16,7 @@ from omtwarp.commands._work import show_facts
 from omtwarp.commands.pictures import FILMS
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_folder, check_output, check_outputs
-from omtwarp.options import AlignBy, Side
+from omtwarp.options import MAX_STRAIN, STIFFNESS, AlignBy, Side
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -264,8 +264,8 @@ class Strength:
     """
 
     keep_areas: str = "0"
-    stiffness: float = 0.59
-    max_strain: float = 1.12
+    stiffness: float = STIFFNESS
+    max_strain: float = MAX_STRAIN
 
     def keywords(self) -> dict[str, float | str]:
         """Return the options as functions take them, which refuse a text for areas unless it is ``exact``."""

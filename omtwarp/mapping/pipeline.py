@@ -29,7 +29,7 @@ from omtwarp.maps.result import MapReport, MapResult, StageReport, origin_arrays
 from omtwarp.measures import TargetDensity, mass_distortion, weighted_surface
 from omtwarp.mesh.arrays import TINY, Floats, normalised
 from omtwarp.mesh.quarter import PARTS, quarter
-from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_surface, as_unit_vectors
+from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_surface, as_unit_vectors, triangle_areas
 from omtwarp.metrics.certificate import Certificate, certify_triangles
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.metrics.optimality import Optimality, optimality, relative_curl
@@ -815,7 +815,10 @@ def _begun(start: ArrayLike | MapResult, surface: Surface, ordered: OrderedSurfa
         OmtwarpError: there is not one point on the sphere per vertex, or the map has flipped triangles.
     """
     if not isinstance(start, MapResult):
-        return as_unit_vectors(start, surface.vertex_count, "start")[ordered.vertex_origin], None
+        points = as_unit_vectors(start, surface.vertex_count, "start")
+        if not triangle_areas(points, surface.faces).any():
+            raise OmtwarpError("corners of every triangle coincide in start: give points that cover the sphere")
+        return points[ordered.vertex_origin], None
     if start.faces.shape != surface.faces.shape or not np.array_equal(start.faces, surface.faces):
         raise OmtwarpError("start is a map of another mesh: its faces are not those of this one")
     if not start.bijective:

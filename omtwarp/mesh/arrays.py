@@ -275,13 +275,13 @@ def in_range(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Scale points so that squares and products of their coordinates neither overflow nor vanish.
 
     Args:
-        points: finite, float64, shape [N, 3].
+        points: float64, shape [N, 3], finite or NaN.
 
     Returns:
         The points times a power of two, which changes no digit; the array itself where the largest coordinate is
         between 1e-75 and 1e75 anyway.
     """
-    largest = float(np.abs(points).max(initial=0.0))
+    largest = float(np.fmax.reduce(np.abs(points), axis=None, initial=0.0))
     if largest == 0.0 or SMALLEST <= largest <= LARGEST:
         return points
     return np.ldexp(points, -int(np.frexp(largest)[1]))

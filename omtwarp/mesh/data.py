@@ -44,6 +44,8 @@ CIFTI_SUFFIXES = (".dscalar.nii", ".dtseries.nii", ".dlabel.nii")
 
 _TOO_EXACT = "single precision does not hold these whole numbers"
 
+TITLES = re.compile(r'"((?:[^"]|"")*)"|([^\s,;"]+)')  # in a line of names: in quotes, or none
+
 Color = tuple[float, float, float, float]
 
 
@@ -133,7 +135,8 @@ def _numbered(name: str, columns: NDArray[np.generic]) -> tuple[str, ...]:
 def from_text(text: str, name: str = "data") -> VertexData:
     """Read a line of numbers for every vertex, divided by commas, semicolons, tabs or spaces.
 
-    Empty lines and lines that begin with ``#`` are skipped; a first line that is no numbers names the columns.
+    Empty lines and lines that begin with ``#`` are skipped; a first line that is no numbers names the columns, in
+    quotes where a name is a number or has one of these signs in it.
 
     Args:
         text: what the file holds.
@@ -146,6 +149,8 @@ def from_text(text: str, name: str = "data") -> VertexData:
     rows = [row for row in rows if row and not row.startswith("#")]
     words = [re.split(r"\s*[,;\t]\s*|\s+", row) for row in rows]
     names = words.pop(0) if words and not any(map(_is_number, words[0])) else []
+    if names and '"' in rows[0]:
+        names = [" ".join(title).strip().replace('""', '"') for title in TITLES.findall(rows[0])]
     try:
         columns = np.array([[float(word) for word in row] for row in words])
     except ValueError as error:
@@ -153,6 +158,13 @@ def from_text(text: str, name: str = "data") -> VertexData:
     if columns.ndim != 2:
         raise OmtwarpError("no list of numbers: it is empty")
     return VertexData(columns, tuple(names) if len(names) == columns.shape[1] else _numbered(name, columns))
+
+
+def _as_title(name: str) -> str:
+    """Return a name of a column as a line of names has it: in quotes where it could be taken for more, or a number."""
+    if re.fullmatch(r"[\w.-]+", name) and not _is_number(name):
+        return name
+    return '"' + " ".join(name.split()).replace('"', '""') + '"'
 
 
 def _is_number(text: str) -> bool:
@@ -281,7 +293,7 @@ def write_data(path: Path, data: VertexData, mesh: tuple[Floats, Ints] | None = 
             with open(file, "wb") as stream:
                 np.save(stream, data.values[:, 0] if data.values.shape[1] == 1 else data.values)
         elif name.endswith(TEXT_SUFFIXES):
-            rows = [",".join(data.names), *(",".join(map(repr, row)) for row in data.values.tolist())]
+            rows = [",".join(map(_as_title, data.names)), *(",".join(map(repr, row)) for row in data.values.tolist())]
             file.write_text("\n".join(rows) + "\n", "utf-8")
         elif name.endswith((".gii", ".gii.gz")):
             _write_gifti(file, data, name)

@@ -61,10 +61,11 @@ def _slopes(surface: Surface, values: Floats) -> Floats:
 
 
 class FeatureTerm:
-    """Σ_k weight_k mean (t_k(x) - m_k)²: features m of what moves against the field t where its vertices x are.
+    """Σ_k weight_k mean known(x) (t_k(x) - m_k)²: features m of what moves, the field t where its vertices x are.
 
-    It is a :class:`omtwarp.registration.warp_shape.VertexTerm`. The Hessian is that of Gauss and Newton, without the
-    curvature of the field, and so has no negative part.
+    ``known`` is 1 unless the field has it as its last function, so that places where features are not known count for
+    nothing. It is a :class:`omtwarp.registration.warp_shape.VertexTerm`. The Hessian is that of Gauss and Newton,
+    without the curvature of the field.
 
     Args:
         moving: features of the vertices that move, shape [V, K].
@@ -79,8 +80,13 @@ class FeatureTerm:
     def at(self, points: Floats) -> VertexDerivatives:
         """Return the term and its derivatives at a map, unit vectors, shape [V, 3]."""
         values, slopes = self._field.at(points)
-        apart, areas = values - self._moving, self._areas[:, None]
-        value = float((areas * self._weights * apart**2).sum())
-        gradient = 2.0 * areas * np.einsum("vk,vdk->vd", self._weights * apart, slopes)
+        count = self._moving.shape[1]
+        known = values[:, count:].sum(axis=1) if values.shape[1] > count else np.ones(len(points))
+        apart, areas = values[:, :count] - self._moving, (self._areas * known)[:, None]
+        squares = self._areas * (self._weights * apart**2).sum(axis=1)
+        value = float(known @ squares)
+        gradient = squares[:, None] * slopes[:, :, count:].sum(axis=2)
+        slopes = slopes[:, :, :count]
+        gradient += 2.0 * areas * np.einsum("vk,vdk->vd", self._weights * apart, slopes)
         hessian = 2.0 * areas[:, :, None] * np.einsum("vdk,vek->vde", self._weights * slopes, slopes)
         return VertexDerivatives(value, gradient, hessian)

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp.alignment.align import checked_features, feature_coefficients
+from omtwarp.alignment.align import checked_features, feature_coefficients, filled_by_means
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.files import output
 from omtwarp.files.inputs import read_arrays, write_arrays
@@ -27,11 +27,11 @@ from omtwarp.maps.result import MapResult
 from omtwarp.mesh.arrays import Floats, normalised, whole_number
 from omtwarp.mesh.data import read_data
 from omtwarp.mesh.neuro import structure_of
-from omtwarp.options import Progress, tell
+from omtwarp.options import MAX_STRAIN, STIFFNESS, Progress, tell
 from omtwarp.registration.folding import FOLDING_WEIGHTS
 from omtwarp.registration.group_template import Template
 from omtwarp.registration.register import Registration, register
-from omtwarp.registration.sides import Side, folds
+from omtwarp.registration.sides import Side, continued, folds
 from omtwarp.registration.strain import kept_within
 from omtwarp.registration.warp import feature_grid
 from omtwarp.resampling import as_points
@@ -203,8 +203,8 @@ def register_group(
     *,
     features: Mapping[str, Files] | None = None,
     rounds: int = ROUNDS,
-    stiffness: float = 0.59,
-    max_strain: float = 1.12,
+    stiffness: float = STIFFNESS,
+    max_strain: float = MAX_STRAIN,
     keep_areas: float | str = 0.0,
     progress: Progress | None = None,
 ) -> GroupRegistration:
@@ -272,6 +272,17 @@ def register_group(
     return GroupRegistration(template, table)
 
 
+def finished_group(maps: Files, folder: str | os.PathLike[str]) -> GroupRegistration | None:
+    """Return what :func:`register_group` without options left in a folder; None where it has not ended on these maps.
+
+    Raises:
+        OmtwarpError: what :func:`members` raises.
+    """
+    files = dict(sorted(members(maps, None, folder, "template").items()))
+    usual = {"stiffness": STIFFNESS, "max_strain": MAX_STRAIN, "keep_areas": 0.0}
+    return _finished(as_path(folder), key_of(ROUNDS, {name: one.digest for name, one in files.items()}, usual), files)
+
+
 def _finished(folder: Path, origin: str, names: Collection[str]) -> GroupRegistration | None:
     """Return what a folder holds where a run on the same maps ended in it, and its files were not changed since."""
     files = [folder / name for name in ("template.npz", "table.csv", *(f"{name}.npz" for name in names))]
@@ -293,7 +304,7 @@ def _most_usual(files: Mapping[str, Member]) -> Template:
     powers = []
     for one in files.values():
         here = one.side()
-        coefficients = feature_coefficients(here.features, here.points, degree)
+        coefficients = feature_coefficients(filled_by_means(here.features, here.points), here.points, degree)
         powers.append(np.concatenate([power_per_degree(column)[1:] for column in coefficients.T]))
     apart = np.linalg.norm(np.array(powers) - np.mean(powers, axis=0), axis=1)
     here, grid = list(files.values())[int(np.argmin(apart))].side(), feature_grid()
@@ -322,7 +333,7 @@ def _step(one: Member, template: Template, options: Options) -> dict[str, Floats
 def _mean_template(total: Mapping[str, Floats], names: tuple[str, ...], max_strain: float) -> Template:
     """Return the mean features of registered maps, where the mean of the ways to the maps leads nowhere."""
     grid = feature_grid()
-    mean = total["values"] / np.maximum(total["known"], 1.0)[:, None]
+    mean = continued(total["values"] / np.maximum(total["known"], 1.0)[:, None], total["known"] > 0.0)
     # Where the ways lead on average, there the points go that they lead from.
     moved = kept_within(grid, normalised(total["back"]), max_strain)
     place = Locator(moved, grid.faces, device="cpu").find(grid.vertices)

@@ -257,11 +257,13 @@ def read_landmarks(path: str | os.PathLike[str]) -> list[Landmark]:
             vertex = (row.get("vertex") or "").strip()
             place = [float(int(vertex))] if vertex else [float(row.get(axis) or "") for axis in "xyz"]
             weight = (row.get("weight") or "").strip()
-            if weight:
-                weights[label] = np.inf if weight == "exact" else float(weight)
+            number = np.inf if weight == "exact" else float(weight or "nan")
         except ValueError:
             words = "give a vertex, or x, y and z, and a weight or 'exact'"
             raise OmtwarpError(f"'{path}', line {line}: {words}") from None
+        before = weights.setdefault(label, number) if weight else number
+        if before is not number and before != number:
+            raise OmtwarpError(f"'{path}', line {line}: landmark '{label}' has another weight in a line before")
         places.setdefault(label, {name: [] for name in SIDES})[side].append(place)
     return [_landmark(path, label, sides, weights) for label, sides in places.items()]
 

@@ -18,7 +18,7 @@ from omtwarp.maps.result import MapResult
 from omtwarp.mesh.arrays import Floats, real_number
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics.certificate import Certificate, certify_triangles
-from omtwarp.options import Progress, Record, tell
+from omtwarp.options import MAX_STRAIN, STIFFNESS, Progress, Record, tell
 from omtwarp.registration.folding import FOLDING_WEIGHTS
 from omtwarp.registration.group_template import Template
 from omtwarp.registration.landmarks import LandmarksLike, Pairs, pairs_of
@@ -130,8 +130,8 @@ def register(
     features: Mapping[str, ArrayLike] | None = None,
     to_features: Mapping[str, ArrayLike] | None = None,
     feature_weights: Mapping[str, float] | None = None,
-    stiffness: float = 0.59,
-    max_strain: float = 1.12,
+    stiffness: float = STIFFNESS,
+    max_strain: float = MAX_STRAIN,
     landmarks: LandmarksLike | None = None,
     keep_areas: float | str = 0.0,
     progress: Progress | None = None,
@@ -200,7 +200,7 @@ def register(
     rotations, doubtful = here.rotations(there)
     tell(progress, "register", 1, 3, {})
     coarser = min(len(grid.points) for grid in grids)
-    warping = Warping(there.on_grid[0], weights, stiffness, max_strain, coarser, weight_of_areas)
+    warping = Warping(*there.on_grid, weights, stiffness, max_strain, coarser, weight_of_areas)
     match = warping.match(*here.on_grid, pairs)
     sides = [here.moved(grids[0].points @ rotation.rotation.T) for rotation in rotations]
     nearest = min(range(len(rotations)), key=lambda k: match.apart(rotations[k].rotation))
@@ -214,7 +214,7 @@ def register(
     sphere, distances = _arrived(surface, warp, best.marks, max_strain, weight_of_areas)
     tell(progress, "register", 3, 3, {})
     by_area, by_stretch = octaves(before, sphere, grids[0].own_triangles)
-    _warn_of_strain(np.maximum(np.abs(by_area), by_stretch), max_strain)
+    _warn_of_strain(np.maximum(np.abs(by_area), by_stretch), max_strain, pairs is not None and bool(pairs.exact.any()))
     agreement = [side.agreement(there) for side in (best.turned, best.turned.moved(sphere))]
     turn, own, basis = best.rotation, before[: counts[0]], ", ".join(here.features)
     return Registration(
@@ -305,9 +305,10 @@ def _warn_of_distant(marks: Pairs, distances: dict[str, dict[str, float]], max_s
         warnings.warn(f"{text}: the strain that they need is over {max_strain:g}", OmtwarpWarning, stacklevel=3)
 
 
-def _warn_of_strain(strain: Floats, max_strain: float) -> None:
-    """Warn of triangles that are strained more than they may be."""
+def _warn_of_strain(strain: Floats, max_strain: float, exact: bool) -> None:
+    """Warn of triangles that are strained more than they may be; triangles around exact landmarks are not relaxed."""
     over = int((strain > max_strain).sum())
     if over:
-        text = f"{over} triangles are strained beyond {max_strain:g}: the mesh has slivers there, or too few triangles"
-        warnings.warn(text, OmtwarpWarning, stacklevel=3)
+        reason = "exact landmarks need it, or " if exact else ""
+        text = f"{over} triangles are strained beyond {max_strain:g}: {reason}the mesh has slivers there"
+        warnings.warn(f"{text}, or too few triangles", OmtwarpWarning, stacklevel=3)

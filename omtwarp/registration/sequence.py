@@ -21,7 +21,7 @@ from omtwarp.mesh.arrays import Floats, norms
 from omtwarp.mesh.data import VertexData, write_data
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics.certificate import certify_triangles
-from omtwarp.options import Progress, tell
+from omtwarp.options import MAX_STRAIN, STIFFNESS, Progress, tell
 from omtwarp.registration.folding import LEAST_AREA, vertex_areas
 from omtwarp.registration.group import STEPS, Files, Kept, Member, Options, key_of, members, write_facts
 from omtwarp.registration.register import Registration, area_penalty, register, within_bounds
@@ -57,8 +57,8 @@ def register_sequence(
     folder: str | os.PathLike[str],
     *,
     features: Mapping[str, Files] | None = None,
-    stiffness: float = 0.59,
-    max_strain: float = 1.12,
+    stiffness: float = STIFFNESS,
+    max_strain: float = MAX_STRAIN,
     keep_areas: float | str = 0.0,
     progress: Progress | None = None,
 ) -> SequenceRegistration:

@@ -7,10 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.sparse.linalg import splu
 
-from omtwarp.alignment.align import checked_features, feature_rotations, sphere_weights
+from omtwarp.alignment.align import checked_features, feature_rotations, filled_by_means, sphere_weights
 from omtwarp.alignment.rotation_search import Best
 from omtwarp.errors import OmtwarpError
+from omtwarp.geometry.operators import cotangent_edge_weights
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.arrays import Floats, real_number
 from omtwarp.registration.folding import folding_features
@@ -19,6 +21,7 @@ from omtwarp.registration.warp import feature_grid
 from omtwarp.resampling import SpherePoints, as_points, resample
 from omtwarp.resampling.averages import average_surface, is_average, with_side
 from omtwarp.resampling.resample import PointsLike
+from omtwarp.solvers.poisson import edge_laplacian
 from omtwarp.spheres import SphereGrid, mesh_grid
 
 STARTS = 3  # rotations of each degree that a doubtful start is tried from
@@ -30,7 +33,7 @@ class Side:
 
     Attributes:
         points: with what fills holes, N in all.
-        features: by name, shape [N] each, or shorter by what fills holes.
+        features: by name, shape [N] each, or shorter by what fills holes; NaN where there is no number.
     """
 
     points: SpherePoints
@@ -46,16 +49,23 @@ class Side:
         return {name: values[: self.points.grid.own_points] for name, values in self.features.items()}
 
     def at(self, places: SphereGrid) -> tuple[Floats, NDArray[np.bool_]]:
-        """Return the features at points, shape [P, K], 0 in filled holes, and which of the points are in none, [P]."""
+        """Return the features at points, shape [P, K], and at which of them all are known, shape [P].
+
+        They are in no filled hole, nor where there is no number.
+        """
         values = resample(self.points, places, device="cpu")
         columns = np.column_stack(list(self.features.values()))
-        return np.asarray(values.matrix @ columns[: values.matrix.shape[1]]), ~values.empty
+        carried = values.apply(columns[: values.matrix.shape[1]])
+        return carried, ~values.empty & np.isfinite(carried).all(axis=1)
 
     @functools.cached_property
     def on_grid(self) -> tuple[Floats, Floats]:
-        """The features on the feature grid, shape [N, K], and 1 where they are known, 0 elsewhere, shape [N]."""
+        """The features on the feature grid, shape [N, K], and 1 where they are known, 0 elsewhere, shape [N].
+
+        There they go on from what is around, see :func:`continued`.
+        """
         values, known = self.at(_grid())
-        return values, known.astype(np.float64)
+        return continued(values, known), known.astype(np.float64)
 
     def rotations(self, target: "Side") -> tuple[list[Best], bool]:
         """Return the rotations at which the features agree best with a target's, and whether the best is doubtful.
@@ -68,9 +78,8 @@ class Side:
         grid = SpherePoints(_grid())
         columns: list[dict[str, Floats]] = []
         for side in (self, target):
-            values, known = side.on_grid
-            values = np.where(known[:, None] > 0.0, values, known @ values / max(known.sum(), 1.0))
-            columns.append(dict(zip(self.features, values.T, strict=True)))
+            values = np.where(side.on_grid[1][:, None] > 0.0, side.on_grid[0], np.nan)
+            columns.append(filled_by_means(dict(zip(self.features, values.T, strict=True)), grid))
         ours, theirs = columns
         best = feature_rotations(grid, grid, ours, theirs, most=STARTS)
         # A best rotation whose correlation is not this much above the next best one's may be the wrong one.
@@ -82,17 +91,33 @@ class Side:
         return best + feature_rotations(grid, grid, ours, theirs, 6, most=STARTS), True
 
     def agreement(self, target: "Side") -> dict[str, float]:
-        """Return the correlation of every feature at the points of a target, weighted by their cells."""
+        """Return the correlation of every feature at the points of a target, by their cells, where both know all."""
         there = target.points
         values, known = self.at(there.grid)
         count = there.grid.own_points
-        weights = np.where(known, sphere_weights(there), 0.0)[:count]
+        theirs = np.column_stack([target.features[name][:count] for name in self.features])
+        known = known[:count] & np.isfinite(theirs).all(axis=1)
+        weights = sphere_weights(there)[:count][known]
         weights /= weights.sum()
         correlations = {}
-        for name, one in zip(self.features, values[:count].T, strict=True):
-            a, b = (column - weights @ column for column in (one, target.features[name][:count]))
+        for name, *both in zip(self.features, values[:count][known].T, theirs[known].T, strict=True):
+            a, b = (column - weights @ column for column in both)
             correlations[name] = float((weights * a) @ b / np.sqrt(((weights * a) @ a) * ((weights * b) @ b)))
         return correlations
+
+
+def continued(values: Floats, known: NDArray[np.bool_]) -> Floats:
+    """Return values on the feature grid, shape [N, K], where they are not known as the harmonic function from the rest.
+
+    Unlike a constant that has no step at the edge, which features would be drawn to.
+    """
+    if known.all() or not known.any():
+        return values
+    grid = feature_grid()
+    laplacian = edge_laplacian(grid.edges, cotangent_edge_weights(grid, grid.vertices), grid.vertex_count)[~known]
+    out = values.copy()
+    out[~known] = splu(laplacian[:, ~known].tocsc()).solve(-(laplacian[:, known] @ values[known]))
+    return out
 
 
 def _grid() -> SphereGrid:

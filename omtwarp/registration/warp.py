@@ -73,6 +73,7 @@ class Warping:
 
     Args:
         target: its features at the vertices of :attr:`grid`, shape [N, K].
+        known: 1 where these are known, 0 elsewhere, shape [N].
         weights: of the features, shape [K].
         stiffness: λ, the weight of distortion.
         most_strain: bound of :func:`omtwarp.registration.strain.octaves`.
@@ -81,10 +82,18 @@ class Warping:
     """
 
     def __init__(
-        self, target: Floats, weights: Floats, stiffness: float, most_strain: float, vertex_count: int, penalty: float
+        self,
+        target: Floats,
+        known: Floats,
+        weights: Floats,
+        stiffness: float,
+        most_strain: float,
+        vertex_count: int,
+        penalty: float,
     ):
         self.grid = feature_grid()
-        self._target, self._weights, self._stiffness, self._penalty = target, weights, stiffness, penalty
+        self._target, self._known = target, known
+        self._weights, self._stiffness, self._penalty = weights, stiffness, penalty
         # Of the bound: between the grid's vertices a mesh is strained a little more than the grid.
         self._bound = 0.9 * most_strain
         # Of the coarser mesh two mean edges, those of equilateral triangles: smoothed to less, features would show it.
@@ -169,7 +178,11 @@ class Warping:
 
     def _field(self, width: float) -> FeatureField:
         if width not in self._fields:
-            self._fields[width] = FeatureField(self.grid, self._smooth(self._target, width))
+            features = self._smooth(self._target, width)
+            if not self._known.all():
+                known = smoothed(self.grid, self.grid.vertices, self._known, np.radians(width))
+                features = np.column_stack([features, np.clip(known, 0.0, 1.0)])
+            self._fields[width] = FeatureField(self.grid, features)
         return self._fields[width]
 
     def _smooth(self, values: Floats, width: float) -> Floats:

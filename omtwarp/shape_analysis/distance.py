@@ -1,12 +1,14 @@
 """Distances between two shapes: of their coefficients, and of their densities under the conformal map."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from omtwarp.alignment import align
-from omtwarp.errors import OmtwarpError
+from omtwarp.alignment.align import own_features
+from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.geometry.axes import fitted_rotation
 from omtwarp.geometry.harmonics import check_degree
 from omtwarp.maps.result import MapResult
@@ -15,7 +17,7 @@ from omtwarp.mesh.arrays import Floats, HasTriangles
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.moser import moser_map
 from omtwarp.options import Progress, tell
-from omtwarp.resampling import SpherePoints
+from omtwarp.resampling import SpherePoints, as_points
 from omtwarp.shape_analysis.expansion import expand
 from omtwarp.spheres import mesh_grid, unit_sphere
 from omtwarp.texturing.density import vertex_density
@@ -80,6 +82,9 @@ def shape_distance(
     Raises:
         OmtwarpError: too few vertices for the degree, or a conformal map that does not cover the sphere once.
 
+    Warns:
+        OmtwarpWarning: one of the maps alone preserves areas, so that points do not correspond.
+
     Example:
         >>> import omtwarp
         >>> from omtwarp.shape_analysis import shape_distance
@@ -92,6 +97,9 @@ def shape_distance(
        comparison", IEEE Trans. Pattern Anal. Mach. Intell. 37 (2015).
     """
     degree = check_degree(degree)
+    if len({"areas" in own_features(as_points(one)) for one in (first, second)}) > 1:
+        words = "one map preserves areas and the other does not: coefficients are compared at different points"
+        warnings.warn(f"{words}; map both with the same options", OmtwarpWarning, stacklevel=2)
     alignment = align(first, second, check=False)
     whole = first.closed(), second.closed()
     spheres = unit_sphere(whole[0].sphere) @ alignment.rotation.T, whole[1].sphere

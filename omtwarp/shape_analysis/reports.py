@@ -193,7 +193,7 @@ def write_registration_page(path: Path, registration: Registration, moving: Sphe
     body = [_facts(registration)]
     for name, values in theirs.items():
         known = values[: grid.own_points]
-        ends = float(np.quantile(known, 0.02)), float(np.quantile(known, 0.98))
+        ends = float(np.nanquantile(known, 0.02)), float(np.nanquantile(known, 0.98))
         drawn = [_sides(ball, known, "the target", f": {name}", ends)]
         for one, when in zip(carried, ("before", "after"), strict=False):
             agreement = f": {name}, correlation {registration.correlations[name][when]:.3f}"

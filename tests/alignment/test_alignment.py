@@ -22,6 +22,7 @@ from omtwarp.alignment.rotation_search import (
 )
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.harmonics import real_harmonics
+from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
 from omtwarp.resampling import SpherePoints, resample
 from omtwarp.spheres import mesh_grid
@@ -320,6 +321,28 @@ def test_balls_are_aligned_as_they_lie_in_space(digits):
     )
     assert found.method == "places" and "directions in space" in found.basis and found.score > 0.999
     np.testing.assert_allclose(found.sphere, one.vertices @ again.T, atol=1e-4)
+
+
+def test_a_group_of_balls_is_aligned_as_they_lie_in_space():
+    """They have no features: the mean is a ball, whose points are where those of the first are."""
+    ball = shapes.icosphere(7)
+    turns = [random_rotation(k) for k in range(3)]
+    members = [SpherePoints(mesh_grid(ball.vertices @ turn.T, ball.faces, "ball"), ball.vertices) for turn in turns]
+    group = procrustes_mean(members, grid="ico2", device="cpu")
+    for turn, rotation in zip(turns, group.rotations, strict=True):
+        np.testing.assert_allclose(rotation @ turn, turns[0], atol=1e-6)
+    assert not group.mirrored.any() and np.abs(group.surfaces - group.mean).max() < 1e-6
+
+
+def test_registered_maps_of_a_group_stay_as_they_are():
+    """Their points correspond already; aligned to something else they are registered no more."""
+    ball, shape = shapes.icosphere(7), shapes.blob(3, amplitude=0.3, degree=4, sphere=980)
+    here = MapResult(shape.vertices, shape.faces, ball.vertices, ball.vertices, np.ones(ball.vertex_count))
+    maps = [here.turned(turn).with_arrays({"report": {"registration": {}}}) for turn in (np.eye(3), random_rotation(3))]
+    np.testing.assert_array_equal(procrustes_mean(maps, grid="ico2", device="cpu").rotations, [np.eye(3)] * 2)
+    maps[1] = align(maps[1], "axes").turned(maps[1])
+    rotations = procrustes_mean(maps, grid="ico2", device="cpu").rotations
+    assert degrees_apart(rotations[0], rotations[1]) > 10.0
 
 
 def test_same_bits_twice():

@@ -489,15 +489,15 @@ def test_maps_are_registered_after_they_are_made(tmp_path, monkeypatch, capsys, 
     (tmp_path / "list.csv").write_text("path\ns0.ply\ns1.ply\ns2.ply\n")
     line = "cohort list.csv -o out --until moser --device cpu --workers 1 --register".split()
     times = []
-    for computed in (3, 0):
+    for computed, more in ((3, []), (0, []), (0, ["--collect"])):
         with pytest.raises(SystemExit) as ended:
-            main([*line, to, "--json"])
+            main([*line, to, "--json", *more])
         said = json.loads(capsys.readouterr().out)
         assert not ended.value.code and said["computed"] == computed and said["counts"] == {"ok": 3}
         rows = read_table(Path(said["table"]))
         folder = "registered" if to == "group" else "maps"
         times.append([file.stat().st_mtime_ns for file in sorted((tmp_path / "out" / folder).glob("s*.npz"))])
-    assert times[0] == times[1]
+    assert times[0] == times[1] == times[2]
     assert all(row["registered_to"].endswith(to) for row in rows)
     assert all(row["registration_flips"] == 0.0 and row["registration_strain"] < 1.2 for row in rows)
     assert rows[0]["registration_sulc"] > 0.96

@@ -50,6 +50,17 @@ def test_numbers_that_a_format_does_not_hold_are_refused(tmp_path, name, values)
     assert not (tmp_path / name).exists()
 
 
+@pytest.mark.parametrize(
+    "names", [("2020",), ("mean, left", "sulc 1"), ('a "b"', "-1e3", "#c"), ("plain", "lh.curv-2")]
+)
+def test_names_of_columns_come_back_from_text(tmp_path, names):
+    values = np.random.default_rng(2).normal(size=(COUNT, len(names)))
+    write_data(tmp_path / "a.csv", VertexData(values, names))
+    again = read_data(tmp_path / "a.csv")
+    assert again.names == names
+    np.testing.assert_array_equal(again.values, values)
+
+
 def test_other_numbers_are_single_precision(tmp_path):
     pytest.importorskip("nibabel")
     values = np.random.default_rng(1).normal(size=COUNT) * 1e20

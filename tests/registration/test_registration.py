@@ -58,6 +58,23 @@ def test_warps_that_bring_folds_next_to_others_are_found_again(degrees, seed, mo
     assert np.degrees(farthest) > 26.0
 
 
+@pytest.mark.parametrize("without", [(0,), (1,), (0, 1)])
+def test_a_part_without_numbers_pulls_nothing(without):
+    """A wall of 30 degrees with NaN on a side, or both: the rest of a known warp is found as without it.
+
+    The mean over the sphere in their place, whose edge both sides would have to fit, leaves correlations of 0.97.
+    """
+    surface, truth = folded(BALL), flowed(BALL.vertices, 10.0)
+    wall = BALL.vertices[:, 0] > np.cos(np.radians(30.0))
+    folds = folding_features(surface, BALL.faces)
+    sides = [{k: np.where(wall & (n in without), np.nan, v) for k, v in folds.items()} for n in range(2)]
+    places = points_of(BALL.vertices, surface), points_of(truth, surface)
+    found = omtwarp.register(*places, features=sides[0], to_features=sides[1], **FIRM)
+    assert found.certificate.bijective and rms(found.sphere[~wall], truth[~wall]) < 0.3 * EDGE
+    assert rms(found.sphere[wall], truth[wall]) < EDGE
+    assert min(values["after"] for values in found.correlations.values()) > 0.99
+
+
 def test_strain_at_vertices_is_that_of_their_triangles():
     by_area, _ = octaves(BALL.vertices, 2.0 * BALL.vertices, BALL.faces)
     np.testing.assert_allclose(strain_at_vertices(BALL.vertices, BALL.faces, by_area), 2.0, atol=1e-12)

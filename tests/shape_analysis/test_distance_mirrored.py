@@ -45,6 +45,14 @@ def test_a_mirror_image_is_apart_until_it_is_mirrored_back():
     assert distances[1] < 1e-6 < 0.02 < distances[0]
 
 
+def test_maps_that_keep_other_things_are_warned_of():
+    """Points of a conformal map and of an area-preserving one do not correspond, even of one shape."""
+    shape = shapes.blob(3, amplitude=0.3, degree=4, sphere=720)
+    maps = [omtwarp.map_to_sphere(shape, until=until, device="cpu") for until in ("conformal", "moser")]
+    with pytest.warns(omtwarp.OmtwarpWarning, match="one map preserves areas and the other does not"):
+        assert shape_distance(*maps, degree=5, device="cpu").coefficients > 0.01
+
+
 def test_a_group_of_left_and_right_sides_names_the_mirrored_ones(tmp_path, monkeypatch, capsys):
     """The command and Python warn and compare all the same; mirrored by ``align`` there is nothing to warn of."""
     monkeypatch.chdir(tmp_path)
