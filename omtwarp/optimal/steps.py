@@ -80,10 +80,12 @@ class FlipFreeSteps:
             inputs = [*self._triangles, marks, share]
             wp.launch(hold_back, dim=self._count, inputs=inputs, outputs=[other], device=self._device)
             share, other = other, wp.empty_like(share) if share is self._whole else share
+            held = int(np.count_nonzero(share.numpy() < 1.0))  # never less than the last time
+            if held > MOST_HELD * self._count:
+                return None
             moved = self._domain.moved(points, direction, share, length)
             marks = self._domain.spoilt(moved, volume)
             place = self._reading.largest(marks)
             if not self._reading.read()[place] > 0.0:
-                held = int(np.count_nonzero(share.numpy() < 1.0))
-                return (moved, held) if held <= MOST_HELD * self._count else None
+                return moved, held
         return None
