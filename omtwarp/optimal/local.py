@@ -28,7 +28,7 @@ from omtwarp.optimal.patch_kernels import (
     settle_small_patches,
 )
 from omtwarp.optimal.shape import DistortionEnergy, Terms
-from omtwarp.optimal.sphere import GeodesicCost
+from omtwarp.optimal.sphere import GeodesicCost, Sphere
 from omtwarp.solvers.cholesky.envelope import Envelopes
 
 # The chosen vertices are the fewest that together have this share of the gains that single vertices could make: more
@@ -51,29 +51,58 @@ MAX_HALVINGS = 12  # of a patch's step before the patch stays where it is
 REGULARISATION = 1e-6  # added to the diagonal, relative to each entry, as the second derivative is only semidefinite
 
 
-def freed_vertices(faces: NDArray[np.int32], gains: Floats, expected: float) -> NDArray[np.bool_]:
+def freed_vertices(faces: NDArray[np.int32], gains: Floats, expected: float, part: float = 1.0) -> NDArray[np.bool_]:
     """Choose the vertices that local steps move, as a mask of shape [V]: none where none has anything to gain.
 
     Args:
         faces: of the surface, shape [F, 3].
         gains: the gain expected from moving each vertex alone, shape [V].
         expected: the gain that was expected from the last step of the whole map, which limits those of single vertices.
+        part: of the vertices that are chosen, those with the most to gain.
     """
     gains = np.minimum(gains, MAX_GAIN_SHARE * expected)
     order = np.argsort(-gains, kind="stable")
     total = np.cumsum(gains[order])
     count = min(int(np.searchsorted(total, GAIN_SHARE * total[-1])) + 1, int(MAX_CHOSEN_SHARE * len(gains)))
-    chosen = np.zeros(len(gains), dtype=bool)
+    count, chosen = int(part * count), np.zeros(len(gains), dtype=bool)
     if not total[-1] > 0.0 or count == 0:
         return chosen
     chosen[order[:count]] = True
     return grow(faces, chosen, FREED_RINGS)
 
 
+def local_steps(
+    energy: TransportEnergy, gains: Floats, expected: float, stiffness: Floats, constrained: bool
+) -> tuple[LocalSteps, int] | None:
+    """Return the steps of the vertices with the most to gain, and how many these are; None where there are none.
+
+    Patches that are too large for the threads that share one stay as they are; where that leaves none, half as many
+    vertices are chosen. Of 120 made surfaces of up to 50,000 vertices maps take 607 steps so, 636 where none are chosen
+    then, and 625 where one patch that is too large keeps all from moving.
+
+    Args:
+        energy, stiffness, constrained: as of :class:`LocalSteps`.
+        gains, expected: as of :func:`freed_vertices`.
+    """
+    surface, domain, part = energy.surface, energy.domain, 1.0
+    assert isinstance(domain, Sphere)
+    while (freed := domain.joined(freed_vertices(surface.faces, gains, expected, part))).any():
+        while freed.any():
+            steps = LocalSteps(energy, Patches.of_vertices(surface.faces, freed), stiffness, constrained)
+            if steps.worthwhile:
+                return steps, int(freed.sum())
+            freed[steps.in_large_patches] = False
+        part *= 0.5
+    return None
+
+
 class LocalSteps:
     """Moves patches of a surface's map, each by steps of its own length, without flipping a triangle.
 
     The threads of a patch take all its steps in one launch: a block of a GPU, or one thread of the host.
+
+    Attributes:
+        in_large_patches: vertices of patches that are too large for the threads that share one, of the surface.
 
     Args:
         energy: the energy that is minimised.
@@ -102,11 +131,12 @@ class LocalSteps:
         self._faces, self._triangles = place[patches.faces[by_patch]], patches.triangles[by_patch]
         self._vertices, self._free = patches.vertices[order], order < patches.free
         self._stiffness = stiffness[self._vertices]
+        self.in_large_patches = self._vertices[(self._envelopes.operations > MAX_OPERATIONS)[patch[order]]]
 
     @property
     def worthwhile(self) -> bool:
         """Whether no patch is too large for the threads that share it."""
-        return float(self._envelopes.operations.max()) <= MAX_OPERATIONS
+        return len(self.in_large_patches) == 0
 
     def run(
         self, points: wp.array, terms: MapTerms, multipliers: wp.array, enough: float, most: int = MAX_STEPS
@@ -217,4 +247,4 @@ def launch_patches(
     run_all(run, [order[k::cores] for k in range(cores)])
 
 
-__all__ = ["LocalSteps", "freed_vertices"]
+__all__ = ["LocalSteps", "local_steps"]

@@ -26,11 +26,10 @@ from omtwarp.device.sums import combine, scaled
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.mesh.arrays import Floats, norms, real_number, real_numbers, whole_number
-from omtwarp.mesh.patches import Patches
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, as_surface, as_unit_vectors
 from omtwarp.optimal.energy import SHAPE_WEIGHT, MapTerms, TransportEnergy
 from omtwarp.optimal.kernels import single_gains
-from omtwarp.optimal.local import LocalSteps, freed_vertices
+from omtwarp.optimal.local import local_steps
 from omtwarp.optimal.sphere import Sphere, energy_on_sphere
 from omtwarp.optimal.steps import FlipFreeSteps
 from omtwarp.options import Cost, CostLike, Progress, Record
@@ -313,21 +312,19 @@ class _Newton:
         ]
         gains = wp.empty(count, dtype=wp.float64, device=self.device)
         wp.launch(single_gains, dim=count, inputs=inputs, outputs=[gains], device=self.device)
+        stiffness = self.stiffness / energy.wanted
+        chosen = local_steps(energy, gains.numpy(), expected, stiffness, constrained=self.constrained)
+        if chosen is None:
+            return points, terms, 0
+        steps, freed = chosen
         assert isinstance(self.domain, Sphere)
-        freed = self.domain.joined(freed_vertices(self.surface.faces, gains.numpy(), expected))
-        if not freed.any():
-            return points, terms, 0
-        patches = Patches.of_vertices(self.surface.faces, freed)
-        steps = LocalSteps(energy, patches, self.stiffness / energy.wanted, constrained=self.constrained)
-        if not steps.worthwhile:
-            return points, terms, 0
         moved, multipliers = steps.run(points, terms, self.multipliers, LOCAL_GAIN_SHARE * self._enough(terms))
         moved, multipliers = self.domain.completed(moved, multipliers)
         after = energy.terms(moved)
         if not self._penalised_energy(after) < self._penalised_energy(terms):
             return points, terms, 0
         self.multipliers = multipliers
-        return moved, after, int(freed.sum())
+        return moved, after, freed
 
     def _enough(self, terms: MapTerms) -> float:
         """Return the expected gain below which no further step is taken."""

@@ -13,7 +13,7 @@ from omtwarp.flips.exact import is_bijective
 from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.shapes import blob, demo_shape, icosphere
-from omtwarp.optimal.local import FREED_RINGS, MAX_CHOSEN_SHARE, LocalSteps, freed_vertices
+from omtwarp.optimal.local import FREED_RINGS, MAX_CHOSEN_SHARE, LocalSteps, freed_vertices, local_steps
 from omtwarp.optimal.solver import PENALTY, minimise
 from omtwarp.optimal.sphere import energy_on_sphere
 
@@ -176,3 +176,27 @@ def test_no_more_than_a_share_of_the_vertices_is_chosen():
     chosen = np.zeros(surface.vertex_count, dtype=bool)
     chosen[: int(MAX_CHOSEN_SHARE * surface.vertex_count)] = True
     np.testing.assert_array_equal(freed, grow(surface.faces, chosen, FREED_RINGS))
+
+
+def test_patches_that_are_too_large_do_not_keep_others_from_moving(moser, monkeypatch):
+    """A large and a small patch: the small one moves alone; of one that is too large fewer vertices move."""
+    surface, result = moser
+    energy = energy_of(surface, result)
+    stiffness = PENALTY / energy.wanted.sum() / energy.wanted
+    near = np.argsort(-surface.vertices @ surface.vertices[7])
+    gains = np.zeros(surface.vertex_count)
+    gains[near[:100]], gains[near[-1]] = np.linspace(1.0, 0.9, 100), 2.0
+    whole = local_steps(energy, gains, np.inf, stiffness, constrained=True)
+    assert whole is not None
+    for most, count in (
+        (0.9, int(grow(surface.faces, np.arange(len(gains)) == near[-1], FREED_RINGS).sum())),
+        (0.0, 0),
+    ):
+        largest = float(whole[0]._envelopes.operations.max())
+        monkeypatch.setattr("omtwarp.optimal.local.MAX_OPERATIONS", most * largest)
+        fewer = local_steps(energy, gains, np.inf, stiffness, constrained=True)
+        assert (0 if fewer is None else fewer[1]) == count < whole[1]
+    gains[near[-1]] = 0.0
+    monkeypatch.setattr("omtwarp.optimal.local.MAX_OPERATIONS", 0.9 * largest)
+    fewer = local_steps(energy, gains, np.inf, stiffness, constrained=True)
+    assert fewer is not None and 0 < fewer[1] < whole[1]
