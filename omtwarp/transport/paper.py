@@ -39,37 +39,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from omtwarp.device.arrays import sent
 from omtwarp.device.start import KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.errors import OmtwarpError, choose
+from omtwarp.flips.exact import flipped_faces
 from omtwarp.geometry import DifferentialOperators, circumcentric_coordinates
 from omtwarp.geometry.spherical import TINY, geodesic_distance, hat_gradient
-from omtwarp.mesh.arrays import Floats, cross, norms, real_number, whole_number, whole_numbers
+from omtwarp.mesh.arrays import Floats, Ints, cross, dots, norms, real_number, whole_number, whole_numbers
+from omtwarp.mesh.patches import touching
 from omtwarp.mesh.surface import MeshLike, Surface, as_sphere, as_surface, triangle_areas
 from omtwarp.options import Cost, CostLike, Progress, Record, tell
 from omtwarp.wavelets import SphereSampler, SphericalWavelets, level_for, sphere_hierarchy
 
 wp.set_module_options(KERNEL_OPTIONS)
-
-
-@wp.func
-def rotated_cost_gradient(x: wp.vec3d, g: wp.vec3d, squared: wp.int32, smallest: wp.float64) -> wp.vec3d:
-    """Return J Phi_x(x, g) in the tangent plane at x.
-
-    It is that of section 2.5 for Phi = theta, and 2 theta times that for theta squared.
-
-    ``smallest`` bounds the denominator |x × g| from below, smoothly: Phi = theta has no gradient where g = x.
-    """
-    turned = wp.cross(x, g)
-    sine = wp.length(turned)
-    if squared != 0:
-        # theta / sin(theta) is 1 at coincident points and unbounded at antipodal ones, where no direction is shortest.
-        ratio = ONE
-        if sine > smallest or wp.dot(x, g) < ZERO:
-            ratio = geodesic_distance(x, g) / wp.max(sine, smallest)
-        return -TWO * ratio * turned
-    return -turned / wp.max(wp.sqrt(sine * sine + smallest * smallest), TINY)
 
 
 @wp.kernel
@@ -81,24 +65,22 @@ def rotated_cost_gradients(
     # Data out:
     field: wp.array[wp.vec3d],
 ):
-    f = wp.tid()
-    field[f] = rotated_cost_gradient(dual_points[f], dual_map[f], squared, smallest)
+    """Compute J Phi_x(x, g) in the tangent plane at x: that of section 2.5, times 2 theta for Phi = theta squared.
 
-
-@wp.kernel
-def dual_costs(
-    dual_points: wp.array[wp.vec3d],
-    dual_map: wp.array[wp.vec3d],
-    masses: wp.array[wp.float64],
-    squared: wp.int32,
-    # Data out:
-    cost: wp.array[wp.float64],
-):
+    ``smallest`` bounds the denominator |x × g| from below, smoothly: Phi = theta has no gradient where g = x.
+    """
     f = wp.tid()
-    distance = geodesic_distance(dual_points[f], dual_map[f])
+    x, g = dual_points[f], dual_map[f]
+    turned = wp.cross(x, g)
+    sine = wp.length(turned)
     if squared != 0:
-        distance = distance * distance
-    cost[f] = masses[f] * distance
+        # theta / sin(theta) is 1 at coincident points and unbounded at antipodal ones, where no direction is shortest.
+        ratio = ONE
+        if sine > smallest or wp.dot(x, g) < ZERO:
+            ratio = geodesic_distance(x, g) / wp.max(sine, smallest)
+        field[f] = -TWO * ratio * turned
+    else:
+        field[f] = -turned / wp.max(wp.sqrt(sine * sine + smallest * smallest), TINY)
 
 
 @wp.kernel
@@ -113,66 +95,6 @@ def average_to_dual(
     w = weights[f]
     mean = w[0] * at_vertices[faces[f, 0]] + w[1] * at_vertices[faces[f, 1]] + w[2] * at_vertices[faces[f, 2]]
     at_dual[f] = wp.normalize(mean)
-
-
-@wp.kernel
-def newly_flipped(
-    faces: wp.array2d[wp.int32],
-    before: wp.array[wp.vec3d],
-    after: wp.array[wp.vec3d],
-    # Data out:
-    flipped: wp.array[wp.int32],
-):
-    f = wp.tid()
-    i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
-    was = wp.dot(before[i], wp.cross(before[j], before[k]))
-    now = wp.dot(after[i], wp.cross(after[j], after[k]))
-    flipped[f] = wp.where(was > ZERO and now <= ZERO, 1, 0)
-
-
-@wp.kernel
-def mark_vertices(
-    corner_offsets: wp.array[wp.int32],
-    corners: wp.array[wp.int32],
-    flipped: wp.array[wp.int32],
-    # Data out:
-    marked: wp.array[wp.int32],
-):
-    i = wp.tid()
-    found = int(0)
-    for n in range(corner_offsets[i], corner_offsets[i + 1]):
-        if flipped[corners[n] // 3] != 0:
-            found = 1
-    marked[i] = found
-
-
-@wp.kernel
-def hold_faces(
-    faces: wp.array2d[wp.int32],
-    marked: wp.array[wp.int32],
-    # Data in and out:
-    held: wp.array[wp.int32],
-):
-    f = wp.tid()
-    if marked[faces[f, 0]] + marked[faces[f, 1]] + marked[faces[f, 2]] > 0:
-        held[f] = 1
-
-
-@wp.kernel
-def area_distortions(
-    faces: wp.array2d[wp.int32],
-    image: wp.array[wp.vec3d],
-    masses: wp.array[wp.float64],
-    # Data out:
-    weighted: wp.array[wp.float64],
-    areas: wp.array[wp.float64],
-):
-    """Compute the image area times (r + 1/r), r the ratio of image area to surface area, and the image area."""
-    f = wp.tid()
-    a = image[faces[f, 0]]
-    area = wp.length(wp.cross(image[faces[f, 1]] - a, image[faces[f, 2]] - a)) / TWO
-    weighted[f] = area * area / masses[f] + masses[f]
-    areas[f] = area
 
 
 @wp.kernel
@@ -220,7 +142,7 @@ def advance_map(
     velocity: wp.array[wp.vec3d],
     rate: wp.array[wp.float64],
     largest_rate: wp.float64,
-    held: wp.array[wp.int32],
+    held: wp.array[wp.bool],
     step: wp.float64,
     map_at_vertices: wp.array[wp.vec3d],
     dual_map: wp.array[wp.vec3d],
@@ -233,7 +155,7 @@ def advance_map(
     a, b, c = vertices[i], vertices[j], vertices[k]
     # A bound on the few triangles far beyond the Courant condition, so that they do not hold back all the others.
     v = velocity[f] * wp.min(ONE, largest_rate / wp.max(rate[f], TINY))
-    if held[f] != 0:
+    if held[f]:
         v = wp.vec3d(ZERO, ZERO, ZERO)
     g = map_at_vertices[i]
     change = wp.dot(hat_gradient(b, c, a), v) * (map_at_vertices[j] - g)
@@ -287,16 +209,17 @@ class PaperFlow:
     Attributes:
         dual_map: g at the dual vertices, Warp vec3d [F].
         map: g at the mesh vertices, Warp vec3d [V].
+        advanced, advanced_map: the same of the map that :meth:`advance` made last.
         hamiltonian: H at the wavelets' nodes, Warp float64 [N].
         mean_displacement: mean of |x × g| over the surface.
     """
 
     def __init__(
         self,
-        conformal: ArrayLike,
-        faces: ArrayLike,
-        initial_map: ArrayLike,
-        face_areas_on_surface: ArrayLike,
+        conformal: Floats,
+        faces: Ints,
+        initial_map: Floats,
+        face_areas_on_surface: Floats,
         *,
         cost: CostLike = Cost.GEODESIC,
         highest_resolution: int = max(V_CYCLE),
@@ -304,16 +227,10 @@ class PaperFlow:
         device: str = "auto",
     ) -> None:
         surface = Surface(conformal, faces)
-        start = np.ascontiguousarray(initial_map, dtype=np.float64)
-        masses = np.array(face_areas_on_surface, dtype=np.float64)
-        if start.shape != surface.vertices.shape or masses.shape != (surface.face_count,):
-            raise OmtwarpError(
-                f"expected a map of shape {surface.vertices.shape} and {surface.face_count} areas, "
-                f"got {start.shape} and {masses.shape}"
-            )
-        masses *= 4 * np.pi / masses.sum()
+        masses = face_areas_on_surface * (4 * np.pi / face_areas_on_surface.sum())
         # Smallest mass, of the mean: velocities are divided by masses, and a triangle without area carries nothing
         masses = np.maximum(masses, 1e-12 * masses.mean())
+        self.faces, self.masses = surface.faces, masses
         self.squared = int(choose(Cost, cost) is Cost.SQUARED)
         self.operators = DifferentialOperators(surface.vertices, surface.faces, device=device)
         self.device = self.operators.device
@@ -325,21 +242,19 @@ class PaperFlow:
         self.sampler.set_masses(surface.sum_to_vertices(areas) / 3)
         self.hamiltonian = wp.empty(hierarchy.node_count, dtype=wp.float64, device=self.device)
 
-        self._weights = self._send(_dual_weights(surface), wp.vec3d)
-        self._areas, self._masses = self._send(areas), self._send(masses)
+        self._weights = sent(_dual_weights(surface), wp.vec3d, self.device)
+        self._areas, self._masses = (sent(sizes, wp.float64, self.device) for sizes in (areas, masses))
         count, vertex_count = surface.face_count, surface.vertex_count
-        self._advanced, self._field, self._velocity = (self._empty(count, wp.vec3d) for _ in range(3))
-        self._per_face, self._image_areas, self._rate = (self._empty(count, wp.float64) for _ in range(3))
+        self.advanced, self._field, self._velocity = (self._empty(count, wp.vec3d) for _ in range(3))
+        self._rate = self._empty(count, wp.float64)
         self._flux, self._at_vertices = (self._empty(vertex_count, wp.float64) for _ in range(2))
-        self._advanced_map = self._empty(vertex_count, wp.vec3d)
-        self._flipped, self._held = (self._empty(count, wp.int32) for _ in range(2))
-        self._marked = self._empty(vertex_count, wp.int32)
+        self.advanced_map = self._empty(vertex_count, wp.vec3d)
 
         self._points = self._at_dual(self.operators.vertices)
-        self.dual_map = self._at_dual(self._send(start, wp.vec3d))
+        self.dual_map = self._at_dual(sent(initial_map, wp.vec3d, self.device))
         self.map = self._empty(vertex_count, wp.vec3d)
         self.operators.interpolate_dual(self.dual_map, out=self.map)
-        self._correction = self._send(start - self.map.numpy(), wp.vec3d)
+        self._correction = sent(initial_map - self.map.numpy(), wp.vec3d, self.device)
         self._to_vertices(self.dual_map, self.map)
 
         sine = norms(cross(self._points.numpy(), self.dual_map.numpy()))
@@ -348,9 +263,6 @@ class PaperFlow:
         relative = 0.0 if self.squared else 0.1 * self.mean_displacement
         # Resolved displacement, radians: the sine of a smaller angle is lost in the round-off of a cross product
         self._smallest = max(relative, 1e-8)
-
-    def _send(self, array: Floats, dtype: type = wp.float64) -> wp.array:
-        return wp.array(np.ascontiguousarray(array), dtype=dtype, device=self.device)
 
     def _empty(self, size: int, dtype: type) -> wp.array:
         return wp.empty(size, dtype=dtype, device=self.device)
@@ -366,15 +278,14 @@ class PaperFlow:
 
     def cost_of(self, dual_map: wp.array) -> float:
         """Return M(g), equation (6): the sum over triangles of surface area times Phi at the dual vertex."""
-        inputs = [self._points, dual_map, self._masses, self.squared]
-        self._launch(dual_costs, len(dual_map), inputs, [self._per_face])
-        return float(self._per_face.numpy().sum())
+        x, g = self._points.numpy(), dual_map.numpy()
+        distance = np.arctan2(norms(cross(x, g)), dots(x, g))
+        return float((self.masses * (distance * distance if self.squared else distance)).sum())
 
     def area_of(self, image: wp.array) -> float:
         """Return the mean of r + 1/r over the image of the mesh, r = image area / surface area of a triangle."""
-        inputs = [self.operators.faces, image, self._masses]
-        self._launch(area_distortions, len(self.dual_map), inputs, [self._per_face, self._image_areas])
-        return float(self._per_face.numpy().sum() / self._image_areas.numpy().sum())
+        areas = triangle_areas(image.numpy(), self.faces)
+        return float((areas * areas / self.masses + self.masses).sum() / areas.sum())
 
     def _to_vertices(self, dual_map: wp.array, out: wp.array) -> None:
         """Compute g at the mesh vertices from the dual ones (Algorithm 1, lines 7 and 8)."""
@@ -411,34 +322,25 @@ class PaperFlow:
         Where the step turns triangles over, it is repeated first with their vertices and surroundings held.
         """
         mesh = [self.operators.vertices, self.operators.faces]
-        rows = [self.operators.corner_offsets, self.operators.corners]
-        faces, count = self.operators.faces, len(self.dual_map)
-        self._held.zero_()
+        held: NDArray[np.bool_] = np.zeros(len(self.faces), dtype=bool)
+        upright = ~flipped_faces(self.map, self.faces, device=self.device)
         # Holding rounds, in which points around flipped triangles are held back before a step is refused
         for _ in range(8):
-            inputs = [*mesh, self._velocity, self._rate, COURANT / step, self._held, step, self.map, self.dual_map]
-            self._launch(advance_map, count, inputs, [self._advanced])
-            self._to_vertices(self._advanced, self._advanced_map)
-            inputs = [faces, self.map, self._advanced_map]
-            self._launch(newly_flipped, count, inputs, [self._flipped])
-            if not self._flipped.numpy().any():
+            stay = sent(held, wp.bool, self.device)
+            inputs = [*mesh, self._velocity, self._rate, COURANT / step, stay, step, self.map, self.dual_map]
+            self._launch(advance_map, len(held), inputs, [self.advanced])
+            self._to_vertices(self.advanced, self.advanced_map)
+            flipped = upright & flipped_faces(self.advanced_map, self.faces, device=self.device)
+            if not flipped.any():
                 return True
-            self._launch(mark_vertices, len(self.map), [*rows, self._flipped], [self._marked])
-            self._launch(hold_faces, count, [faces, self._marked], [self._held])
+            around = np.isin(np.arange(len(self.map)), self.faces[flipped])
+            held |= touching(self.faces, around)
         return False
-
-    def advanced_cost(self) -> float:
-        """Return the cost M of the map that :meth:`advance` made."""
-        return self.cost_of(self._advanced)
-
-    def advanced_area(self) -> float:
-        """Return the area distortion, :meth:`area_of`, of the map that :meth:`advance` made."""
-        return self.area_of(self._advanced_map)
 
     def accept(self) -> None:
         """Accept the map that :meth:`advance` made as the current one."""
-        self.dual_map, self._advanced = self._advanced, self.dual_map
-        self.map, self._advanced_map = self._advanced_map, self.map
+        self.dual_map, self.advanced = self.advanced, self.dual_map
+        self.map, self.advanced_map = self.advanced_map, self.map
 
 
 def _dual_weights(surface: Surface) -> Floats:
@@ -576,10 +478,10 @@ class _Descent:
                 return "hamiltonian"
             step = min(self._steps[resolution], COURANT / max(self._flow.set_velocity(), float(TINY)))
             accepted = self._flow.advance(step)
-            reached = self._flow.advanced_cost()
+            reached = self._flow.cost_of(self._flow.advanced)
             accepted = accepted and reached < self._cost
             if accepted:
-                area = self._flow.advanced_area()
+                area = self._flow.area_of(self._flow.advanced_map)
                 if area > self._largest_area:
                     return "area"
                 self._flow.accept()

@@ -98,7 +98,7 @@ def test_rate_of_the_cost_is_minus_the_product_of_hamiltonians():
     rate = flow.set_velocity()
     step = 1e-3 / rate
     assert flow.advance(step)
-    measured = (flow.advanced_cost() - flow.cost_of(flow.dual_map)) / step
+    measured = (flow.cost_of(flow.advanced) - flow.cost_of(flow.dual_map)) / step
     hamiltonian = flow.sampler.interpolate(flow.hamiltonian).numpy()
     expected = -hamiltonian @ flow._flux.numpy()
     assert measured < 0
