@@ -93,7 +93,8 @@ class Domain(Protocol):
         """
 
     def factor(self, cells: Cells, workspace: Workspace | None) -> SaddlePointFactor:
-        """Return what factorises matrices with a multiplier for every cell."""
+        """Return what factorises matrices with a multiplier for every cell: what the cells have, by default."""
+        return cells.factor(workspace)
 
 
 class VertexCost(Protocol):

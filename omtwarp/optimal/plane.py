@@ -15,17 +15,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.device.arrays import Workspace
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.device.sums import Reading
 from omtwarp.geometry.spherical import TINY, oriented_volume
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
-from omtwarp.optimal.cells import Cells
-from omtwarp.optimal.energy import ShapeTerms
+from omtwarp.optimal.energy import Domain, ShapeTerms
 from omtwarp.optimal.kernels import Fit, raised_fit, weighted_fit
 from omtwarp.optimal.shape_kernels import distortion_gradient, distortion_modes, distortion_terms, write_squares
-from omtwarp.solvers.mesh_factor import SaddlePointFactor
 from omtwarp.solvers.motion_kernels import keeps_volume
 from omtwarp.solvers.triangle import first_column, second_column, triangle_frames
 
@@ -216,29 +213,6 @@ def plane_costs(
 
 
 @wp.kernel
-def taken_apart(
-    vectors: wp.array[wp.vec2d],
-    # Data out:
-    numbers: wp.array2d[wp.float64],
-):
-    """Write the two coordinates of every vector, shape [V, 2]."""
-    v = wp.tid()
-    numbers[v, 0] = vectors[v][0]
-    numbers[v, 1] = vectors[v][1]
-
-
-@wp.kernel
-def put_together(
-    numbers: wp.array2d[wp.float64],
-    # Data out:
-    vectors: wp.array[wp.vec2d],
-):
-    """Make a vector of every two coordinates, shape [V]."""
-    v = wp.tid()
-    vectors[v] = wp.vec2d(numbers[v, 0], numbers[v, 1])
-
-
-@wp.kernel
 def move_in_plane(
     points: wp.array[wp.vec2d],
     direction: wp.array[wp.vec2d],
@@ -302,7 +276,7 @@ def plane_cost_metric(
     metric[v, 3] = entries[2]
 
 
-class Plane:
+class Plane(Domain):
     """The plane as the :class:`omtwarp.optimal.energy.Domain` of one surface's maps.
 
     Args:
@@ -356,15 +330,11 @@ class Plane:
 
     def coordinates(self, points: wp.array, vectors: wp.array) -> wp.array:
         """Return the vectors, float64, shape [V, 2]: in the plane all frames are the axes."""
-        out = self.empty(wp.float64, len(vectors), 2)
-        self.at_vertices(taken_apart, [vectors], [out])
-        return out
+        return vectors.view(wp.float64)
 
     def vectors(self, points: wp.array, coordinates: wp.array) -> wp.array:
         """Return the coordinates as vec2d, shape [V]: in the plane all frames are the axes."""
-        out = self.empty(wp.vec2d, len(coordinates))
-        self.at_vertices(put_together, [coordinates], [out])
-        return out
+        return coordinates.view(wp.vec2d)
 
     def moved(self, points: wp.array, direction: wp.array, share: wp.array, length: float) -> wp.array:
         """Return the points after a step along vectors, vec2d, shape [V]."""
@@ -378,10 +348,6 @@ class Plane:
         inputs = [self.areas(moved), volume]
         wp.launch(plane_trouble, dim=len(volume), inputs=inputs, outputs=[marks], device=self.device)
         return marks
-
-    def factor(self, cells: Cells, workspace: Workspace | None) -> SaddlePointFactor:
-        """Return what factorises matrices with a multiplier for every cell."""
-        return cells.factor(workspace)
 
 
 class PlaneCost:

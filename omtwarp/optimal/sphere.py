@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp.device.arrays import Workspace, empty, vectors
+from omtwarp.device.arrays import empty, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import FIRST_THREAD, Each, each, launch_parts
@@ -13,16 +13,15 @@ from omtwarp.flips.exact import flipped_faces
 from omtwarp.mesh.arrays import Floats, dots, normalised, real_number, real_numbers
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_surface, as_unit_vectors
 from omtwarp.optimal.cells import Cells, MeasuredRings, RingCells
-from omtwarp.optimal.energy import SHAPE_WEIGHT, MapTerms, Shape, TransportEnergy
+from omtwarp.optimal.energy import SHAPE_WEIGHT, Domain, MapTerms, Shape, TransportEnergy
 from omtwarp.optimal.kernels import area_slopes, cost_metric, transport_gradient, vertex_costs
 from omtwarp.optimal.shape import DistortionEnergy
-from omtwarp.solvers.mesh_factor import SaddlePointFactor
 from omtwarp.solvers.motion_kernels import from_tangent, retract_to_sphere, to_tangent, triangle_trouble
 from omtwarp.solvers.triangle import AREA_WEIGHT
 from omtwarp.untangling.kernels import solid_angles
 
 
-class Sphere:
+class Sphere(Domain):
     """The unit sphere as the :class:`omtwarp.optimal.energy.Domain` of one surface's maps.
 
     Args:
@@ -89,10 +88,6 @@ class Sphere:
     def completed(self, points: wp.array, multipliers: wp.array) -> tuple[wp.array, wp.array]:
         """Return a map and its multipliers where some vertices moved on their own, with those that depend on them."""
         return points, multipliers
-
-    def factor(self, cells: Cells, workspace: Workspace | None) -> SaddlePointFactor:
-        """Return what factorises matrices with a multiplier for every cell."""
-        return cells.factor(workspace)
 
 
 class GeodesicCost:
