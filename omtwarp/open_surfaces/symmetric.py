@@ -127,6 +127,10 @@ class MirrorFactor(SaddlePointFactor):
         self._take(matrix.points)
         diagonal, off_diagonal, gradients, compliance = matrix.on_host()
         own, others = self._halved(diagonal, off_diagonal)
+        self._factor.factorise(SaddleMatrix.of(own, others, self._slopes(gradients), self._own(compliance)))
+
+    def _slopes(self, gradients: Floats) -> Floats:
+        """Return the derivatives of the half's areas from those of the double's: none crosses the boundary."""
         slopes = gradients.reshape(2, -1, 2)[:, self._kept]
         slopes[:, self._along] *= 0.5
         # The areas of the first end by the second one's coordinates come first.
@@ -134,7 +138,15 @@ class MirrorFactor(SaddlePointFactor):
             touching = np.flatnonzero(self._on_rim[end])
             across = self._normals[end[touching]]
             slopes[row, touching] -= across * np.einsum("ea,ea->e", across, slopes[row, touching])[:, None]
-        self._factor.factorise(SaddleMatrix.of(own, others, slopes, compliance[self._half] * self._share))
+        return slopes
+
+    def _own(self, of_cells: Floats) -> Floats:
+        """Return the numbers of the half's cells from those of the double's."""
+        return of_cells[self._half] * self._share
+
+    def _of_double(self, q: Floats) -> Floats:
+        """Return the multipliers of the double's cells from those of the half's."""
+        return q[self._number[self._original]]
 
     def _halved(self, diagonal: Floats, off_diagonal: Floats) -> tuple[Floats, Floats]:
         """Return the blocks of the half's vertices and edges from those of the double.
@@ -157,20 +169,12 @@ class MirrorFactor(SaddlePointFactor):
         return own, others
 
     def solve(self, right: wp.array) -> wp.array:
-        """Solve for coordinates and multipliers of a symmetric right-hand side, shape [3 W]."""
-        first, second = self._parts(right)
-        u, q = solve_parts(self._factor, self._tangential(first), second[self._half] * self._share)
-        return self._joined(u, q[self._number[self._original]])
-
-    def _parts(self, right: wp.array) -> tuple[Floats, Floats]:
-        """Return the two right-hand sides of the double, shapes [W, 2] and [N]."""
+        """Solve for coordinates and multipliers of a symmetric right-hand side, shape [2 W + N]."""
         numbers, split = right.numpy(), COORDINATES * len(self._double.mirror)
-        return numbers[:split].reshape(-1, COORDINATES), numbers[split:]
-
-    def _joined(self, u: Floats, q: Floats) -> wp.array:
-        """Return the half's coordinates, mirrored, and the double's multipliers as one array on the device."""
-        numbers = np.concatenate([self._mirrored(u).ravel(), q])
-        return wp.array(numbers, dtype=wp.float64, device=self._device)
+        first = numbers[:split].reshape(-1, COORDINATES)
+        u, q = solve_parts(self._factor, self._tangential(first), self._own(numbers[split:]))
+        whole = np.concatenate([self._mirrored(u).ravel(), self._of_double(q)])
+        return wp.array(whole, dtype=wp.float64, device=self._device)
 
     def _tangential(self, first: Floats) -> Floats:
         """Return the right-hand sides of the half's coordinates, without the component across the boundary."""
@@ -205,23 +209,13 @@ class MirrorCellFactor(MirrorFactor):
         self._own_cells = self._number[self._cells]
         return cell_saddle_factor(places, self._edges, self._own_cells)
 
-    def factorise(self, matrix: SaddleMatrix) -> None:
-        """Factorise a matrix of the double.
-
-        Raises:
-            NotPositiveDefinite: it is not definite on the half.
-        """
-        self._take(matrix.points)
-        diagonal, off_diagonal, gradients, compliance = matrix.on_host()
-        own, others = self._halved(diagonal, off_diagonal)
-        count = len(self._own_cells)
+    def _slopes(self, gradients: Floats) -> Floats:
         across = self._normals[self._own_cells]  # zero but at the boundary
-        slopes = gradients.reshape(-1, self._cells.shape[1], COORDINATES)[:count]
-        slopes = slopes - across * np.einsum("cka,cka->ck", across, slopes)[:, :, None]
-        self._factor.factorise(SaddleMatrix.of(own, others, slopes, compliance[:count]))
+        slopes = self._own(gradients.reshape(-1, self._cells.shape[1], COORDINATES))
+        return slopes - across * np.einsum("cka,cka->ck", across, slopes)[:, :, None]
 
-    def solve(self, right: wp.array) -> wp.array:
-        """Solve for coordinates and multipliers of a symmetric right-hand side, shape [2 W + N]."""
-        first, second = self._parts(right)
-        u, q = solve_parts(self._factor, self._tangential(first), second[: len(self._own_cells)])
-        return self._joined(u, np.concatenate([q, q]))
+    def _own(self, of_cells: Floats) -> Floats:
+        return of_cells[: len(self._own_cells)]
+
+    def _of_double(self, q: Floats) -> Floats:
+        return np.concatenate([q, q])
