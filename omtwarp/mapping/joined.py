@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
@@ -142,33 +141,6 @@ def _report(maps: list[MapResult]) -> MapReport:
     return cast(MapReport, {name: first[name] for name in alike} | of_all)
 
 
-Places = NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class _Order:
-    """The order of the vertices, faces and corners of a map, by their present numbers.
-
-    Attributes:
-        vertices: shape [V].
-        faces: shape [F].
-        corners: of every face in its new place, the present number of each of its corners, shape [F, 3].
-    """
-
-    vertices: Places
-    faces: Places
-    corners: Places
-
-    @property
-    def place(self) -> Places:
-        """The number that every vertex gets, shape [V]."""
-        return np.argsort(self.vertices)
-
-    def of_corners(self, values: NDArray) -> NDArray:
-        """Put rows for the corners of faces in order, shape [F, 3] or [F, 3, ...]."""
-        return values[self.faces[:, None], self.corners]
-
-
 def in_input_order(result: MapResult, given: Part, *, exact: bool) -> MapResult:
     """Put the map of a part that was numbered in space into the order of the input.
 
@@ -178,12 +150,13 @@ def in_input_order(result: MapResult, given: Part, *, exact: bool) -> MapResult:
         exact: whether triangles were quartered.
     """
     assert result.origins is not None
-    order = _order(result.faces, result.origins, given, exact)
-    place, count, own = order.place, len(result.vertices), len(result.faces)
-    arrays = result.rows({"V": order.vertices, "F": order.faces})
-    arrays["faces"] = place[order.of_corners(result.faces)].astype(np.int32)
+    order, face_order, corners = _order(result.faces, result.origins, given, exact)
+    place, count, own = np.argsort(order), len(result.vertices), len(result.faces)
+    arrays = result.rows({"V": order, "F": face_order})
+    turned = face_order[:, None], corners
+    arrays["faces"] = place[result.faces[turned]].astype(np.int32)
     if "wraps" in result.arrays:
-        arrays["wraps"] = order.of_corners(result.wraps)
+        arrays["wraps"] = result.wraps[turned]
     if result.split_edges is not None:
         arrays["split_edges"] = np.sort(place[result.split_edges], axis=1)
     if result.loops is not None:
@@ -191,7 +164,7 @@ def in_input_order(result: MapResult, given: Part, *, exact: bool) -> MapResult:
     for name in ("filled_vertices", "filled_sphere", "filled_conformal"):
         values = getattr(result, name)
         if values is not None:
-            arrays[name] = np.concatenate([values[order.vertices], values[count:]])
+            arrays[name] = np.concatenate([values[order], values[count:]])
     if result.filled_faces is not None and result.filled_vertices is not None:
         whole = np.concatenate([place, np.arange(count, len(result.filled_vertices))])
         arrays["filled_faces"] = np.concatenate([arrays["faces"], whole[result.filled_faces[own:]]])
@@ -212,7 +185,9 @@ def torus_in_input_order(result: MapResult, ordered: Part, given: Part) -> MapRe
     return result if exact else result.with_arrays(origin_arrays(None))
 
 
-def _order(faces: NDArray, origins: Origins, given: Part, exact: bool) -> _Order:
+def _order(
+    faces: NDArray, origins: Origins, given: Part, exact: bool
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Return the order of a map's vertices and faces in which those of the input lie as they do there.
 
     Args:
@@ -220,6 +195,10 @@ def _order(faces: NDArray, origins: Origins, given: Part, exact: bool) -> _Order
         origins: what its vertices and faces are in the input.
         given: the part in the order of the input.
         exact: whether triangles were quartered, see :class:`omtwarp.mesh.quarter.QuarteredSurface`.
+
+    Returns:
+        By their present numbers, the vertices, shape [V]; the faces, shape [F]; and of every face in its new place,
+        the corners, shape [F, 3].
     """
     first, parts = origins.places(), PARTS if exact else 1
     first = first[first >= 0]
@@ -231,10 +210,10 @@ def _order(faces: NDArray, origins: Origins, given: Part, exact: bool) -> _Order
     begins = origins.vertex_origin[faces.reshape(-1, parts, 3)[along, 0, 0]]
     back = (np.arange(3) - (corners == begins[:, None]).argmax(axis=1)[:, None]) % 3
     if not exact:
-        return _Order(vertices, along, back)
+        return vertices, along, back
     # A part at a corner goes to another corner's place as it is; the middle one is turned.
     middle = np.full((len(along), 1), PARTS - 1)
     rows = (PARTS * along)[:, None] + np.concatenate([back, middle], axis=1)
     turned = np.broadcast_to(np.arange(3), (len(along), PARTS, 3)).copy()
     turned[:, PARTS - 1] = back
-    return _Order(vertices, rows.ravel(), turned.reshape(-1, 3))
+    return vertices, rows.ravel(), turned.reshape(-1, 3)
