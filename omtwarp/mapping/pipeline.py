@@ -217,8 +217,7 @@ class MapComputation:
         self.given_up = ""  # what the current stage could not do
         self.repair_given_up = False  # after the work that it may take
         self.origin: dict[str, str] = {}  # of the first map: the route that led to it, and why that one
-        self.first: wp.array | None = None
-        self.source: Floats | None = None
+        self.source: Floats | None = None  # the points that transport starts from
         self.measured: Optimality | None = None  # of the map by Newton's method
         self.uploaded: tuple[Floats, wp.array] | None = None
         self.known: tuple[Floats, Examined] | None = None
@@ -228,12 +227,6 @@ class MapComputation:
     def sphere(self) -> Floats:
         """The map of the latest stage."""
         return next(reversed(self.maps.values()))
-
-    @property
-    def start(self) -> wp.array:
-        """The points that transport starts from, where the kernels run."""
-        assert self.first is not None
-        return self.first
 
     def notify(self, stage: str, done: int, total: int, details: Record) -> None:
         tell(self.progress, str(stage), done, total, details)
@@ -261,16 +254,14 @@ class MapComputation:
     def finish(self, name: str, sphere: Floats, iterations: int, **details: str | float | None) -> None:
         """End a stage: keep its map, and record its time and the quality of the map."""
         seconds = time.perf_counter() - self.stage_begun
-        if self.first is None:
-            self.source = sphere if self.source is None else self.source
-            self.first = vectors(self.source, resolve_device(self.device))
+        self.source = sphere if self.source is None else self.source
         self.maps[name] = sphere
         if self.given_up:
             details["gave_up"] = self.given_up
             self.given_up = ""
         mesh = self.surface.on(self.device)
         measured = measure_triangles(mesh.vertices, mesh.faces, self.points(sphere), device=self.device).to_dict()
-        cost = transport_cost(self.surface, self.points(sphere), start=self.first, device=self.device)
+        cost = transport_cost(self.surface, sphere, start=self.source, device=self.device)
         record = {"name": str(name), "seconds": seconds, "iterations": iterations, **measured, "transport_cost": cost}
         self.records.append(cast(StageReport, record | details))
         facts = {"flips": measured["flips"], "area": measured["area"]["surface"], "angle": measured["angle"]["surface"]}
@@ -426,6 +417,7 @@ class MapComputation:
         if self.options.scheme is Scheme.PAPER:
             self.transport_as_published()
             return
+        assert self.source is not None
         initial = self.sphere
         if self.uses_newton:
             if self.mirror is None and not solves_with_scipy():
@@ -441,7 +433,7 @@ class MapComputation:
         moved = optimal_transport(
             self.surface,
             self.points(initial),
-            start=self.start,
+            start=self.source,
             cost=self.options.cost,
             scheme=self.options.scheme,
             target=self.target,
@@ -603,7 +595,6 @@ class MapComputation:
         if self.mirror is not None:
             self.mirror = quartered_double(self.mirror, quartered)
         self.source = source = quartered.on_sphere(self.source)
-        self.first = vectors(source, resolve_device(self.device))
         # Cutting along great circles keeps a map one to one, except for rounding.
         self.maps = {name: quartered.on_sphere(sphere) for name, sphere in self.maps.items()}
         before, crowded = self.untangle(self.sphere, self.sphere)
@@ -638,16 +629,12 @@ class MapComputation:
 
     def transport_as_published(self) -> None:
         """Compute the optimal map by Algorithms 1 and 2 as the paper prints them."""
+        assert self.source is not None
         initial = self.sphere
         from omtwarp.transport.paper import paper_flow  # its kernels are read for the paper's scheme alone
 
         flowed = paper_flow(
-            self.surface,
-            initial,
-            start=self.start.numpy(),
-            cost=self.options.cost,
-            device=self.device,
-            progress=self.progress,
+            self.surface, initial, start=self.source, cost=self.options.cost, device=self.device, progress=self.progress
         )
         sphere, repaired = self.untangle(initial, flowed.sphere)
         self.history = flowed.history
