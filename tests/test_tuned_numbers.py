@@ -101,7 +101,7 @@ OTHERS = {
         "solvers/cholesky/multifrontal.py": "MIN_PARALLEL_OPERATIONS MIN_LIMITED_OPERATIONS BRANCHES_PER_THREAD",
         "solvers/cholesky/saddle.py": "UNKNOWNS COORDINATES",
         "optimal/local.py": "MIN_SHARED_TRIANGLES BLOCK",
-        "start/decimation.py": "MAX_VALENCE NO_KEY INSIDE RIM POLE",
+        "start/decimation.py": "MAX_VALENCE INSIDE RIM POLE",
     },
     # The paper's and elementary geometry's.
     "constant of nature": {

@@ -46,7 +46,6 @@ FREE_VALENCE = wp.constant(8)
 # Times the shape measure of an equilateral triangle: worse ones count as this, or one needle would outweigh its ring.
 # On scans of 6,000 and 20,000 triangles 200 decimates as 20 does.
 WORST_SHAPE = wp.constant(wp.float64(20.0))
-NO_KEY = wp.constant(wp.int64(0x7FFFFFFFFFFFFFFF))  # the largest int64, after every key
 
 
 class Vertex(IntEnum):
@@ -186,29 +185,6 @@ def propose_collapses(
 
 
 @wp.kernel
-def select_minima(
-    alive: wp.array[wp.int32],
-    offsets: wp.array[wp.int32],
-    heads: wp.array[wp.int32],
-    keys: wp.array[wp.int64],
-    # Data out:
-    selected: wp.array[wp.bool],
-):
-    """Mark the vertices to remove in this round: their key is below that of every neighbour.
-
-    No two neighbours are removed together.
-    """
-    i = wp.tid()
-    v = alive[i]
-    key = keys[v]
-    lowest = key < NO_KEY
-    for h in range(offsets[v], offsets[v + 1]):
-        if keys[heads[h]] <= key:
-            lowest = False
-    selected[i] = lowest
-
-
-@wp.kernel
 def gather_rings(
     removed: wp.array[wp.int32],
     targets: wp.array[wp.int32],
@@ -325,8 +301,9 @@ def simplify(surface: Surface, device: wp.Device, *, kinds: Ints | None = None) 
     masses *= 4.0 * np.pi / masses.sum()
     points: wp.array = wp.array(surface.scaled_vertices, dtype=wp.vec3d, device=device)
     alive = np.arange(count, dtype=np.int32)
-    device_kinds = integers(np.full(count, Vertex.INSIDE) if kinds is None else kinds, device)
-    fewest = 4 if kinds is None else 5
+    kinds = np.full(count, Vertex.INSIDE) if kinds is None else kinds
+    device_kinds = integers(kinds, device)
+    fewest = 5 if Vertex.POLE in kinds else 4
     levels: list[Level] = []
     removals: list[Removal] = []
     while True:
@@ -336,12 +313,18 @@ def simplify(surface: Surface, device: wp.Device, *, kinds: Ints | None = None) 
         if len(alive) == fewest:
             break
         adjacency = [integers(x, device) for x in (offsets, heads, thirds, half_edge_faces)]
-        device_masses: wp.array = wp.array(masses, dtype=wp.float64, device=device)
-        device_alive = integers(alive, device)
-        cost, target = _propose(device_alive, device_kinds, adjacency, device_masses, points, device)
-        chosen = _select(cost, alive, count, len(removals), device_alive, adjacency, device)
+        mesh = [*adjacency, wp.array(masses, dtype=wp.float64, device=device), points]
+        outputs = [wp.empty(len(alive), dtype=kind, device=device) for kind in (wp.float64, wp.int32)]
+        inputs = [integers(alive, device), device_kinds, *mesh]
+        wp.launch(propose_collapses, dim=len(alive), inputs=inputs, outputs=outputs, device=device)
+        cost, target = (output.numpy() for output in outputs)
+        chosen = _select(cost, levels[-1], count, len(removals))
         valences = np.diff(offsets)[alive[chosen]]
-        rings, fan_masses = _rings(alive[chosen], target[chosen], adjacency, device_masses, points, device)
+        shape = len(chosen), MAX_VALENCE
+        outputs = [wp.zeros(shape, dtype=kind, device=device) for kind in (wp.int32, wp.float64)]
+        inputs = [integers(alive[chosen], device), integers(target[chosen], device), *mesh]
+        wp.launch(gather_rings, dim=len(chosen), inputs=inputs, outputs=outputs, device=device)
+        rings, fan_masses = (output.numpy() for output in outputs)
         keep = _without_repeated_diagonals(rings, valences, count)
         chosen, rings, valences, fan_masses = chosen[keep], rings[keep], valences[keep], fan_masses[keep]
         removal = Removal(alive[chosen], rings, valences)
@@ -374,31 +357,9 @@ def _half_edges(faces: Ints, count: int) -> tuple[Ints, ...]:
     return rows.indptr.astype(np.int32), rows.indices.astype(np.int32), thirds, order // np.int32(3)
 
 
-def _propose(
-    alive: wp.array, kinds: wp.array, adjacency: list[wp.array], masses: wp.array, points: wp.array, device: wp.Device
-) -> tuple[Floats, Ints]:
-    cost: wp.array = wp.empty(len(alive), dtype=wp.float64, device=device)
-    target: wp.array = wp.empty(len(alive), dtype=wp.int32, device=device)
-    wp.launch(
-        propose_collapses,
-        dim=len(alive),
-        inputs=[alive, kinds, *adjacency, masses, points],
-        outputs=[cost, target],
-        device=device,
-    )
-    return cost.numpy(), target.numpy()
-
-
-def _select(
-    cost: Floats,
-    alive: Ints,
-    count: int,
-    round_index: int,
-    device_alive: wp.array,
-    adjacency: list[wp.array],
-    device: wp.Device,
-) -> NDArray[np.int64]:
-    """Choose an independent set of vertices that are cheap to remove; return their positions in ``alive``."""
+def _select(cost: Floats, level: Level, count: int, round_index: int) -> NDArray[np.int64]:
+    """Choose an independent set of vertices that are cheap to remove; return their positions in the level's."""
+    alive = level.vertices
     legal = np.flatnonzero(cost < float(LARGE))
     if len(legal) == 0:
         raise OmtwarpError(
@@ -412,17 +373,10 @@ def _select(
     candidates = legal[cost[legal] <= bound]
     # Equal costs up to 20 % are put in random order: strictly by cost, local minima are few and the rounds many.
     classes = np.floor(4.0 * np.log2(np.maximum(cost[candidates], float(TINY)))).astype(np.int64) + (1 << 15)
-    keys = np.full(count, int(NO_KEY), dtype=np.int64)
+    keys = np.full(count, np.iinfo(np.int64).max)
     keys[alive[candidates]] = (classes << 32) | _scramble(alive[candidates], round_index)
-    selected: wp.array = wp.empty(len(alive), dtype=wp.bool, device=device)
-    wp.launch(
-        select_minima,
-        dim=len(alive),
-        inputs=[device_alive, adjacency[0], adjacency[1], wp.array(keys, dtype=wp.int64, device=device)],
-        outputs=[selected],
-        device=device,
-    )
-    return np.flatnonzero(selected.numpy())
+    # A vertex goes whose key is below that of every neighbour: no two neighbours go together.
+    return np.flatnonzero(keys[alive] < np.minimum.reduceat(keys[level.heads], level.offsets[:-1]))
 
 
 def _scramble(indices: Ints, round_index: int) -> NDArray[np.int64]:
@@ -431,21 +385,6 @@ def _scramble(indices: Ints, round_index: int) -> NDArray[np.int64]:
     x = (x ^ (x >> np.uint32(16))) * np.uint32(0x85EBCA6B)
     x = (x ^ (x >> np.uint32(13))) * np.uint32(0xC2B2AE35)
     return (x ^ (x >> np.uint32(16))).astype(np.int64)
-
-
-def _rings(
-    removed: Ints, targets: Ints, adjacency: list[wp.array], masses: wp.array, points: wp.array, device: wp.Device
-) -> tuple[Ints, Floats]:
-    rings: wp.array = wp.zeros((len(removed), MAX_VALENCE), dtype=wp.int32, device=device)
-    fan_masses: wp.array = wp.zeros((len(removed), MAX_VALENCE - 2), dtype=wp.float64, device=device)
-    wp.launch(
-        gather_rings,
-        dim=len(removed),
-        inputs=[integers(removed, device), integers(targets, device), *adjacency, masses, points],
-        outputs=[rings, fan_masses],
-        device=device,
-    )
-    return rings.numpy(), fan_masses.numpy()
 
 
 def _without_repeated_diagonals(rings: Ints, valences: Ints, count: int) -> NDArray[np.int64]:

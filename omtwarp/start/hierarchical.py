@@ -95,12 +95,24 @@ def hierarchical_embedding(
     """
     area_weight = real_number(area_weight, "the weight of area", above=0.0)
     given = as_surface(surface)
-    order = order_by_place(given)
-    surface = renumbered(given, order)
-    where = resolve_device(device)
+    kinds = np.full(given.vertex_count, Vertex.INSIDE, dtype=np.int32)
+    sphere, history = _embedded(given, kinds, area_weight, device, progress)
+    return HierarchicalEmbedding(sphere, history)
+
+
+def _embedded(
+    given: Surface, kinds: Ints, area_weight: float, device: str | None, progress: Progress | None
+) -> tuple[Floats, list[dict[str, int]]]:
+    """Return an embedding of a closed surface, whose vertices are of these kinds, and a record per level.
+
+    Raises:
+        OmtwarpError: float64 cannot separate its vertices on the sphere.
+    """
+    order, where = order_by_place(given), resolve_device(device)
+    surface, kinds = renumbered(given, order), kinds[order]
     history: list[dict[str, int]] = []
-    hierarchy = simplify(surface, where)
-    embedding = Embedding(surface, hierarchy.levels[-1], hierarchy.coarsest, area_weight, where)
+    hierarchy = simplify(surface, where, kinds=kinds)
+    embedding = Embedding(surface, hierarchy, kinds, area_weight, where)
     for placed in embedding.refined(hierarchy):
         history.append({"iteration": len(history), "vertices": placed})
         tell(progress, "start", placed, surface.vertex_count, {})
@@ -109,7 +121,7 @@ def hierarchical_embedding(
     flips = count_flips(sphere, given.faces)
     if flips:
         raise OmtwarpError(f"the coarse-to-fine embedding has {flips} triangle(s) that float64 cannot keep positive")
-    return HierarchicalEmbedding(sphere, history)
+    return sphere, history
 
 
 def renumbered(surface: Surface, order: NDArray[np.intp]) -> Surface:
@@ -127,10 +139,12 @@ def renumbered(surface: Surface, order: NDArray[np.intp]) -> Surface:
 class Embedding:
     """Positions on the sphere of one level's vertices; no call leaves a triangle of that level flipped.
 
+    Vertices of a boundary are on the equator, and the pole of the fan that closes its hole is the south pole.
+
     Args:
         surface: of the finest level.
-        level: the coarsest, of vertices that :meth:`place` knows where to put.
-        coarsest: its faces.
+        hierarchy: its levels; the vertices of the coarsest are placed.
+        kinds: of the vertices, see :func:`omtwarp.start.decimation.simplify`, shape [V].
         area_weight: see :func:`hierarchical_embedding`.
         device: where vertices move.
 
@@ -138,27 +152,39 @@ class Embedding:
         sphere: Unit vectors of all vertices of the input, those placed so far valid.
         colours: Colours of these vertices; neighbours' differ. Vertices of a round are no neighbours, and edges between
             older vertices only vanish on the way to finer levels: a colour given once stays valid.
+        pole: the pole; -1 of a surface without a boundary.
     """
 
-    sweeps = SWEEPS
-
-    def __init__(self, surface: Surface, level: Level, coarsest: Ints, area_weight: float, device: wp.Device):
-        start = np.zeros((surface.vertex_count, 3))
-        self.place(level.vertices, coarsest, start)
+    def __init__(self, surface: Surface, hierarchy: Hierarchy, kinds: Ints, area_weight: float, device: wp.Device):
+        self.kinds, self.area_weight, self.device = kinds, area_weight, device
+        self.points = surface.scaled_vertices
+        closed = Vertex.POLE not in kinds
+        self.pole = -1 if closed else int(np.flatnonzero(kinds == Vertex.POLE)[0])
+        self.sweeps = SWEEPS if closed else HEMISPHERE_SWEEPS
+        level, start = hierarchy.levels[-1], np.zeros((surface.vertex_count, 3))
+        place = self.place_tetrahedron if closed else self.place_on_equator
+        place(level.vertices, hierarchy.coarsest, start)
         colours = np.zeros(surface.vertex_count, dtype=np.int32)
         colours[level.vertices] = np.arange(len(level.vertices))
-        self.device = device
-        self.area_weight = area_weight
-        self.points = surface.scaled_vertices
         self.sphere: wp.array = wp.array(start, dtype=wp.vec3d, device=device)
         self.colours = integers(colours, device)
         self.enter(level)
 
-    def place(self, vertices: Ints, coarsest: Ints, sphere: Floats) -> None:
+    def place_tetrahedron(self, vertices: Ints, coarsest: Ints, sphere: Floats) -> None:
         """Put the vertices of the coarsest level, a tetrahedron, on the sphere; ``sphere`` has shape [V, 3]."""
         sphere[vertices] = np.array([[1.0, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]]) / np.sqrt(3.0)
         if np.linalg.det(sphere[coarsest[0]]) < 0:
             sphere[vertices] *= -1.0
+
+    def place_on_equator(self, vertices: Ints, coarsest: Ints, sphere: Floats) -> None:
+        """Put three vertices on the equator and one at each pole."""
+        top = vertices[self.kinds[vertices] == Vertex.INSIDE][0]
+        sphere[top], sphere[self.pole] = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
+        face = next(face for face in coarsest if top in face)
+        first, second = np.roll(face, -int(np.flatnonzero(face == top)[0]))[1:]
+        third = np.setdiff1d(vertices, [top, self.pole, first, second])[0]
+        angles = 2.0 * np.pi / 3.0 * np.arange(3)
+        sphere[[first, second, third], 0], sphere[[first, second, third], 1] = np.cos(angles), np.sin(angles)
 
     def refined(self, hierarchy: Hierarchy) -> Iterator[int]:
         """Put all vertices of a hierarchy back, and yield how many are placed after each level."""
@@ -184,15 +210,23 @@ class Embedding:
         )
 
     def put_back(self, removal: Removal) -> float:
-        """Place removed vertices and colour them; return the least determinant of a triangle around one of them."""
-        size = len(removal.vertices)
-        normals: wp.array = wp.empty(size * MAX_VALENCE, dtype=wp.vec3d, device=self.device)
-        least: wp.array = wp.empty(size, dtype=wp.float64, device=self.device)
-        inputs = [*(integers(x, self.device) for x in (removal.vertices, removal.rings, removal.valences)), normals]
-        wp.launch(
-            insert_vertices, dim=size, inputs=[*inputs, self.sphere, self.colours], outputs=[least], device=self.device
-        )
-        return float(least.numpy().min())
+        """Place removed vertices, those of the boundary on the equator, and colour them.
+
+        Returns:
+            The least determinant of a triangle around one of them.
+        """
+        worst, on_rim = np.inf, self.kinds[removal.vertices] == Vertex.RIM
+        for kernel, chosen in ((insert_vertices, ~on_rim), (insert_on_equator, on_rim)):
+            size = int(chosen.sum())
+            if not size:
+                continue
+            rows = (integers(x[chosen], self.device) for x in (removal.vertices, removal.rings, removal.valences))
+            normals: wp.array = wp.empty(size * MAX_VALENCE, dtype=wp.vec3d, device=self.device)
+            least: wp.array = wp.empty(size, dtype=wp.float64, device=self.device)
+            inputs = [*rows, self.pole if kernel is insert_on_equator else normals, self.sphere, self.colours]
+            wp.launch(kernel, dim=size, inputs=inputs, outputs=[least], device=self.device)
+            worst = min(worst, float(least.numpy().min()))
+        return worst
 
     def enter(self, level: Level) -> None:
         """Begin a level whose vertices are all placed."""
@@ -202,16 +236,10 @@ class Embedding:
         )
         self.coefficients = wp.array(self.coefficients_of(level), dtype=wp.vec4d, device=self.device)
         colour = self.colours.numpy()[level.vertices]
-        self.slots = integers(np.argsort(colour, kind="stable"), self.device)
         self.kept: list[wp.array] = []  # what recorded launches read
-        ends = np.cumsum(np.bincount(colour))
+        slots = np.split(np.argsort(colour, kind="stable"), np.cumsum(np.bincount(colour))[:-1])
         # Recorded launches: on small levels a launch costs more than its kernel.
-        self.moves = [
-            move
-            for begin, end in zip(np.append(0, ends[:-1]), ends, strict=True)
-            if end > begin
-            for move in self.moves_of(self.slots[int(begin) : int(end)])
-        ]
+        self.moves = [move for of_colour in slots for move in self.moves_of(of_colour)]
 
     def coefficients_of(self, level: Level) -> Floats:
         """Return cotangents at vertex, head and third of the triangle in space, and its area, for every half-edge.
@@ -231,8 +259,7 @@ class Embedding:
 
     def relax(self, vertices: Ints) -> None:
         """Move these vertices, no two of which are neighbours."""
-        slots = integers(np.searchsorted(self.level.vertices, vertices), self.device)
-        for move in self.moves_of(slots):
+        for move in self.moves_of(np.searchsorted(self.level.vertices, vertices)):
             move.launch()
 
     def sweep(self) -> None:
@@ -241,29 +268,25 @@ class Embedding:
             for move in self.moves:
                 move.launch()
 
-    def moves_of(self, slots: wp.array) -> list[wp.Launch]:
-        """Return recorded launches that move the vertices in these slots of the level.
-
-        The caller keeps ``slots`` alive.
-        """
-        return [self.recorded(slots)]
-
-    def recorded(self, slots: wp.array, pole: int = -1, on_equator: bool = False) -> wp.Launch:
-        """Return a recorded launch of the kernel that moves vertices, anywhere or along the equator."""
+    def moves_of(self, slots: NDArray[np.intp]) -> list[wp.Launch]:
+        """Return recorded launches that move the vertices in these slots of the level, the boundary's along it."""
         area_weight, count = self.area_weight, len(self.level.vertices)
         if 4 * count <= len(self.sphere):
             area_weight = max(area_weight, COARSE_WEIGHT / count)
         mesh = [self.vertices, self.offsets, self.heads, self.thirds, self.coefficients]
-        move = wp.launch(
-            relax_vertices,
-            dim=len(slots),
-            inputs=[slots, *mesh, area_weight, pole, on_equator],
-            outputs=[self.sphere],
-            device=self.device,
-            record_cmd=True,
-        )
-        assert move is not None
-        return move
+        kinds, moves = self.kinds[self.level.vertices[slots]], []
+        for kind in (Vertex.INSIDE, Vertex.RIM):
+            own = integers(slots[kinds == kind], self.device)
+            if not len(own):
+                continue
+            self.kept.append(own)
+            inputs, outputs = [own, *mesh, area_weight, self.pole, kind == Vertex.RIM], [self.sphere]
+            move = wp.launch(
+                relax_vertices, dim=len(own), inputs=inputs, outputs=outputs, device=self.device, record_cmd=True
+            )
+            assert move is not None
+            moves.append(move)
+        return moves
 
 
 def hemispherical_embedding(
@@ -290,7 +313,7 @@ def hemispherical_embedding(
     Raises:
         OmtwarpError: the mesh is no such disk, or float64 cannot separate its vertices on the sphere.
     """
-    count, where = len(vertices), resolve_device(device)
+    count = len(vertices)
     rim = boundary_half_edges(faces, count)
     on_rim = np.zeros(count, dtype=bool)
     on_rim[rim] = True
@@ -301,75 +324,6 @@ def hemispherical_embedding(
     if areas is not None:
         own[len(faces) :] *= areas.sum() / own[: len(faces)].sum()
         own[: len(faces)] = areas
-    given = Surface(points, closed, own)
     kinds = np.append(np.where(on_rim, Vertex.RIM, Vertex.INSIDE), Vertex.POLE).astype(np.int32)
-    order = order_by_place(given)
-    surface = renumbered(given, order)
-    hierarchy = simplify(surface, where, kinds=kinds[order])
-    embedding = _HemisphereEmbedding(
-        surface, hierarchy.levels[-1], hierarchy.coarsest, AREA_WEIGHT, where, kinds=kinds[order]
-    )
-    for placed in embedding.refined(hierarchy):
-        tell(progress, "start", placed, surface.vertex_count, {})
-    sphere = np.empty((count + 1, 3))
-    sphere[order] = embedding.sphere.numpy()
-    flips = count_flips(sphere, faces)
-    if flips:
-        raise OmtwarpError(f"the coarse-to-fine embedding has {flips} triangle(s) that float64 cannot keep positive")
+    sphere, _ = _embedded(Surface(points, closed, own), kinds, AREA_WEIGHT, device, progress)
     return sphere[:count]
-
-
-class _HemisphereEmbedding(Embedding):
-    """Positions on the sphere of one level's vertices, those of the boundary on the equator.
-
-    Args:
-        kinds: of the vertices, see :func:`omtwarp.start.decimation.simplify`, shape [V].
-    """
-
-    def __init__(
-        self, surface: Surface, level: Level, coarsest: Ints, area_weight: float, device: wp.Device, *, kinds: Ints
-    ):
-        self.kinds, self.sweeps = kinds, HEMISPHERE_SWEEPS
-        self.pole = int(np.flatnonzero(kinds == Vertex.POLE)[0])
-        super().__init__(surface, level, coarsest, area_weight, device)
-
-    def place(self, vertices: Ints, coarsest: Ints, sphere: Floats) -> None:
-        """Put three vertices on the equator and one at each pole."""
-        top = vertices[self.kinds[vertices] == Vertex.INSIDE][0]
-        sphere[top], sphere[self.pole] = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
-        face = next(face for face in coarsest if top in face)
-        first, second = np.roll(face, -int(np.flatnonzero(face == top)[0]))[1:]
-        third = np.setdiff1d(vertices, [top, self.pole, first, second])[0]
-        angles = 2.0 * np.pi / 3.0 * np.arange(3)
-        sphere[[first, second, third], 0], sphere[[first, second, third], 1] = np.cos(angles), np.sin(angles)
-
-    def put_back(self, removal: Removal) -> float:
-        """Place removed vertices, those of the boundary on the equator, and colour them."""
-        on_rim = self.kinds[removal.vertices] == Vertex.RIM
-        inside = Removal(removal.vertices[~on_rim], removal.rings[~on_rim], removal.valences[~on_rim])
-        worst = super().put_back(inside) if len(inside.vertices) else np.inf
-        if on_rim.any():
-            rows = (removal.vertices[on_rim], removal.rings[on_rim], removal.valences[on_rim])
-            inputs = [*(integers(values, self.device) for values in rows), self.pole]
-            least: wp.array = wp.empty(int(on_rim.sum()), dtype=wp.float64, device=self.device)
-            wp.launch(
-                insert_on_equator,
-                dim=len(least),
-                inputs=[*inputs, self.sphere, self.colours],
-                outputs=[least],
-                device=self.device,
-            )
-            worst = min(worst, float(least.numpy().min()))
-        return worst
-
-    def moves_of(self, slots: wp.array) -> list[wp.Launch]:
-        """Return recorded launches that move vertices inside, and along the boundary."""
-        places = slots.numpy()
-        kinds = self.kinds[self.level.vertices[places]]
-        moves = []
-        for kind in (Vertex.INSIDE, Vertex.RIM):
-            if (kinds == kind).any():
-                own = integers(places[kinds == kind], self.device)
-                self.kept.append(own)
-                moves.append(self.recorded(own, self.pole, kind == Vertex.RIM))
-        return moves
