@@ -34,7 +34,6 @@ value on a triangle is found exactly, and a branch of triangles is skipped only 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -259,11 +258,18 @@ def _measure(
     notify(1, {})
     fitted, swapped = dual.initial_potential()
     notify(2, {})
-    best = _better_of(dual, fitted, potential)
+    best = dual.bound(fitted)
+    if potential is not None:
+        given = dual.bound(real_numbers(potential, "potential", mass.shape))
+        best = min(best, given, key=lambda bound: bound.excess)
     cost = 2.0 * float(mass @ dual.cost)
     if cost - 2.0 * best.excess < worth_raising * cost:
         ascent_steps = 0
-    best, steps = _ascended(dual, best, ascent_steps, enough, notify)
+
+    def before_step(done: int, ascent: Bound) -> None:
+        notify(STEPS_BEFORE + done, {"gap": 2.0 * ascent.excess / cost})
+
+    best, steps = ascend(dual, best, ascent_steps, _excess_at(cost, enough), before_step)
     vertex_gap = 2.0 * mass * best.vertex_gap
     lower = max(cost - float(vertex_gap.sum()), 0.0)  # no plan costs less than nothing
     notify(total, {"gap": _excess(cost, lower)})
@@ -278,28 +284,6 @@ def _measure(
         vertex_gap=vertex_gap,
         stream=curl.stream,
     )
-
-
-def _better_of(dual: TransportDual, fitted: Floats, potential: ArrayLike | None) -> Bound:
-    """Return the better bound of a potential fitted and one given, if any."""
-    best = dual.bound(fitted)
-    if potential is not None:
-        given = dual.bound(real_numbers(potential, "potential", dual.mass.shape))
-        if given.excess < best.excess:
-            return given
-    return best
-
-
-def _ascended(
-    dual: TransportDual, best: Bound, most: int, enough: float, notify: Callable[[int, Record], None]
-) -> tuple[Bound, int]:
-    """Raise a bound by at most so many steps, or until the gap is small enough; return it and the steps taken."""
-    cost = 2.0 * float(dual.mass @ dual.cost)
-
-    def before_step(done: int, ascent: Bound) -> None:
-        notify(STEPS_BEFORE + done, {"gap": 2.0 * ascent.excess / cost})
-
-    return ascend(dual, best, most, _excess_at(cost, enough), before_step)
 
 
 def _excess_at(cost: float, gap: float) -> float:
