@@ -210,7 +210,10 @@ def refine_map(
             f"the map to refine has {int(flipped.sum())} flipped triangles, "
             f"the first is face {int(np.argmax(flipped))}: untangle it first"
         )
-    refinement = _Refinement(surface, own, str(resolve_device(device)), iterations, tolerance, progress)
+    minimised = partial(
+        least_distortion, surface, iterations=iterations, tolerance=tolerance, device=device, progress=progress
+    )
+    refinement = _Refinement(surface, own, tolerance, minimised)
     if isinstance(parsed, AreaMatch):
         return refinement.match(start, parsed.area)
     if parsed is Refinement.AREA:
@@ -249,22 +252,19 @@ def least_distortion(
     return RefineResult(least.sphere, weight + of_rings, list(least.history), least.converged, least.factorisations)
 
 
+@dataclass(frozen=True)
 class _Refinement:
-    """Refines maps of one surface at one weight after another, with the same solver."""
+    """Refines maps of one surface at one weight after another.
 
-    def __init__(
-        self,
-        surface: Surface,
-        own: NDArray[np.bool_] | None,
-        device: str,
-        iterations: int,
-        tolerance: float,
-        progress: Progress | None,
-    ):
-        self.surface, self.own, self.tolerance = surface, own, tolerance
-        self.minimised = partial(
-            least_distortion, surface, iterations=iterations, tolerance=tolerance, device=device, progress=progress
-        )
+    Attributes:
+        surface, own, tolerance: as of :func:`refine_map`.
+        minimised: :func:`least_distortion` of the surface, which takes a map and a weight.
+    """
+
+    surface: Surface
+    own: NDArray[np.bool_] | None
+    tolerance: float
+    minimised: Callable[..., RefineResult]
 
     def run(self, sphere: NDArray[np.float64], weight: float, of_triangles: float = AREA_WEIGHT) -> RefineResult:
         """Minimise the distortion at a weight, beginning with a flip-free map, shape [V, 3].
