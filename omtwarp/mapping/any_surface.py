@@ -66,6 +66,7 @@ from omtwarp.topology.kind import (
     described,
     loop_length,
     numbered_in_space,
+    on_boundary,
     options_for,
     parts_of,
     places_of,
@@ -354,7 +355,7 @@ def _quartered_mesh(each: MapResult, wanted: Floats) -> Quartered:
     """Return the mesh of a quartered map, fillings included, with the areas that original triangles are to have."""
     whole, faces = _whole(each)
     surface = each.vertices if each.filled_vertices is None else each.filled_vertices
-    return Quartered(faces, _rim(faces, len(whole)), surface, wanted)
+    return Quartered(faces, on_boundary(faces, len(whole)), surface, wanted)
 
 
 def _with_points(each: MapResult, points: Floats) -> MapResult:
@@ -704,7 +705,7 @@ def _projected(
         else:
             result, error = _exact_on_cap(result, share, wanted)
     else:
-        rim = _rim(faces, len(whole))
+        rim = on_boundary(faces, len(whole))
         laid = hemisphere_to_disk(whole, conformal)
         if isinstance(refinement, AreaMatch):
             disk, flips = match_in_plane(laid, faces, rim, half, len(result.faces), refinement.area)
@@ -735,11 +736,4 @@ def _on_cap(result: MapResult, share: float, conformal: bool = False) -> MapResu
     vertices = result.vertices if result.filled_vertices is None else result.filled_vertices
     surface = Surface(vertices, faces, triangle_solid_angles(*(whole[faces[:, k]] for k in range(3))))
     cap = disk_to_cap(hemisphere_to_disk(whole, conformal), share, conformal)
-    return _with_points(result, untangle_on_cap(cap, _rim(faces, len(whole)), surface))
-
-
-def _rim(faces: NDArray, count: int) -> NDArray[np.bool_]:
-    """Return a mask of the vertices on the boundary, shape [count]."""
-    rim = np.zeros(count, dtype=bool)
-    rim[boundary_half_edges(faces, count)] = True
-    return rim
+    return _with_points(result, untangle_on_cap(cap, on_boundary(faces, len(whole)), surface))

@@ -201,6 +201,13 @@ def edge_keys(ends: NDArray[np.integer], vertex_count: int) -> NDArray[np.int64]
     return ends.min(axis=1) * vertex_count + ends.max(axis=1)
 
 
+def marked(count: int, places: NDArray[np.integer] | NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return a mask of shape [count] that is true at these places."""
+    mask = np.zeros(count, dtype=bool)
+    mask[places] = True
+    return mask
+
+
 def summed(values: NDArray[np.floating], places: NDArray[np.integer], count: int = 0) -> NDArray[np.float64]:
     """Return the sums of rows of numbers, shape [N, C], that have the same place, shape [count, C] or more rows."""
     return np.stack([np.bincount(places, column, count) for column in values.T], axis=1)

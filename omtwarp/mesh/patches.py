@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.mesh.arrays import Floats, Ints, norms
+from omtwarp.mesh.arrays import Floats, Ints, marked, norms
 from omtwarp.mesh.validate import components_of
 
 
@@ -65,8 +65,7 @@ class Patches:
         """
         triangles = np.flatnonzero(touching(faces, freed))
         corners = faces[triangles]
-        beside = np.zeros(len(freed), dtype=bool)
-        beside[corners.ravel()] = True
+        beside = marked(len(freed), corners)
         vertices = np.concatenate([np.flatnonzero(freed), np.flatnonzero(beside & ~freed)])
         local = np.full(len(freed), -1, dtype=np.int32)
         local[vertices] = np.arange(len(vertices), dtype=np.int32)

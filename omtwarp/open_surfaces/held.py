@@ -26,7 +26,7 @@ from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import flipped_faces
 from omtwarp.geometry.sphere_hierarchy import triangle_solid_angles
-from omtwarp.mesh.arrays import TINY, Floats, dots, norms
+from omtwarp.mesh.arrays import TINY, Floats, dots, marked, norms
 from omtwarp.mesh.quarter import PARTS, QuarteredSurface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, plane_areas
 from omtwarp.open_surfaces.caps import disk_to_cap
@@ -249,12 +249,10 @@ def _convex(points: Floats, faces: NDArray, held: NDArray[np.bool_], flipped: ND
     lengths = norms(one), norms(other)
     cosine = dots(one, other)
     sine = np.abs(one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0])
-    tangent = sine / np.maximum(lengths[0] * lengths[1] + cosine, np.finfo(float).tiny)  # of half the angle
     tiny = np.finfo(float).tiny
-    weights = np.stack([tangent / np.maximum(lengths[0], tiny), tangent / np.maximum(lengths[1], tiny)])
-    tangled = np.zeros(count, dtype=bool)
-    tangled[faces[flipped]] = True
-    weights = np.where(tangled[faces], 1.0, weights)
+    tangent = sine / np.maximum(lengths[0] * lengths[1] + cosine, tiny)  # of half the angle
+    weights = np.stack([tangent / np.maximum(length, tiny) for length in lengths])
+    weights = np.where(marked(count, faces[flipped])[faces], 1.0, weights)
     rows = np.concatenate([faces.ravel(), faces.ravel()])
     columns = np.concatenate([np.roll(faces, -1, axis=1).ravel(), np.roll(faces, -2, axis=1).ravel()])
     matrix = sparse.coo_array((weights.ravel(), (rows, columns)), shape=(count, count)).tocsr()

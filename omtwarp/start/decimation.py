@@ -22,7 +22,8 @@ from scipy import sparse
 from omtwarp.device.start import KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.spherical import TINY
-from omtwarp.mesh.arrays import Floats, Ints
+from omtwarp.mesh.arrays import Floats, Ints, marked
+from omtwarp.mesh.patches import touching
 from omtwarp.mesh.surface import Surface
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -400,9 +401,7 @@ def _without_repeated_diagonals(rings: Ints, valences: Ints, count: int) -> NDAr
 
 def _refan(faces: Ints, masses: Floats, removal: Removal, fan_masses: Floats, count: int) -> tuple[Ints, Floats]:
     """Return the faces and masses after fans have replaced the stars of the removed vertices."""
-    gone = np.zeros(count, dtype=bool)
-    gone[removal.vertices] = True
-    kept = ~gone[faces].any(axis=1)
+    kept = ~touching(faces, marked(count, removal.vertices))
     slots = np.arange(1, MAX_VALENCE - 1)
     row, column = np.nonzero(slots[None, :] < (removal.valences - 1)[:, None])
     slot = slots[column]

@@ -25,7 +25,7 @@ from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import count_flips
 from omtwarp.geometry.axes import order_by_place
-from omtwarp.mesh.arrays import TINY, Floats, InOneLine, Ints, real_number, squared_norms
+from omtwarp.mesh.arrays import TINY, Floats, InOneLine, Ints, marked, real_number, squared_norms
 from omtwarp.mesh.surface import MeshLike, Surface, as_surface, triangle_areas
 from omtwarp.options import Progress, tell
 from omtwarp.solvers.triangle import AREA_WEIGHT
@@ -315,8 +315,7 @@ def hemispherical_embedding(
     """
     count = len(vertices)
     rim = boundary_half_edges(faces, count)
-    on_rim = np.zeros(count, dtype=bool)
-    on_rim[rim] = True
+    on_rim = marked(count, rim)
     fan = np.stack([rim[:, 1], rim[:, 0], np.full(len(rim), count)], axis=1)
     closed = np.concatenate([faces, fan]).astype(np.int32)
     points = np.concatenate([vertices, vertices[on_rim].mean(axis=0, keepdims=True)])

@@ -25,10 +25,10 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from omtwarp.geometry.operators import corner_cotangents
-from omtwarp.mesh.arrays import Floats, Ints, edge_keys, norms
+from omtwarp.mesh.arrays import Floats, Ints, edge_keys, marked, norms
 from omtwarp.mesh.origins import Derived
 from omtwarp.mesh.quarter import QuarteredSurface
-from omtwarp.topology.kind import boundary_half_edges
+from omtwarp.topology.kind import boundary_half_edges, on_boundary
 
 
 def split_chords(vertices: Floats, faces: NDArray, loop: NDArray[np.int64] | None = None) -> Derived:
@@ -42,11 +42,10 @@ def split_chords(vertices: Floats, faces: NDArray, loop: NDArray[np.int64] | Non
     count = len(vertices)
     triangles = np.asarray(faces, dtype=np.int64)
     half = boundary_half_edges(triangles, count)
-    on_boundary = np.zeros(count, dtype=bool)
-    on_boundary[half if loop is None else loop] = True
+    on_loop = marked(count, half if loop is None else loop)
     tail, head = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     keys = edge_keys(np.stack([tail, head], axis=1), count)
-    chord = on_boundary[tail] & on_boundary[head] & ~np.isin(keys, edge_keys(half, count))
+    chord = on_loop[tail] & on_loop[head] & ~np.isin(keys, edge_keys(half, count))
     split = np.unique(keys[chord])
     return split_at(vertices, triangles, np.stack([split // count, split % count], axis=1))
 
@@ -136,14 +135,13 @@ def double(vertices: Floats, faces: NDArray) -> Double:
             shape [F, 3].
     """
     count = len(vertices)
-    on_boundary = np.zeros(count, dtype=bool)
-    on_boundary[boundary_half_edges(faces, count)] = True
-    inside = np.flatnonzero(~on_boundary)
+    on_rim = on_boundary(faces, count)
+    inside = np.flatnonzero(~on_rim)
     copy = np.arange(count)
     copy[inside] = count + np.arange(len(inside))
     origin, face_origin = np.r_[np.arange(count), inside], np.tile(np.arange(len(faces)), 2)
     glued, copied = np.concatenate([faces, copy[faces][:, ::-1]]).astype(np.int32), np.arange(len(origin)) >= count
-    mirror, fixed = np.concatenate([copy, inside]), on_boundary[origin]
+    mirror, fixed = np.concatenate([copy, inside]), on_rim[origin]
     return Double(origin, face_origin, vertices[origin], glued, mirror, fixed, copied)
 
 
@@ -158,8 +156,7 @@ def quartered_double(whole: Double, quartered: QuarteredSurface) -> Double:
     keys, wanted = edge_keys(ends, count), edge_keys(whole.mirror[ends], count)
     order = np.argsort(keys)
     image = order[np.searchsorted(keys, wanted, sorter=order)]
-    own = np.zeros(len(ends), dtype=bool)
-    own[quartered.middles[: len(quartered.middles) // 2] - count] = True
+    own = marked(len(ends), quartered.middles[: len(quartered.middles) // 2] - count)
     return Double(
         vertices=quartered.surface.vertices,
         faces=quartered.surface.faces,

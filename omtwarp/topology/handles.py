@@ -28,7 +28,7 @@ from scipy.sparse import csgraph
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.limbs import thinnest_ring, vertices_needed
-from omtwarp.mesh.arrays import Floats, edge_keys, norms
+from omtwarp.mesh.arrays import Floats, edge_keys, marked, norms
 from omtwarp.mesh.origins import Derived
 from omtwarp.mesh.surface import Surface
 from omtwarp.mesh.validate import components_of, spanning_forest
@@ -164,7 +164,6 @@ class _LoopGraph:
         self._keys, edge = np.unique(edge_keys(np.stack([tail, head], axis=1), self.count), return_inverse=True)
         self.edges = np.stack([self._keys // self.count, self._keys % self.count], axis=1)
         self.lengths = _edge_lengths(vertices, self.edges)
-        self.forbidden = np.zeros(self.count, dtype=bool)
         loops = boundary_loops(faces, self.count)
         order = np.argsort(edge, kind="stable")
         starts = np.searchsorted(edge[order], np.arange(len(self._keys) + 1))
@@ -174,8 +173,8 @@ class _LoopGraph:
         self.dual[double, 1] = order[starts[:-1][double] + 1] // 3
         around = np.full(self.count, -1)
         for number, loop in enumerate(loops):
-            self.forbidden[loop] = True
             around[loop] = len(faces) + number
+        self.forbidden = around >= 0
         self.dual[~double, 1] = around[self.edges[~double, 0]]
         self.dual_count = len(faces) + len(loops)
         self._before, cotree, self._left = self._tree_and_cotree()
@@ -307,8 +306,7 @@ def _cut_along(
     _, label = components_of(len(tail), np.stack([corner[joined], following[twin[joined]]], axis=1))
     _, first = np.unique(label, return_index=True)
     owner = tail[first]
-    kept = np.zeros(len(first), dtype=bool)
-    kept[np.unique(owner, return_index=True)[1]] = True
+    kept = marked(len(first), np.unique(owner, return_index=True)[1])
     number = np.where(kept, owner, 0)
     number[~kept] = count + np.arange(int((~kept).sum()))
     return number[label].reshape(-1, 3), owner[~kept]

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.space_order import in_space_order, order_along_curve
-from omtwarp.mesh.arrays import Floats, in_range, norms
+from omtwarp.mesh.arrays import Floats, in_range, marked, norms
 from omtwarp.mesh.origins import Derived
 from omtwarp.mesh.surface import Surface
 from omtwarp.mesh.validate import Topology, as_arrays, check, describe, number
@@ -29,6 +29,11 @@ def boundary_half_edges(faces: NDArray, vertex_count: int) -> NDArray[np.int64]:
     head = np.roll(np.asarray(faces, dtype=np.int64), -1, axis=1).ravel()
     alone = ~np.isin(tail * vertex_count + head, head * vertex_count + tail)
     return np.stack([tail[alone], head[alone]], axis=1)
+
+
+def on_boundary(faces: NDArray, vertex_count: int) -> NDArray[np.bool_]:
+    """Return a mask of the vertices on the boundary, shape [V]; arguments as of :func:`boundary_half_edges`."""
+    return marked(vertex_count, boundary_half_edges(faces, vertex_count))
 
 
 def boundary_loops(faces: NDArray, vertex_count: int) -> list[NDArray[np.int64]]:

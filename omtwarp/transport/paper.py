@@ -47,7 +47,7 @@ from omtwarp.errors import OmtwarpError, choose
 from omtwarp.flips.exact import flipped_faces
 from omtwarp.geometry import DifferentialOperators, circumcentric_coordinates
 from omtwarp.geometry.spherical import TINY, geodesic_distance, hat_gradient
-from omtwarp.mesh.arrays import Floats, Ints, cross, dots, norms, real_number, whole_number, whole_numbers
+from omtwarp.mesh.arrays import Floats, Ints, cross, dots, marked, norms, real_number, whole_number, whole_numbers
 from omtwarp.mesh.patches import touching
 from omtwarp.mesh.surface import MeshLike, Surface, as_sphere, as_surface, triangle_areas
 from omtwarp.options import Cost, CostLike, Progress, Record, tell
@@ -333,8 +333,7 @@ class PaperFlow:
             flipped = upright & flipped_faces(self.advanced_map, self.faces, device=self.device)
             if not flipped.any():
                 return True
-            around = np.isin(np.arange(len(self.map)), self.faces[flipped])
-            held |= touching(self.faces, around)
+            held |= touching(self.faces, marked(len(self.map), self.faces[flipped]))
         return False
 
     def accept(self) -> None:

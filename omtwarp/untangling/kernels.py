@@ -31,17 +31,12 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 
 @wp.func
-def signed_ratio(frame: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.float64:
-    return oriented_volume(a, b, c) * frame[0] * frame[2]
-
-
-@wp.func
 def untangle_energy(
     frame: wp.vec3d, area: wp.float64, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, eps: wp.float64, weight: wp.float64
 ) -> wp.float64:
     c1 = first_column(frame, a, b)
     c2 = second_column(frame, a, b, c)
-    d = signed_ratio(frame, a, b, c)
+    d = oriented_volume(a, b, c) * frame[0] * frame[2]
     fro = wp.dot(c1, c1) + wp.dot(c2, c2)
     return area * (fro + weight * (d * d + ONE)) / barrier(d, eps)
 

@@ -25,7 +25,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import examine, flipped_faces, is_bijective
-from omtwarp.mesh.arrays import Floats, InOneLine, dots
+from omtwarp.mesh.arrays import Floats, InOneLine, dots, marked
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_sphere, as_surface
 from omtwarp.options import Progress, tell
@@ -239,9 +239,7 @@ class _Untangling:
         self.device = device
         self.sphere = sphere
         self.area_weight = wp.float64(CONFORMAL_AREA_WEIGHT if keep_scale else AREA_WEIGHT)
-        seed = np.zeros(surface.vertex_count, dtype=bool)
-        seed[surface.faces[flipped].ravel()] = True
-        freed = grow(surface.faces, seed, rings)
+        freed = grow(surface.faces, marked(surface.vertex_count, surface.faces[flipped]), rings)
         if held is not None:
             freed &= ~held
         self.patches = patches = Patches.of_vertices(surface.faces, freed)
