@@ -6,7 +6,7 @@ import platform
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Unpack, cast
 
@@ -15,7 +15,7 @@ import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.conformal import density
-from omtwarp.device.arrays import give_back, vectors
+from omtwarp.device.arrays import give_back
 from omtwarp.device.policy import resolve_device, solves_with_scipy, solving_with, wanted_solver
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
@@ -139,9 +139,11 @@ def map_to_sphere(
     if start is not None and chosen.method in (Method.TUTTE, Method.MEAN_VALUE):
         raise OmtwarpError("a barycentric map begins nowhere: leave start out, or take the method omt, moser or haker")
     ordered = in_space_order(surface)
-    begun = None if start is None else _begun(start, surface, ordered)
+    given, given_map = (None, None) if start is None else _begun(start, surface, ordered)
     with solving_with(chosen.solver, str(where)):
-        result = MapComputation(ordered.surface, chosen, str(where), progress, wanted, begun=begun).result()
+        result = MapComputation(
+            ordered.surface, chosen, str(where), progress, wanted, given=given, given_map=given_map
+        ).result()
     for finding in result.report["warnings"]:
         warnings.warn(finding["text"], OmtwarpWarning, stacklevel=3)
     return _in_order_of(surface, ordered, result)
@@ -174,53 +176,51 @@ def map_closed(
     return _in_order_of(surface, ordered, result)
 
 
+@dataclass(eq=False)
 class MapComputation:
     """The computation of one map: the maps of the stages so far, and their records.
 
     A stage is a method of no arguments: it reads ``sphere``, the map of the previous stage, and ends with
     :meth:`finish`. :meth:`result` runs them in the order of :attr:`MapOptions.stages`.
 
-    Args:
+    Attributes:
         surface: what is mapped.
         options: of the map.
         device: name of the device that kernels run on.
         progress: called at the begin and end of every stage, and during long ones.
         target: the density on the sphere that is to be reached; None for the uniform one.
         mirror: what the surface is the double of, if it is one: the map is kept symmetric where it can be.
-        begun: points x to begin with, and a map of them without flips, where one is known; the conformal map otherwise.
+        given: points x to begin with, where the user has some; those of the conformal map otherwise.
+        given_map: a map of them without flips, where one is known.
         own: which faces are the surface's own, where others only close it, shape [F]: the caller judges the map of it.
+        source: the points that transport starts from, once they are known.
+        given_up: what the current stage could not do.
+        repair_given_up: whether a repair was given up after the work that it may take.
+        origin: of the first map: the route that led to it, and why that one.
+        measured: how far the map by Newton's method is from optimal.
+        known: the map asked for last by :meth:`examine`, and what that returned.
     """
 
-    def __init__(
-        self,
-        surface: Surface,
-        options: MapOptions,
-        device: str,
-        progress: Progress | None,
-        target: TargetDensity | None = None,
-        mirror: Double | None = None,
-        begun: tuple[Floats, Floats | None] | None = None,
-        own: NDArray[np.bool_] | None = None,
-    ):
-        self.given = None if begun is None else begun[0]
-        self.given_map = None if begun is None else begun[1]
-        self.target = target
-        self.mirror = mirror
-        self.own = own
-        self.surface = surface
-        self.options = options
-        self.device = device
-        self.progress = progress
-        self.records: list[StageReport] = []
-        self.maps: dict[str, Floats] = {}
-        self.history: list[Record] = []
-        self.given_up = ""  # what the current stage could not do
-        self.repair_given_up = False  # after the work that it may take
-        self.origin: dict[str, str] = {}  # of the first map: the route that led to it, and why that one
-        self.source: Floats | None = None  # the points that transport starts from
-        self.measured: Optimality | None = None  # of the map by Newton's method
-        self.uploaded: tuple[Floats, wp.array] | None = None
-        self.known: tuple[Floats, Examined] | None = None
+    surface: Surface
+    options: MapOptions
+    device: str
+    progress: Progress | None
+    target: TargetDensity | None = None
+    mirror: Double | None = None
+    given: Floats | None = None
+    given_map: Floats | None = None
+    own: NDArray[np.bool_] | None = None
+    source: Floats | None = None
+    given_up: str = ""
+    repair_given_up: bool = False
+    measured: Optimality | None = None
+    known: tuple[Floats, Examined] | None = None
+    records: list[StageReport] = field(default_factory=list)
+    maps: dict[str, Floats] = field(default_factory=dict)
+    history: list[Record] = field(default_factory=list)
+    origin: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
         self.begun = self.stage_begun = time.perf_counter()
 
     @property
@@ -231,16 +231,10 @@ class MapComputation:
     def notify(self, stage: str, done: int, total: int, details: Record) -> None:
         tell(self.progress, str(stage), done, total, details)
 
-    def points(self, sphere: Floats) -> wp.array:
-        """Return a map as an array on the device; the one asked for last is kept there."""
-        if self.uploaded is None or self.uploaded[0] is not sphere:
-            self.uploaded = sphere, vectors(sphere, resolve_device(self.device))
-        return self.uploaded[1]
-
     def examine(self, sphere: Floats) -> Examined:
         """Return what decides whether a map is one to one; of the one asked for last it is known already."""
         if self.known is None or self.known[0] is not sphere:
-            self.known = sphere, examine(self.points(sphere), self.surface.on(self.device).faces, device=self.device)
+            self.known = sphere, examine(sphere, self.surface.on(self.device).faces, device=self.device)
         return self.known[1]
 
     def goal(self, sphere: Floats) -> Surface:
@@ -260,7 +254,7 @@ class MapComputation:
             details["gave_up"] = self.given_up
             self.given_up = ""
         mesh = self.surface.on(self.device)
-        measured = measure_triangles(mesh.vertices, mesh.faces, self.points(sphere), device=self.device).to_dict()
+        measured = measure_triangles(mesh.vertices, mesh.faces, sphere, device=self.device).to_dict()
         cost = transport_cost(self.surface, sphere, start=self.source, device=self.device)
         record = {"name": str(name), "seconds": seconds, "iterations": iterations, **measured, "transport_cost": cost}
         self.records.append(cast(StageReport, record | details))
@@ -396,9 +390,7 @@ class MapComputation:
             def notify(stage: str, done: int, total: int, details: Record, before: int = k) -> None:
                 self.notify(stage, before * total + done, moser_passes * total, {})
 
-            flowed = moser_map(
-                self.surface, self.points(sphere), target=self.target, device=self.device, progress=notify
-            )
+            flowed = moser_map(self.surface, sphere, target=self.target, device=self.device, progress=notify)
             steps += flowed.steps
             flipped = self.examine(flowed.sphere).flips
             if flipped > fewest:
@@ -418,7 +410,6 @@ class MapComputation:
             self.transport_as_published()
             return
         assert self.source is not None
-        initial = self.sphere
         if self.uses_newton:
             if self.mirror is None and not solves_with_scipy():
                 saddle_order(self.surface)  # takes room of its own, before the largest matrices do
@@ -432,7 +423,7 @@ class MapComputation:
 
         moved = optimal_transport(
             self.surface,
-            self.points(initial),
+            self.sphere,
             start=self.source,
             cost=self.options.cost,
             scheme=self.options.scheme,
@@ -440,10 +431,8 @@ class MapComputation:
             device=self.device,
             progress=self.progress,
         )
-        sphere, repaired = self.untangle(initial, moved.sphere)
         self.history = moved.history
-        ended: dict[str, str | float | None] = {"converged": moved.converged, "ended": moved.ended}
-        self.finish(Stage.OMT, sphere, len(self.history) - 1, repaired=repaired, **ended)
+        self.finish_transport(moved.sphere, converged=moved.converged, ended=moved.ended)
 
     @property
     def uses_newton(self) -> bool:
@@ -477,16 +466,13 @@ class MapComputation:
             self.remember(optimal.history)
         elif self.options.optimality:
             self.measured = self.bounded(optimal.sphere)
-        sphere, repaired = self.untangle(self.sphere, optimal.sphere)
         converged, ended = self.termination(optimal)
-        details: dict[str, str | float | None] = {
-            "road": road,
-            "repaired": repaired,
-            "converged": converged,
-            "ended": ended,
-            "shape_weight": weight,
-        }
-        self.finish(Stage.OMT, sphere, len(self.history) - 1, **details)
+        self.finish_transport(optimal.sphere, road=road, converged=converged, ended=ended, shape_weight=weight)
+
+    def finish_transport(self, moved: Floats, **details: str | float | None) -> None:
+        """End the stage of the optimal map with one whose flips are still to be repaired."""
+        sphere, repaired = self.untangle(self.sphere, moved)
+        self.finish(Stage.OMT, sphere, len(self.history) - 1, repaired=repaired, **details)
 
     def minimisation(self, sphere: Floats) -> Callable[..., OptimalMap]:
         """Return what finds the optimal map from a map near it: among symmetric maps where that one is symmetric."""
@@ -509,9 +495,7 @@ class MapComputation:
             optimal = at(sphere, target, solve, shape_share=share, cost=cost)
             self.remember(optimal.history)
             sphere = optimal.sphere
-        sphere, repaired = self.untangle(self.sphere, sphere)
-        details: dict[str, str | float | None] = {"converged": optimal.converged, "ended": optimal.ended}
-        self.finish(Stage.OMT, sphere, len(self.history) - 1, repaired=repaired, **details)
+        self.finish_transport(sphere, converged=optimal.converged, ended=optimal.ended)
 
     def nearby_maps(self) -> Iterator[tuple[Floats, str]]:
         """Yield the maps to begin a minimisation with, and which they are: ``given``, or ``nested``, then ``embedded``.
@@ -630,15 +614,18 @@ class MapComputation:
     def transport_as_published(self) -> None:
         """Compute the optimal map by Algorithms 1 and 2 as the paper prints them."""
         assert self.source is not None
-        initial = self.sphere
         from omtwarp.transport.paper import paper_flow  # its kernels are read for the paper's scheme alone
 
         flowed = paper_flow(
-            self.surface, initial, start=self.source, cost=self.options.cost, device=self.device, progress=self.progress
+            self.surface,
+            self.sphere,
+            start=self.source,
+            cost=self.options.cost,
+            device=self.device,
+            progress=self.progress,
         )
-        sphere, repaired = self.untangle(initial, flowed.sphere)
         self.history = flowed.history
-        self.finish(Stage.OMT, sphere, len(self.history) - 1, repaired=repaired, converged=flowed.converged)
+        self.finish_transport(flowed.sphere, converged=flowed.converged)
 
     def refine(self) -> None:
         """Minimise distortion from the map, at the chosen weight of area against angle."""
