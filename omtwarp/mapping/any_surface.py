@@ -162,9 +162,10 @@ def map_surface(
     maps = [_map_part(part, domain, fill_area, along, progress, chosen, shares, of_file) for part in parts]
     caps: tuple[Floats, Floats] | None = None
     if together:
-        maps, caps = _packed(parts, maps, shares, exact)
+        maps, caps = _side_by_side(parts, maps, shares, exact)
     maps = _finished(maps, given, exact)
-    _warn_of(maps)
+    for finding in (finding for each in maps for finding in each.report["warnings"]):
+        warnings.warn(finding["text"], OmtwarpWarning, stacklevel=2)
     return in_file(maps[0] if len(maps) == 1 else joined(maps, count, caps), of_file, count)
 
 
@@ -212,13 +213,6 @@ def _check_domain(domain: Domain, parts: list[Part], components: bool, together:
             )
 
 
-def _warn_of(maps: list[MapResult]) -> None:
-    """Warn the caller of :func:`map_surface` of what maps of parts do not keep."""
-    for each in maps:
-        for finding in each.report["warnings"]:
-            warnings.warn(finding["text"], OmtwarpWarning, stacklevel=3)
-
-
 def _finished(maps: list[MapResult], given: list[Part], exact: bool) -> list[MapResult]:
     """Put the maps of parts into the order of the input, and their certificates into their reports.
 
@@ -249,42 +243,21 @@ def _slit(part: Part) -> Part:
     return replace(part, vertices=cut.vertices, faces=cut.faces, vertex_origin=origin, loops=loops)
 
 
-def _mass(part: Part, weights: Floats | None) -> float:
-    """Return a part's area, in the input's units, times the weights of its faces where there are any."""
-    areas = triangle_areas(part.vertices, part.faces)
-    return float(areas.sum() if weights is None else areas @ weights[part.face_origin])
-
-
-def _packed(
-    parts: list[Part], maps: list[MapResult], shares: Floats | None, exact: bool
+def _side_by_side(
+    parts: list[Part], maps: list[MapResult], weights: Floats | None, exact: bool
 ) -> tuple[list[MapResult], tuple[Floats, Floats]]:
-    """Carry the maps of parts to disjoint caps, in an arrangement that does not depend on the order of the parts.
+    """Carry the maps of parts to disjoint caps, with areas in proportion to the parts' masses.
+
+    The arrangement does not depend on the order of the parts.
 
     Args:
         parts: what is mapped.
         maps: of the parts, to the hemisphere.
-        shares: weights of the input's faces; None where all are 1.
-        exact: as of :func:`_side_by_side`.
-
-    Returns:
-        The maps, and their caps' centres, shape [P, 3], and shares of the sphere, shape [P].
-    """
-    order = places_of(parts)
-    placed, centres, covered = _side_by_side([maps[k] for k in order], [_mass(parts[k], shares) for k in order], exact)
-    back = np.argsort(order)
-    return [placed[k] for k in back], (centres[back], covered[back])
-
-
-def _side_by_side(maps: list[MapResult], masses: list[float], exact: bool) -> tuple[list[MapResult], Floats, Floats]:
-    """Carry maps to hemispheres to disjoint caps, with areas in proportion to the parts' masses.
-
-    Args:
-        maps: to the hemisphere.
-        masses: of the parts.
+        weights: of the input's faces; None where all are 1.
         exact: whether the maps are of quartered meshes, and each original triangle keeps its share of all parts.
 
     Returns:
-        The maps, the centres of the caps, shape [P, 3], and their shares of the sphere, shape [P].
+        The maps, and their caps' centres, shape [P, 3], and shares of the sphere, shape [P].
 
     Raises:
         OmtwarpError: triangles reach from one cap to another, or turn over.
@@ -292,30 +265,32 @@ def _side_by_side(maps: list[MapResult], masses: list[float], exact: bool) -> tu
     # Where sides of large triangles reach from one cap into another, caps are made smaller by this factor, at most so
     # many times.
     rounds_apart, less_covered = 6, 0.85
+    order = places_of(parts)
+    maps, back = [maps[k] for k in order], np.argsort(order)
+    masses = []
+    for k in order:
+        areas = triangle_areas(parts[k].vertices, parts[k].faces)
+        masses.append(float(areas.sum() if weights is None else areas @ weights[parts[k].face_origin]))
     # A cap holds the fillings of the part's other holes, too.
     own = [triangle_areas(each.sphere, each.faces).sum() / triangle_areas(*_whole(each)).sum() for each in maps]
     wanted = np.array(masses) / np.array(own)
     centres, covered = pack_caps(wanted / wanted.sum())
     for _ in range(rounds_apart):
         shares = covered * wanted / wanted.sum()
-        carried = _on_caps_exactly if exact else _on_caps
-        capped, shares = carried(maps, shares, wanted)
+        capped, shares = _on_caps(maps, shares, wanted, exact)
         placed = [_placed(each, centre, share) for each, share, centre in zip(capped, shares, centres, strict=True)]
         reach = np.array([_reach(each, centre) for each, centre in zip(placed, centres, strict=True)])
         apart = np.arccos(np.clip(centres @ centres.T, -1.0, 1.0)) - reach[:, None] - reach
         if apart[np.triu_indices(len(maps), 1)].min() > 0.0:
-            return placed, centres, shares
+            return [placed[k] for k in back], (centres[back], shares[back])
         covered *= less_covered
     raise OmtwarpError("triangles at the rims of parts reach into other parts: use finer meshes, or map each by itself")
 
 
-def _on_caps(maps: list[MapResult], shares: Floats, wanted: Floats) -> tuple[list[MapResult], Floats]:
-    """Carry maps to the hemisphere to caps with these shares of the sphere, which are returned."""
-    return [_on_cap(each, share) for each, share in zip(maps, shares, strict=True)], shares
-
-
-def _on_caps_exactly(maps: list[MapResult], shares: Floats, wanted: Floats) -> tuple[list[MapResult], Floats]:
-    """Carry maps of quartered meshes to caps, with exact areas: the shares returned are a little smaller."""
+def _on_caps(maps: list[MapResult], shares: Floats, wanted: Floats, exact: bool) -> tuple[list[MapResult], Floats]:
+    """Carry maps to the hemisphere to caps with these shares of the sphere, a little smaller with exact areas."""
+    if not exact:
+        return [_on_cap(each, share) for each, share in zip(maps, shares, strict=True)], shares
     rims = []
     for each in maps:
         whole, faces = _whole(each)
