@@ -316,6 +316,20 @@ def edge_bulges(corners: Floats, logs: Floats) -> Floats:
     return -0.5 * (dots(theirs, back) + dots(logs, ahead))
 
 
+def edge_steps(surface: Surface, shift: NDArray) -> NDArray:
+    """Return what is added to the second end of every edge in the cover of the first, shape [E, 2].
+
+    Args:
+        surface: E edges and F faces.
+        shift: what is added at the corners of triangles, shape [F, 3, 2].
+    """
+    corner = surface.edge_corners[:, 0].astype(np.int64)
+    face, place = corner // 3, corner % 3
+    one, two = (place + 1) % 3, (place + 2) % 3
+    steps = shift[face, two] - shift[face, one]
+    return np.where((surface.faces[face, one] == surface.edges[:, 0])[:, None], steps, -steps)
+
+
 class TorusDual(MapDual):
     """The dual problem of a map to a flat torus, with c = |x - y|²/2 in its universal cover.
 
@@ -352,13 +366,8 @@ class TorusDual(MapDual):
 
     def admissible_differences(self) -> tuple[Floats, Floats]:
         """Return the least and the largest difference of ψ along every edge with which its ends swap no partners."""
-        corner = self.surface.edge_corners[:, 0].astype(np.int64)
-        face, place = corner // 3, corner % 3
-        one, two = (place + 1) % 3, (place + 2) % 3
         a, b = self.surface.edges.T
-        # What is added to the second end in the cover of the first.
-        apart = self._shift[face, two] - self._shift[face, one]
-        apart[self.surface.faces[face, one] != a] *= -1.0
+        apart = edge_steps(self.surface, self._shift)
         along, across = self._y[b] - self._y[a] + apart, self._x[b] - self._x[a] + apart
         middle = 0.5 * dots(along, self._y[a] - self._x[a] + self._y[b] - self._x[b])
         half = 0.5 * dots(along, across)

@@ -23,6 +23,7 @@ from omtwarp.geometry.intrinsic import WeightedEdges, delaunay_edges
 from omtwarp.geometry.operators import corner_cotangents
 from omtwarp.mesh.arrays import ROUND_OFF, TINY, Floats, edge_keys
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, plane_areas
+from omtwarp.metrics.dual import edge_steps
 from omtwarp.solvers.cholesky import dissect
 from omtwarp.solvers.factor import MeshFactor, MeshMatrix, NotPositiveDefinite
 from omtwarp.solvers.mesh_factor import mesh_factor, surface_factor
@@ -130,17 +131,9 @@ def embedded_torus(surface: Surface, torus: FlatTorus) -> FlatTorus:
 
 def _mesh_edges(surface: Surface, jumps: NDArray[np.int64]) -> WeightedEdges:
     """Return the edges of the mesh itself with weights kept within bounds."""
-    faces, opposite = surface.faces, surface.edge_corners
-    cotangents = corner_cotangents(surface.scaled_vertices, faces).ravel()
-    corner = opposite[:, 0].astype(np.int64)
-    face, place = corner // 3, corner % 3
-    after, before = (place + 1) % 3, (place + 2) % 3
-    steps = jumps[face, before] - jumps[face, after]
-    ends = np.stack([faces[face, after], faces[face, before]], axis=1).astype(np.int64)
-    turned = ends[:, 0] > ends[:, 1]
-    ends[turned], steps[turned] = ends[turned, ::-1], -steps[turned]
-    weights = np.clip(0.5 * cotangents[opposite].sum(axis=1), LEAST_WEIGHT, MOST_WEIGHT)
-    return WeightedEdges(ends, weights, steps, 0)
+    cotangents = corner_cotangents(surface.scaled_vertices, surface.faces).ravel()
+    weights = np.clip(0.5 * cotangents[surface.edge_corners].sum(axis=1), LEAST_WEIGHT, MOST_WEIGHT)
+    return WeightedEdges(surface.edges.astype(np.int64), weights, edge_steps(surface, jumps), 0)
 
 
 def _harmonic(count: int, points: Floats, edges: WeightedEdges) -> Floats:

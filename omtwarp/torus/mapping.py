@@ -163,12 +163,6 @@ class _TorusComputation:
             history=self.history,
         ).with_arrays(origin_arrays(surface.origins))
 
-    def optimality(self) -> dict[str, float | None]:
-        """Return how far the map is from optimal."""
-        lattice, shift = self.conformal.lattice, self.conformal.wraps @ self.conformal.lattice
-        x, y = self.conformal.coordinates @ lattice, self.torus.coordinates @ lattice
-        return torus_optimality(self.surface, x, y, shift, lattice).to_dict()
-
     def result(self, strict: bool, measured: bool) -> MapResult:
         """Return the finished map; with a warning, or an error if strict, where areas are wrong.
 
@@ -198,7 +192,9 @@ class _TorusComputation:
             }
         )
         if measured:
-            result.report["optimality"] = self.optimality()
+            lattice, shift = self.conformal.lattice, self.conformal.wraps @ self.conformal.lattice
+            x, y = self.conformal.coordinates @ lattice, self.torus.coordinates @ lattice
+            result.report["optimality"] = torus_optimality(self.surface, x, y, shift, lattice).to_dict()
         return result
 
 
