@@ -69,6 +69,8 @@ class Cells:
     Attributes:
         wanted: their areas, on the host, shape [N].
         tolerances: root mean square and largest relative error up to which areas count as kept.
+        areas: returns the areas of the cells, shape [N], from those of the triangles, shape [F].
+        on_triangles: returns the sum of the potentials, shape [N], of the cells that a triangle belongs to, shape [F].
         multipliers: N; 0 where areas are measured and not kept.
         slope_count: see above.
     """
@@ -81,15 +83,7 @@ class Cells:
         self._surface, self._device, self._mesh = surface, device, surface.on(device)
         self.wanted, self.multipliers, self.slope_count = wanted, len(wanted), slope_count
         belongs = combined(of_triangles, np.ones(of_triangles.shape), len(wanted))
-        self._around, self._on_triangles = SparseProduct(belongs.T, device), SparseProduct(belongs, device)
-
-    def areas(self, triangles: wp.array) -> wp.array:
-        """Return the areas of the cells, shape [N], from those of the triangles, shape [F]."""
-        return self._around(triangles)
-
-    def on_triangles(self, potential: wp.array) -> wp.array:
-        """Return the sum of the potentials of the cells that a triangle belongs to, shape [F]."""
-        return self._on_triangles(potential)
+        self.areas, self.on_triangles = SparseProduct(belongs.T, device), SparseProduct(belongs, device)
 
     @abstractmethod
     def means(self, values: wp.array) -> wp.array:

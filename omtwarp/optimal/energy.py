@@ -190,6 +190,7 @@ class TransportEnergy:
     Attributes:
         surface: what is mapped, V vertices, F faces and E edges.
         device: a Warp device.
+        wanted: the areas that constraints ask for, A_c, shape [N].
         reading: numbers on their way from the device.
         matrix: of the last Newton step.
         exact_tolerance: largest relative error after :func:`omtwarp.optimal.exact.restore_areas`.
@@ -217,7 +218,7 @@ class TransportEnergy:
         self.has_local_steps = False
         self.reading = Reading(self.device)
         self._workspace = workspace
-        self._covered = float(cells.wanted.sum())
+        self.wanted, self._covered = cells.wanted, float(cells.wanted.sum())
         self._wanted, self._masses = (
             wp.array(numbers, dtype=wp.float64, device=self.device)
             for numbers in (cells.wanted, self.surface.vertex_areas)
@@ -225,11 +226,6 @@ class TransportEnergy:
         sizes = self.surface.vertex_count, len(self.surface.edges), cells.multipliers, cells.slope_count
         self.matrix = SaddleMatrix(*sizes, self.device)
         self._total = wp.zeros(1, dtype=wp.float64, device=self.device)
-
-    @property
-    def wanted(self) -> Floats:
-        """The areas that constraints ask for, A_c, shape [N]."""
-        return self.cells.wanted
 
     def saddle_factor(self) -> SaddlePointFactor:
         """Return an object that factorises the matrices of :meth:`blocks`."""
