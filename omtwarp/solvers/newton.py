@@ -172,6 +172,7 @@ class PatchMatrix:
         return self._factor.solve(right)
 
 
+MAX_HALVINGS = 20  # of a patch's step before the patch stays where it is
 SUFFICIENT_DECREASE = 1e-4  # share of the decrease that the slope predicts (Nocedal and Wright 2006, chapter 3)
 
 
@@ -181,8 +182,7 @@ def search_patches(
     energies: NDArray[np.float64],
     slopes: NDArray[np.float64],
     longest: NDArray[np.float64],
-    halvings: int,
-) -> tuple[wp.array, NDArray[np.float64]]:
+) -> wp.array:
     """Step lengths of independent patches, each halved until its own energy falls; what never falls stays.
 
     Args:
@@ -190,17 +190,16 @@ def search_patches(
         energies_of: the energy of every patch at such points.
         energies, slopes: of every patch before the step.
         longest: lengths to begin with; patches with 0 stay.
-        halvings: most of them.
 
     Returns:
-        The points moved, and the lengths.
+        The points moved.
     """
     length = longest.copy()
-    for _ in range(halvings):
+    for _ in range(MAX_HALVINGS):
         moved = move(length)
         worse = ~(energies_of(moved) <= energies + SUFFICIENT_DECREASE * length * slopes) & (length > 0.0)
         if not worse.any():
-            return moved, length
+            return moved
         length[worse] *= 0.5
     length[worse] = 0.0
-    return move(length), length
+    return move(length)

@@ -236,7 +236,7 @@ class _Flow:
         )
         squares = squared_norms(corners - np.roll(corners, -1, axis=1)).max(axis=1)
         self.grid = _StreamGrid(surface, self.centres, squares, self.plain, target)
-        self.shares = self._numbers(self.count if self.targeted else 0)
+        self.shares = wp.empty(self.count if self.targeted else 0, dtype=wp.float64, device=device)
         self.hints = wp.full(self.count, -1, dtype=wp.int32, device=device)
         self.guard = StepGuard(surface, device)
         self.guarded = not flipped_faces(self.points, self.faces, device=device).any()
@@ -251,9 +251,6 @@ class _Flow:
         self.product_sums = RowSums(partial_count(nodes), 4, device)
         self.state = wp.empty(1, dtype=FlowState, device=device)
         self.running, self.searching = (wp.zeros(1, dtype=wp.int32, device=device) for _ in range(2))
-
-    def _numbers(self, size: int) -> wp.array[wp.float64]:
-        return wp.empty(size, dtype=wp.float64, device=self.device)
 
     def launch(
         self, kernel: wp.Kernel, dim: int | tuple[int, ...], inputs: list[object], outputs: list[object]

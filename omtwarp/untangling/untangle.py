@@ -51,7 +51,6 @@ WORK_PER_VERTEX = 40.0
 # Relative growth of the diagonal of the semidefinite Hessian: with less, steps along directions of little curvature let
 # noise of 1e-12 grow (in a scan with 230 flips to 5e-4 with 1e-9, to 1e-8 with this).
 DAMPING = 1e-3
-MAX_HALVINGS = 20  # of a patch's step before the patch stays where it is
 # Of area against angle in conformal maps: with 1, this and 0.03 the angle distortion of 32 made surfaces is 3.33, 2.84
 # and 2.71 after repair, which takes 2.5, 3.2 and 3.5 s.
 CONFORMAL_AREA_WEIGHT = 0.1
@@ -344,13 +343,12 @@ class _Untangling:
         settled: NDArray[np.bool_] = -slope <= SETTLED_GAIN * energy
         # No vertex moves farther than a radian: beyond that its tangent plane does not approximate the sphere.
         longest = np.where(active & (slope < 0.0), 1.0, 0.0) / np.maximum(patches.longest(direction), 1.0)
-        moved, _ = search_patches(
+        moved = search_patches(
             lambda length: self._moved(points, direction * length[patches.vertex_patch][:, None]),
             lambda moved: self._energy(moved, face_epsilon),
             energy,
             slope,
             longest,
-            MAX_HALVINGS,
         )
         return moved, settled
 
