@@ -210,7 +210,7 @@ class MapComputation:
     given: Floats | None = None
     given_map: Floats | None = None
     own: NDArray[np.bool_] | None = None
-    source: Floats | None = None
+    source: Floats = field(init=False)
     given_up: str = ""
     repair_given_up: bool = False
     measured: Optimality | None = None
@@ -248,7 +248,6 @@ class MapComputation:
     def finish(self, name: str, sphere: Floats, iterations: int, **details: str | float | None) -> None:
         """End a stage: keep its map, and record its time and the quality of the map."""
         seconds = time.perf_counter() - self.stage_begun
-        self.source = sphere if self.source is None else self.source
         self.maps[name] = sphere
         if self.given_up:
             details["gave_up"] = self.given_up
@@ -322,10 +321,9 @@ class MapComputation:
         sphere, repaired = start.sphere, start.repaired_flips
         self.repair_given_up = start.repair_given_up
         # The cost depends only on where points lie under the conformal map; triangles may be flipped there.
-        if start.points is not None:
-            self.source = start.points
-            if start.route == "hierarchical":
-                sphere = turned_towards(sphere, self.source, self.surface.vertex_areas)
+        self.source = sphere if start.points is None else start.points
+        if start.points is not None and start.route == "hierarchical":
+            sphere = turned_towards(sphere, self.source, self.surface.vertex_areas)
         if self.given is None:
             sphere = self.orient(sphere)
         if self.mirror is not None:
@@ -340,8 +338,7 @@ class MapComputation:
         axes = principal_axes(self.surface)
         if axes.note:
             self.origin["axes"] = axes.note
-        given = sphere if self.source is None else self.source
-        rotation, determined = rotation_onto_axes(self.surface, given, towards_coordinates(axes.frame))
+        rotation, determined = rotation_onto_axes(self.surface, self.source, towards_coordinates(axes.frame))
         if not determined:
             self.origin["axes"] = "the map agrees with no direction of the surface: its rotation means nothing"
         turned = normalised(sphere @ rotation.T)
@@ -351,20 +348,17 @@ class MapComputation:
             turned = untangle(self.surface, turned, device=self.device).sphere
             if not is_bijective(turned, faces):
                 return sphere
-        if self.source is not None:
-            self.source = turned if self.source is sphere else normalised(self.source @ rotation.T)
+        self.source = turned if self.source is sphere else normalised(self.source @ rotation.T)
         return turned
 
     def lay_symmetric(self, mirror: Double, sphere: Floats) -> Floats:
         """Turn the first map, and the points that transport starts from, to be symmetric about the equator."""
-        given = sphere if self.source is None else self.source
-        frame = mirror_frame(mirror, given, self.surface.vertex_areas)
-        self.source = symmetrised(mirror, given @ frame)
+        frame = mirror_frame(mirror, self.source, self.surface.vertex_areas)
+        self.source = symmetrised(mirror, self.source @ frame)
         return self.symmetric(sphere @ frame)
 
     def coarse_start(self, mirror: Double) -> Floats | None:
         """Return a symmetric map without flips that was made from coarse to fine; None where there is none."""
-        assert self.source is not None
         return symmetric_start(mirror, self.surface, self.source, device=self.device, progress=self.progress)
 
     def symmetric(self, sphere: Floats, repair: bool = False) -> Floats:
@@ -409,7 +403,6 @@ class MapComputation:
         if self.options.scheme is Scheme.PAPER:
             self.transport_as_published()
             return
-        assert self.source is not None
         if self.uses_newton:
             if self.mirror is None and not solves_with_scipy():
                 saddle_order(self.surface)  # takes room of its own, before the largest matrices do
@@ -446,7 +439,6 @@ class MapComputation:
 
     def minimise_transport(self) -> None:
         """Compute the discrete optimal map: areas around vertices kept, and the cost at its minimum."""
-        assert self.source is not None
         solve: Callable[..., OptimalMap]
         found: list[tuple[str, Callable[..., OptimalMap], OptimalMap, ShapeTerm]] = []
         for sphere, road in self.nearby_maps():
@@ -487,7 +479,6 @@ class MapComputation:
 
     def transport_to_density(self, target: TargetDensity) -> None:
         """Compute the optimal map to a density, from Moser's map to it."""
-        assert self.source is not None
         solve = self.minimisation(self.sphere)
         sphere, at = self.sphere, partial(map_to_density, self.surface, start=self.source, device=self.device)
         for cost in dict.fromkeys((Cost.SQUARED, self.options.cost)):
@@ -503,7 +494,6 @@ class MapComputation:
         Of 100 made surfaces of up to 6,000 faces, one ends at an area distortion of 2.93 from the nested map, and at
         2.02 from the embedded one; so do two of eight rotations of another.
         """
-        assert self.source is not None
         if self.given_map is not None:
             yield self.given_map, GIVEN
             return
@@ -557,7 +547,6 @@ class MapComputation:
 
     def bounded(self, sphere: Floats, improve: bool = True) -> Optimality:
         """Measure how far a map is from optimal, and improve the bound of an optimal one where the gap is too large."""
-        assert self.source is not None
         # The gap up to which the bound on the cost is improved.
         return optimality(
             self.surface,
@@ -572,22 +561,21 @@ class MapComputation:
     def keep_every_area(self) -> None:
         """Compute the optimal map of the quartered mesh, in which every triangle of the mesh keeps its area."""
         give_back()
-        assert self.source is not None
         quartered = quarter(self.surface)
         self.surface = quartered.surface
         self.own = None if self.own is None else np.repeat(self.own, PARTS)
         if self.mirror is not None:
             self.mirror = quartered_double(self.mirror, quartered)
-        self.source = source = quartered.on_sphere(self.source)
+        self.source = quartered.on_sphere(self.source)
         # Cutting along great circles keeps a map one to one, except for rounding.
         self.maps = {name: quartered.on_sphere(sphere) for name, sphere in self.maps.items()}
         before, crowded = self.untangle(self.sphere, self.sphere)
         # A mesh whose triangles are cut in four bears more of the shape term: more trades optimality for smoothness.
-        weight = 2.0 * shape_term(self.surface, before, source, self.device).weight
+        weight = 2.0 * shape_term(self.surface, before, self.source, self.device).weight
         exact = exact_map(
             quartered,
             before,
-            start=source,
+            start=self.source,
             shape_weight=weight,
             cost=self.options.cost,
             domain=self.mirrored(before),
@@ -613,7 +601,6 @@ class MapComputation:
 
     def transport_as_published(self) -> None:
         """Compute the optimal map by Algorithms 1 and 2 as the paper prints them."""
-        assert self.source is not None
         from omtwarp.transport.paper import paper_flow  # its kernels are read for the paper's scheme alone
 
         flowed = paper_flow(
@@ -663,7 +650,6 @@ class MapComputation:
     def optimality(self) -> dict[str, float | int | None]:
         """Measure how far the final map is from optimal, and what refinement added to the transport cost."""
         give_back()
-        assert self.source is not None
         self.notify(OPTIMALITY, 0, 1, {})
         if self.options.cost is Cost.GEODESIC:
             return self.timed_optimality(self.geodesic_optimality(), 1)
@@ -681,7 +667,6 @@ class MapComputation:
 
     def geodesic_optimality(self) -> dict[str, float | int | None]:
         """Measure curl and cost of the final map by the geodesic distance, for which there is no lower bound."""
-        assert self.source is not None
         measure = partial(transport_cost, self.surface, start=self.source, cost=Cost.GEODESIC, device=self.device)
         curl = relative_curl(self.surface, self.sphere, start=self.source, cost=Cost.GEODESIC, device=self.device)
         cost = measure(self.sphere)
@@ -717,7 +702,7 @@ class MapComputation:
         method = self.options.method
         weights: Weights = "tutte" if method is Method.TUTTE else "mean-value"
         solved = barycentric_map(self.surface, weights=weights, device=self.device)
-        self.origin = {"route": str(method)}
+        self.origin, self.source = {"route": str(method)}, solved.sphere
         self.finish(method, self.orient(solved.sphere), solved.iterations, converged=solved.converged)
 
     def give_up(self, what: str) -> None:
@@ -750,12 +735,11 @@ class MapComputation:
     def report(self) -> MapReport:
         """Return the report of the map, ready for JSON."""
         surface = self.surface
-        lengths = surface.vertices.max(axis=0) - surface.vertices.min(axis=0)
         return {
             "mesh": {
                 "vertices": surface.vertex_count,
                 "faces": surface.face_count,
-                "extent": [float(x) for x in lengths],
+                "extent": np.ptp(surface.vertices, axis=0).tolist(),
             },
             "versions": versions(),
             "device": self.device,
