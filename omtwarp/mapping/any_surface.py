@@ -329,8 +329,7 @@ def _exact_on_cap(each: MapResult, share: float, wanted: Floats) -> tuple[MapRes
 def _quartered_mesh(each: MapResult, wanted: Floats) -> Quartered:
     """Return the mesh of a quartered map, fillings included, with the areas that original triangles are to have."""
     whole, faces = _whole(each)
-    surface = each.vertices if each.filled_vertices is None else each.filled_vertices
-    return Quartered(faces, on_boundary(faces, len(whole)), surface, wanted)
+    return Quartered(faces, on_boundary(faces, len(whole)), _places(each), wanted)
 
 
 def _with_points(each: MapResult, points: Floats) -> MapResult:
@@ -343,6 +342,16 @@ def _whole(each: MapResult) -> tuple[Floats, NDArray]:
     """Return the points on the sphere and faces of a map, with what fills its holes."""
     points = each.sphere if each.filled_sphere is None else each.filled_sphere
     return points, each.faces if each.filled_faces is None else each.filled_faces
+
+
+def _places(each: MapResult) -> Floats:
+    """Return the vertices of a map on the surface, with those of what fills its holes."""
+    return each.vertices if each.filled_vertices is None else each.filled_vertices
+
+
+def _solid_angles(points: Floats, faces: NDArray) -> Floats:
+    """Return the areas of triangles of the sphere."""
+    return triangle_solid_angles(*(points[faces[:, k]] for k in range(3)))
 
 
 def _placed(each: MapResult, centre: Floats, share: float) -> MapResult:
@@ -608,21 +617,14 @@ def _on_hemisphere(
     surface = Surface(glued.vertices, glued.faces, areas)
     surface.origins = glued if half.origins is None else half.origins.compose(glued)
     closed = map_closed(surface, len(opened.faces), options, mirror=glued, progress=progress)
+    image, refined = closed.sphere, Stage.REFINE in options.stages
     if options.exact:
         cut = quartered_double(glued, quarter(surface))
-        if not is_symmetric(cut, closed.sphere):
+        if not is_symmetric(cut, image):
             raise OmtwarpError("the map of the doubled surface with exact areas is not symmetric: leave exact out")
         opened, closed = _quartered(opened, _own_half(closed, cut), half)
-        result = _restricted(part, opened, closed, closed.sphere, domain)
-        if domain == "hemisphere":
-            return result
-        whole, faces = _whole(result)
-        parts = Surface(
-            opened.filled.vertices, opened.filled.faces, triangle_solid_angles(*(whole[faces[:, k]] for k in range(3)))
-        )
-        return _projected(part, parts, result, domain, None, half.face_areas)
-    image, refined = closed.sphere, Stage.REFINE in options.stages
-    if not is_symmetric(glued, image):
+        image = closed.sphere
+    elif not is_symmetric(glued, image):
         frame = mirror_frame(glued, image, surface.vertex_areas)
         symmetric = symmetric_map(glued, surface, image @ frame, device=options.device)
         before = closed.transported
@@ -637,24 +639,10 @@ def _on_hemisphere(
                 + "use a finer mesh, or fill the hole"
             )
     result = _restricted(part, opened, closed, image, domain)
-    if domain == "hemisphere":
-        return result
-    refinement = None
-    if refined and options.refine is not None:
-        refinement = options.refine if isinstance(options.refine, AreaMatch) else refinement_weight(options.refine)
-    conformal = options.stages == (Stage.CONFORMAL,)
-    return _projected(part, half, result, domain, refinement, conformal=conformal)
+    return result if domain == Domain.HEMISPHERE else _projected(part, half, result, domain, options)
 
 
-def _projected(
-    part: Part,
-    half: Surface,
-    result: MapResult,
-    domain: str,
-    refinement: float | AreaMatch | None,
-    wanted: Floats | None = None,
-    conformal: bool = False,
-) -> MapResult:
+def _projected(part: Part, half: Surface, result: MapResult, domain: str, options: MapOptions) -> MapResult:
     """Carry a map of the hemisphere to the disk or to a cap, and untangle triangles that this flips.
 
     Args:
@@ -662,14 +650,13 @@ def _projected(
         half: what was mapped, with its holes filled, and the areas that its triangles are to have.
         result: the map to the hemisphere.
         domain: ``disk`` or ``cap``.
-        refinement: the weight of area against angle distortion with which a disk is refined, or the area distortion
-            that is to be matched.
-        wanted: the exact areas, up to a factor, of the original triangles of a quartered mesh.
-        conformal: whether angles are kept on the way: where the map is not one that keeps areas.
+        options: of the map: with ``exact`` its triangles are parts of those of ``half``, whose areas are kept.
     """
     begun, error = perf_counter(), None
     whole, faces = _whole(result)
-    share = 0.5
+    wanted = half.face_areas if options.exact else None
+    # Angles are kept on the way where the map is not one that keeps areas.
+    share, conformal = 0.5, options.stages == (Stage.CONFORMAL,)
     if domain == "cap":
         longest = max(part.loops, key=lambda loop: loop_length(part.vertices, loop))
         hole = fill_holes(part.vertices, part.faces, [longest])
@@ -682,10 +669,13 @@ def _projected(
     else:
         rim = on_boundary(faces, len(whole))
         laid = hemisphere_to_disk(whole, conformal)
+        refinement = options.refine if Stage.REFINE in options.stages else None
+        goal = half if wanted is None else Surface(_places(result), faces, _solid_angles(whole, faces))
         if isinstance(refinement, AreaMatch):
-            disk, flips = match_in_plane(laid, faces, rim, half, len(result.faces), refinement.area)
+            disk, flips = match_in_plane(laid, faces, rim, goal, len(result.faces), refinement.area)
         else:
-            disk, flips = untangle_in_plane(laid, faces, rim, None if conformal else half, refinement)
+            weight = None if refinement is None else refinement_weight(refinement)
+            disk, flips = untangle_in_plane(laid, faces, rim, None if conformal else goal, weight)
         if flips and wanted is None:
             raise OmtwarpError(
                 f"{flips} triangles at the rim turn over where the hemisphere is laid flat: use a finer mesh"
@@ -708,7 +698,6 @@ def _on_cap(result: MapResult, share: float, conformal: bool = False) -> MapResu
     Triangles that have other sides there and turn over are untangled, with the areas that they had on the hemisphere.
     """
     whole, faces = _whole(result)
-    vertices = result.vertices if result.filled_vertices is None else result.filled_vertices
-    surface = Surface(vertices, faces, triangle_solid_angles(*(whole[faces[:, k]] for k in range(3))))
+    surface = Surface(_places(result), faces, _solid_angles(whole, faces))
     cap = disk_to_cap(hemisphere_to_disk(whole, conformal), share, conformal)
     return _with_points(result, untangle_on_cap(cap, on_boundary(faces, len(whole)), surface))

@@ -174,12 +174,22 @@ def untangle_in_plane(
     return moved, int(flipped.sum())
 
 
+def _energy_in_plane(
+    points: Floats,
+    surface: Surface,
+    held: NDArray[np.bool_],
+    cells: TriangleCells | MeasuredRings,
+    area_weight: float = 1.0,
+) -> tuple[HeldEnergy, float]:
+    """Return the distortion of maps of a surface to the plane, and what brings points to its area, 4π."""
+    scale = float(np.sqrt(SPHERE_AREA / plane_areas(points[surface.faces]).sum()))
+    plane = Plane(surface, np.zeros((surface.face_count, 3, 2)), resolve_device("cpu"))
+    return HeldEnergy(plane, held, cells, PlaneCost(plane, scale * points), PlaneShape(plane), area_weight), scale
+
+
 def _least_distorted(points: Floats, held: NDArray[np.bool_], surface: Surface, weight: float) -> Floats:
     """Minimise the distortion of a map without flips with the boundary fixed."""
-    scale, device = float(np.sqrt(SPHERE_AREA / plane_areas(points[surface.faces]).sum())), resolve_device("cpu")
-    plane = Plane(surface, np.zeros((surface.face_count, 3, 2)), device)
-    cost, shape = PlaneCost(plane, scale * points), PlaneShape(plane)
-    energy = HeldEnergy(plane, held, MeasuredRings(surface, device), cost, shape, weight)
+    energy, scale = _energy_in_plane(points, surface, held, MeasuredRings(surface, resolve_device("cpu")), weight)
     flattened = minimise(energy, scale * points, gain=GAIN, iterations=STEPS, progress=None, penalty=0.0)
     return np.where(held[:, None], points, flattened.points / scale)
 
@@ -285,19 +295,14 @@ class Quartered:
     surface: Floats
     wanted: Floats
 
-    @property
-    def middles(self) -> NDArray[np.int32]:
-        """The middles of the sides of every original triangle, shape [F, 3]."""
-        return self.faces.reshape(-1, PARTS, 3)[:, 3].astype(np.int32)
-
     def as_surface(self) -> Surface:
         """Return the quartered mesh, whose triangles count by the wanted areas."""
         return Surface(self.surface, self.faces, np.repeat(self.wanted / PARTS, PARTS))
 
     def cells(self, surface: Surface, total: float) -> TriangleCells:
         """Return the original triangles of the mesh as a surface, whose areas are to add up to a total."""
-        parents = np.arange(len(self.faces)) // PARTS
-        quartered = QuarteredSurface(np.arange(len(self.surface)), parents, surface, self.middles)
+        parents, middles = np.arange(len(self.faces)) // PARTS, self.faces.reshape(-1, PARTS, 3)[:, 3].astype(np.int32)
+        quartered = QuarteredSurface(np.arange(len(self.surface)), parents, surface, middles)
         cells = TriangleCells(quartered, resolve_device("cpu"))
         cells.wanted = cells.wanted * (total / cells.wanted.sum())
         return cells
@@ -317,10 +322,7 @@ def exact_in_plane(points: Floats, mesh: Quartered) -> tuple[Floats, float]:
         OmtwarpError: no such map without flips was found.
     """
     surface = mesh.as_surface()
-    scale = float(np.sqrt(SPHERE_AREA / plane_areas(points[mesh.faces]).sum()))
-    plane = Plane(surface, np.zeros((len(mesh.faces), 3, 2)), resolve_device("cpu"))
-    cost, shape = PlaneCost(plane, scale * points), PlaneShape(plane)
-    energy = HeldEnergy(plane, mesh.held, mesh.cells(surface, SPHERE_AREA), cost, shape)
+    energy, scale = _energy_in_plane(points, surface, mesh.held, mesh.cells(surface, SPHERE_AREA))
     moved, error = _exact(energy, scale * points)
     return np.where(mesh.held[:, None], points, moved / scale), error
 
