@@ -242,19 +242,13 @@ def _rings(turns: Floats) -> tuple[Floats, NDArray[np.int64]]:
 def _strip(outer: Floats, inner: Floats, first: int, second: int) -> NDArray[np.int64]:
     """Return triangles between two rings of vertices, counter-clockwise: each advances the ring that lags behind."""
     start = int(np.argmin(np.abs(inner - outer[0])))
-    ahead = np.concatenate([outer, [outer[0] + 1.0]])
-    behind = np.concatenate([inner[start:], inner[:start] + 1.0, [inner[start] + 1.0]])
-    faces, i, j = [], 0, 0
-    while i < len(outer) or j < len(inner):
-        a, b = first + i % len(outer), second + (start + j) % len(inner)
-        advance_outer = j == len(inner) or (i < len(outer) and ahead[i + 1] <= behind[j + 1])
-        if advance_outer:
-            faces.append((a, first + (i + 1) % len(outer), b))
-            i += 1
-        else:
-            faces.append((a, second + (start + j + 1) % len(inner), b))
-            j += 1
-    return np.array(faces, dtype=np.int64)
+    ahead, behind = np.append(outer[1:], outer[0] + 1.0), np.append(inner[start + 1 :], inner[: start + 1] + 1.0)
+    outwards = np.argsort(np.concatenate([ahead, behind]), kind="stable") < len(outer)
+    i: NDArray[np.int64] = np.cumsum(outwards) - outwards
+    j = np.arange(len(outwards)) - i
+    a, b = first + i % len(outer), second + (start + j) % len(inner)
+    after = np.where(outwards, first + (i + 1) % len(outer), second + (start + j + 1) % len(inner))
+    return np.stack([a, after, b], axis=1)
 
 
 def _harmonic(shape: Floats, faces: NDArray[np.int64], loop: Floats) -> Floats:
