@@ -5,23 +5,24 @@ from __future__ import annotations
 import time
 import warnings
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.maps.result import MapResult, StageReport, Warned, origin_arrays
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.quarter import PARTS, QuarteredSurface, quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics.optimality import torus_optimality
-from omtwarp.optimal.exact import largest_error
+from omtwarp.optimal.cells import TriangleCells
+from omtwarp.optimal.exact import largest_error, minimise_cells
 from omtwarp.optimal.refinement import not_matched
 from omtwarp.optimal.solver import OptimalMap
 from omtwarp.options import AreaMatch, Domain, Progress, Record, continued, parse_refinement, tell
 from omtwarp.torus.harmonic import QUANTUM, FlatTorus, conformal_torus, embedded_torus, quantised
-from omtwarp.torus.transport import Report, eased_on_torus, exact_on_torus, refine_on_torus, transport_on_torus
+from omtwarp.torus.transport import eased_on_torus, energy_on_torus, refine_on_torus, transport_on_torus
 
 REMEDY = "remesh with more triangles, evenly shaped"
 WRONG_AREA = 1e-4  # largest relative error of an area around a vertex without a warning
@@ -70,14 +71,10 @@ class _TorusComputation:
         self.stages: list[StageReport] = []
         self.shape_weight = 0.0  # of the last stage
         self.warnings: list[Warned] = []
-        self.notify("conformal")(0, 1, {})
+        tell(progress, "conformal", 0, 1, {})
         self.conformal = conformal_torus(surface)
         self.torus = embedded_torus(surface, self.conformal)
         self.finish("conformal", {}, self.conformal)
-
-    def notify(self, stage: str) -> Report:
-        """Return what reports the progress of a stage."""
-        return partial(tell, self.progress, stage)
 
     def optimal(self) -> None:
         """Find the discrete optimal map."""
@@ -85,7 +82,7 @@ class _TorusComputation:
         eased = eased_on_torus(self.surface, self.conformal, self.torus, device=self.device) @ np.linalg.inv(lattice)
         start = replace(self.torus, coordinates=eased)
         optimum, self.shape_weight = transport_on_torus(
-            self.surface, self.conformal, start, progress=self.notify("omt"), device=self.device
+            self.surface, self.conformal, start, progress=self.progress, device=self.device
         )
         wrong = optimum.history[-1]["ring_largest"]
         self.take("omt", optimum, {"largest_ring_error": wrong})
@@ -100,8 +97,10 @@ class _TorusComputation:
         lattice = self.conformal.lattice
         self.surface = quartered.surface
         self.conformal, self.torus = FlatTorus(x, wraps, lattice), FlatTorus(y, wraps, lattice)
-        exact = exact_on_torus(
-            quartered, self.conformal, y @ lattice, self.shape_weight, progress=self.notify("exact"), device=self.device
+        cells, weight = TriangleCells(quartered, resolve_device(self.device)), self.shape_weight
+        energy = energy_on_torus(self.surface, self.conformal, x @ lattice, weight, cells=cells, device=self.device)
+        exact = minimise_cells(
+            energy, y @ lattice, lambda _stage, done, total, details: tell(self.progress, "exact", done, total, details)
         )
         self.warnings.clear()  # they were about the map before
         self.take("exact", exact, {"largest_area_error": largest_error(exact)})
@@ -110,7 +109,7 @@ class _TorusComputation:
         """Reduce the distortion of shape, at a higher cost."""
         points = self.torus.coordinates @ self.torus.lattice
         refined, used = refine_on_torus(
-            self.surface, self.conformal, points, weight, progress=self.notify("refine"), device=self.device
+            self.surface, self.conformal, points, weight, progress=self.progress, device=self.device
         )
         self.shape_weight = 1.0
         self.take("refine", refined, {"weight": used})

@@ -5,27 +5,21 @@ The minimisation is that of the sphere (:mod:`omtwarp.optimal.solver`), in the p
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import TypeAlias
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.mesh.arrays import Floats
-from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
-from omtwarp.optimal.cells import Cells, MeasuredRings, RingCells, TriangleCells
+from omtwarp.optimal.cells import Cells, MeasuredRings, RingCells
 from omtwarp.optimal.energy import TransportEnergy
-from omtwarp.optimal.exact import minimise_cells, restore_areas
+from omtwarp.optimal.exact import restore_areas
 from omtwarp.optimal.nested import shape_term_by_law
 from omtwarp.optimal.plane import Plane, PlaneCost, PlaneShape
 from omtwarp.optimal.refinement import MATCH_TOLERANCE, MATCH_TRIALS, MOST_WEIGHT, match_area, refinement_weight
 from omtwarp.optimal.solver import GAIN, OptimalMap, minimise
-from omtwarp.options import AreaMatch, Progress, Record, parse_refinement
+from omtwarp.options import AreaMatch, Progress, parse_refinement
 from omtwarp.solvers.triangle import AREA_WEIGHT
 from omtwarp.torus.harmonic import FlatTorus
-
-Report: TypeAlias = Callable[[int, int, Record], None]
-"""How a minimisation reports on itself: ``report(done, most, record)``."""
 
 STEPS = 100  # largest number of steps; a map that needs more reports that it has not converged
 REFINED = 1e-4  # least expected gain of a step of a refinement
@@ -65,7 +59,7 @@ def transport_on_torus(
     torus: FlatTorus,
     start: FlatTorus | None = None,
     *,
-    progress: Report | None = None,
+    progress: Progress | None = None,
     device: str | None = "auto",
 ) -> tuple[OptimalMap, float]:
     """Find the optimal map of a surface to a flat torus.
@@ -74,7 +68,7 @@ def transport_on_torus(
         surface: of genus 1; its vertex areas, total 4π, are the masses.
         torus: the conformal map, from which distances are measured; triangles may be turned over there.
         start: a map without flips to begin with; the conformal map by default.
-        progress: called as ``progress(done, most, record)``.
+        progress: as of :func:`omtwarp.optimal.solver.minimise`.
         device: where the map is.
 
     Returns:
@@ -91,7 +85,7 @@ def transport_on_torus(
     terms = energy.terms(energy.domain.sent(y))
     term = shape_term_by_law(energy.cost(terms) / SPHERE_AREA, terms.shape.angle + 2.0)
     energy.shape_weight, energy.area_weight = term.weight, term.area
-    optimal = minimise(energy, y, gain=GAIN, iterations=STEPS, progress=_shown(progress))
+    optimal = minimise(energy, y, gain=GAIN, iterations=STEPS, progress=progress)
     points, _ = restore_areas(energy, optimal.points)
     after = energy.terms(energy.domain.sent(points))
     rms, largest = energy.area_errors(after)
@@ -124,37 +118,13 @@ def eased_on_torus(surface: Surface, torus: FlatTorus, start: FlatTorus, *, devi
     return points
 
 
-def exact_on_torus(
-    quartered: QuarteredSurface,
-    torus: FlatTorus,
-    points: Floats,
-    shape_weight: float,
-    *,
-    progress: Report | None = None,
-    device: str | None = "auto",
-) -> OptimalMap:
-    """Find the optimal map of a quartered surface, in which every triangle of the mesh keeps its area.
-
-    Args:
-        quartered: the mesh's triangles in four parts each.
-        torus: the conformal map of the quartered surface, from which distances are measured.
-        points: a map without flips to begin with, shape [V, 2].
-        shape_weight: weight of the distortion of the parts.
-        progress: called as ``progress(done, most, record)``.
-        device: where the map is.
-    """
-    start, cells = torus.coordinates @ torus.lattice, TriangleCells(quartered, resolve_device(device))
-    energy = energy_on_torus(quartered.surface, torus, start, shape_weight, cells=cells, device=device)
-    return minimise_cells(energy, points, _shown(progress))
-
-
 def refine_on_torus(
     surface: Surface,
     torus: FlatTorus,
     points: Floats,
     weight: AreaMatch | str | float,
     *,
-    progress: Report | None = None,
+    progress: Progress | None = None,
     device: str | None = "auto",
 ) -> tuple[OptimalMap, float]:
     """Move a map to a minimum of angle plus λ times area distortion: see :mod:`omtwarp.optimal.refinement`.
@@ -164,7 +134,7 @@ def refine_on_torus(
         torus: the conformal map, whose distances are shown.
         points: a map without flips, shape [V, 2].
         weight: λ, a name of one, or an area distortion to match.
-        progress: called as ``progress(done, most, record)``.
+        progress: as of :func:`omtwarp.optimal.solver.minimise`.
         device: where the map is.
 
     Returns:
@@ -179,8 +149,7 @@ def refine_on_torus(
 
     def run(at: Floats, value: float) -> OptimalMap:
         penalty = 2.0 * max(value - AREA_WEIGHT, 0.0)
-        shown = _shown(progress)
-        return minimise(energy_of(value), at, gain=REFINED, iterations=STEPS, penalty=penalty, progress=shown)
+        return minimise(energy_of(value), at, gain=REFINED, iterations=STEPS, penalty=penalty, progress=progress)
 
     parsed = parse_refinement(weight)
     if not isinstance(parsed, AreaMatch):
@@ -194,8 +163,3 @@ def refine_on_torus(
         tolerance=MATCH_TOLERANCE,
         trials=MATCH_TRIALS,
     )
-
-
-def _shown(report: Report | None) -> Progress | None:
-    """Return a report as the minimisation calls it, with the name of its stage."""
-    return None if report is None else lambda _stage, done, most, record: report(done, most, record)
