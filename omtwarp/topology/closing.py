@@ -79,29 +79,24 @@ def split_at(vertices: Floats, faces: NDArray, edges: NDArray) -> Derived:
 
 def _subdivided(faces: NDArray[np.int64], midpoint: NDArray[np.int64]) -> tuple[Ints, NDArray[np.int64]]:
     """Return the faces cut through midpoints of edges (k, k+1), -1 where one stays whole, and the face each is of."""
-    whole = (midpoint < 0).all(axis=1)
-    parts, origins = [faces[whole]], [np.flatnonzero(whole)]
-    for split_count in (1, 2, 3):
-        for first in range(3):
-            # Rotated so that the split edges come first; an edge that stays whole is the last of two, or of three.
-            turned = np.roll(faces, -first, axis=1)
-            middle = np.roll(midpoint, -first, axis=1)
-            pattern = (middle >= 0) == (np.arange(3) < split_count)
-            here = np.flatnonzero(pattern.all(axis=1))
-            if not len(here) or (split_count == 3 and first > 0):
-                continue
-            (a, b, c), (p, q, r) = turned[here].T, middle[here].T
-            pieces = {
-                1: [(a, p, c), (p, b, c)],
-                2: [(p, b, q), (a, p, q), (a, q, c)],
-                3: [(a, p, r), (p, b, q), (r, q, c), (p, q, r)],
-            }[split_count]
-            for piece in pieces:
-                parts.append(np.stack(piece, axis=1))
-                origins.append(here)
+    split = midpoint >= 0
+    count = split.sum(axis=1)
+    # Rotated so that the split edges come first; an edge that stays whole is the last of two, or of three.
+    first = np.where(count == 2, split.argmin(axis=1) + 1, np.where(count == 1, split.argmax(axis=1), 0))
+    corners = (np.arange(3) + first[:, None]) % 3
+    (a, b, c), (p, q, r) = (np.take_along_axis(rows, corners, axis=1).T for rows in (faces, midpoint))
+    pieces = [
+        [(a, b, c)],
+        [(a, p, c), (p, b, c)],
+        [(p, b, q), (a, p, q), (a, q, c)],
+        [(a, p, r), (p, b, q), (r, q, c), (p, q, r)],
+    ]
+    origins = [np.flatnonzero(count == k) for k, several in enumerate(pieces) for _ in several]
+    parts = [np.stack(piece, axis=1) for several in pieces for piece in several]
     origin = np.concatenate(origins)
     order = np.argsort(origin, kind="stable")
-    return np.concatenate(parts)[order].astype(np.int32), origin[order]
+    cut = np.concatenate([part[here] for part, here in zip(parts, origins, strict=True)])
+    return cut[order].astype(np.int32), origin[order]
 
 
 @dataclass(frozen=True, eq=False)
