@@ -75,22 +75,20 @@ def symmetric_map(
     """
     if is_symmetric(double, sphere):
         return sphere
-    budget = RepairBudget(surface)
-    for image in (symmetrised(double, sphere), folded_map(double, sphere)):
-        if is_bijective(image, surface.faces, device=device):
-            return image
-    if not repair:
-        return None
-    image = symmetrised(double, sphere)
-    for _ in range(4):  # rounds of repair; one was enough on every surface tried
-        untangled = untangle(surface, image, budget=budget, device=device).sphere
-        if not is_bijective(untangled, surface.faces, device=device):
-            return None
-        turned = untangled @ mirror_frame(double, untangled, surface.vertex_areas)
-        for image in (folded_map(double, turned), symmetrised(double, turned)):
+    budget, images = RepairBudget(surface), (symmetrised(double, sphere), folded_map(double, sphere))
+    rounds = 4 if repair else 0  # of repair; one was enough on every surface tried
+    while True:
+        for image in images:
             if is_bijective(image, surface.faces, device=device):
                 return image
-    return None
+        if rounds == 0:
+            return None
+        rounds -= 1
+        untangled = untangle(surface, symmetrised(double, sphere), budget=budget, device=device).sphere
+        if not is_bijective(untangled, surface.faces, device=device):
+            return None
+        sphere = untangled @ mirror_frame(double, untangled, surface.vertex_areas)
+        images = folded_map(double, sphere), symmetrised(double, sphere)
 
 
 def symmetric_start(
