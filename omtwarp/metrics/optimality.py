@@ -215,9 +215,7 @@ def map_optimality(
             "this measure is for closed surfaces of genus 0: of others see report['optimality'], of parts "
             "report['parts']"
         )
-    points = (
-        getattr(result, stage, None) if isinstance(stage, str) and stage in ("sphere", "moser", "transported") else None
-    )
+    points = getattr(result, stage, None) if str(stage) in ("sphere", "moser", "transported") else None
     if points is None:
         raise OmtwarpError(f"this map has no stage '{stage}'")
     surface = Surface(result.vertices, result.faces)

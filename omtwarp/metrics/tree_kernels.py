@@ -145,15 +145,9 @@ def leaf_count(items: int) -> int:
 
 
 @wp.func
-def lowest_point(x: wp.vec2d, a: wp.vec2d, b: wp.vec2d, c: wp.vec2d, heights: wp.vec3d, bulge: wp.vec3d) -> wp.vec3d:
-    """Return the barycentric coordinates of where U(z) - x · z is least on a triangle."""
-    return lowest_on_triangle(heights - wp.vec3d(wp.dot(x, a), wp.dot(x, b), wp.dot(x, c)), bulge)
-
-
-@wp.func
-def height_at(x: wp.vec2d, a: wp.vec2d, b: wp.vec2d, c: wp.vec2d, heights: wp.vec3d, bulge: wp.vec3d, w: wp.vec3d):
-    """Evaluate U(z) - x · z at barycentric coordinates of a triangle."""
-    return potential_at(heights - wp.vec3d(wp.dot(x, a), wp.dot(x, b), wp.dot(x, c)), bulge, w)
+def lowered(x: wp.vec2d, corners: wp.array2d[wp.vec2d], heights: wp.array[wp.vec3d], f: int) -> wp.vec3d:
+    """Return U(z) - x · z at the corners of a triangle."""
+    return heights[f] - wp.vec3d(wp.dot(x, corners[f, 0]), wp.dot(x, corners[f, 1]), wp.dot(x, corners[f, 2]))
 
 
 @wp.kernel
@@ -188,8 +182,8 @@ def build_plane_nodes(
         a = corners[f, 0]
         b = corners[f, 1]
         c = corners[f, 2]
-        at = lowest_point(slope, a, b, c, heights[f], bulges[f])
-        least = wp.min(least, height_at(slope, a, b, c, heights[f], bulges[f], at))
+        above = lowered(slope, corners, heights, f)
+        least = wp.min(least, potential_at(above, bulges[f], lowest_on_triangle(above, bulges[f])))
         low = wp.min(low, wp.min(a, wp.min(b, c)))
         high = wp.max(high, wp.max(a, wp.max(b, c)))
     model[0] = slope[0]
@@ -248,11 +242,9 @@ def best_images(
             else:
                 if inside:
                     f = node - leaf_count
-                    a = corners[f, 0]
-                    b = corners[f, 1]
-                    c = corners[f, 2]
-                    at = lowest_point(x, a, b, c, heights[f], bulges[f])
-                    value = own + height_at(x, a, b, c, heights[f], bulges[f], at)
+                    above = lowered(x, corners, heights, f)
+                    at = lowest_on_triangle(above, bulges[f])
+                    value = own + potential_at(above, bulges[f], at)
                     if value < best:
                         best = value
                         best_leaf = f
