@@ -128,6 +128,7 @@ class Optimality(InOneLine):
         )
 
 
+@blas_threads(1)
 def optimality(
     surface: MeshLike,
     sphere: ArrayLike,
@@ -175,7 +176,48 @@ def optimality(
     x, y = _points(start, surface, "start"), _points(sphere, surface, "map")
     mass = _masses(surface.vertex_areas if masses is None else masses, surface.vertex_count)
     enough = real_number(enough, "enough", least=0.0)
-    return _measure(surface, x, y, mass, potential, ascent_steps, device, progress, enough, curl)
+    # Of the cost, what a first bound must reach for steps to be taken: one below cannot be raised to a gap that says
+    # anything of the map, and each step takes as long. Fans of 20,000 triangles begin at a thirtieth of the cost, and
+    # nine bounds brought them to a seventh; fans of 8,000 begin above this, and end at two thirds.
+    worth_raising = 0.05
+    ascent_steps = whole_number(ascent_steps, "ascent_steps")
+    total = STEPS_BEFORE + ascent_steps + 1  # the report itself is the last step
+
+    def notify(step: int, details: Record) -> None:
+        tell(progress, "optimality", step, total, details)
+
+    notify(0, {})
+    dual = TransportDual(surface, x, y, mass, device)
+    curl = curl or _curl(surface, y[surface.faces], dual.log)
+    notify(1, {})
+    fitted, swapped = dual.initial_potential()
+    notify(2, {})
+    best = dual.bound(fitted)
+    if potential is not None:
+        given = dual.bound(real_numbers(potential, "potential", mass.shape))
+        best = min(best, given, key=lambda bound: bound.excess)
+    cost = 2.0 * float(mass @ dual.cost)
+    if cost - 2.0 * best.excess < worth_raising * cost:
+        ascent_steps = 0
+
+    def before_step(done: int, ascent: Bound) -> None:
+        notify(STEPS_BEFORE + done, {"gap": 2.0 * ascent.excess / cost})
+
+    best, steps = ascend(dual, best, ascent_steps, _excess_at(cost, enough), before_step)
+    vertex_gap = 2.0 * mass * best.vertex_gap
+    lower = max(cost - float(vertex_gap.sum()), 0.0)  # no plan costs less than nothing
+    notify(total, {"gap": _excess(cost, lower)})
+    return Optimality(
+        relative_curl=curl.relative,
+        cost=cost,
+        lower_bound=lower,
+        gap=_excess(cost, lower),
+        swapped_edges=swapped,
+        ascent_steps=steps,
+        potential=best.potential,
+        vertex_gap=vertex_gap,
+        stream=curl.stream,
+    )
 
 
 def map_optimality(
@@ -218,70 +260,10 @@ def map_optimality(
     points = getattr(result, stage, None) if str(stage) in ("sphere", "moser", "transported") else None
     if points is None:
         raise OmtwarpError(f"this map has no stage '{stage}'")
-    surface = Surface(result.vertices, result.faces)
-    source = getattr(result, "source", None)
-    x = _points(result.conformal if source is None else source, surface, "start")
-    y = _points(points, surface, "map")
-    mass = _masses(surface.vertex_areas, surface.vertex_count)
-    return _measure(surface, x, y, mass, None, ascent_steps, device, progress)
-
-
-@blas_threads(1)
-def _measure(
-    surface: Surface,
-    x: Floats,
-    y: Floats,
-    mass: Floats,
-    potential: ArrayLike | None,
-    ascent_steps: int,
-    device: str | None,
-    progress: Progress | None,
-    enough: float = GOOD_ENOUGH,
-    curl: Curl | None = None,
-) -> Optimality:
-    # Of the cost, what a first bound must reach for steps to be taken: one below cannot be raised to a gap that says
-    # anything of the map, and each step takes as long. Fans of 20,000 triangles begin at a thirtieth of the cost, and
-    # nine bounds brought them to a seventh; fans of 8,000 begin above this, and end at two thirds.
-    worth_raising = 0.05
-    ascent_steps = whole_number(ascent_steps, "ascent_steps")
-
-    total = STEPS_BEFORE + ascent_steps + 1  # the report itself is the last step
-
-    def notify(step: int, details: Record) -> None:
-        tell(progress, "optimality", step, total, details)
-
-    notify(0, {})
-    dual = TransportDual(surface, x, y, mass, device)
-    curl = curl or _curl(surface, y[surface.faces], dual.log)
-    notify(1, {})
-    fitted, swapped = dual.initial_potential()
-    notify(2, {})
-    best = dual.bound(fitted)
-    if potential is not None:
-        given = dual.bound(real_numbers(potential, "potential", mass.shape))
-        best = min(best, given, key=lambda bound: bound.excess)
-    cost = 2.0 * float(mass @ dual.cost)
-    if cost - 2.0 * best.excess < worth_raising * cost:
-        ascent_steps = 0
-
-    def before_step(done: int, ascent: Bound) -> None:
-        notify(STEPS_BEFORE + done, {"gap": 2.0 * ascent.excess / cost})
-
-    best, steps = ascend(dual, best, ascent_steps, _excess_at(cost, enough), before_step)
-    vertex_gap = 2.0 * mass * best.vertex_gap
-    lower = max(cost - float(vertex_gap.sum()), 0.0)  # no plan costs less than nothing
-    notify(total, {"gap": _excess(cost, lower)})
-    return Optimality(
-        relative_curl=curl.relative,
-        cost=cost,
-        lower_bound=lower,
-        gap=_excess(cost, lower),
-        swapped_edges=swapped,
-        ascent_steps=steps,
-        potential=best.potential,
-        vertex_gap=vertex_gap,
-        stream=curl.stream,
-    )
+    surface, source = Surface(result.vertices, result.faces), getattr(result, "source", None)
+    surface.checked = True  # before it was mapped
+    start = result.conformal if source is None else source
+    return optimality(surface, points, start=start, ascent_steps=ascent_steps, device=device, progress=progress)
 
 
 def _excess_at(cost: float, gap: float) -> float:
