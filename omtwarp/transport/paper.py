@@ -429,13 +429,8 @@ def paper_flow(
         device=device,
     )
     descent = _Descent(flow, levels, area_loss)
-    most = cycles * len(levels)
-    stopped = ""
-    for cycle in range(1, cycles + 1):
-        stopped = descent.cycle(cycle, smallest_hamiltonian, tolerance, most, progress)
-        if stopped:
-            break
-    return FlowResult(np.array(flow.map.numpy()), descent.history, stopped or "cycles")
+    stopped = descent.run(cycles, smallest_hamiltonian, tolerance, progress)
+    return FlowResult(np.array(flow.map.numpy()), descent.history, stopped)
 
 
 class _Descent:
@@ -463,35 +458,36 @@ class _Descent:
         self.history: list[Record] = []
         self._record(0, 0, 0.0, True)
 
-    def cycle(
-        self, number: int, smallest_hamiltonian: float, tolerance: float, most: int, progress: Progress | None
-    ) -> str:
-        """Take a step at every resolution, and return why the flow ends here; an empty text where it does not."""
+    def run(self, cycles: int, smallest_hamiltonian: float, tolerance: float, progress: Progress | None) -> str:
+        """Take a step at every resolution, cycle by cycle, and return why the flow ends, see :class:`FlowResult`."""
         growth = 1.5  # of the step after one that was accepted; it is halved after one that was not
-        before, taken, tried = self._cost, 0, 0
-        for resolution in self._resolutions:
-            if self._steps[resolution] < self._least[resolution]:
-                continue
-            self._flow.set_hamiltonian(resolution)
-            if self._flow.hamiltonian_norm() <= smallest_hamiltonian:
-                return "hamiltonian"
-            step = min(self._steps[resolution], COURANT / max(self._flow.set_velocity(), float(TINY)))
-            accepted = self._flow.advance(step)
-            reached = self._flow.cost_of(self._flow.advanced)
-            accepted = accepted and reached < self._cost
-            if accepted:
-                area = self._flow.area_of(self._flow.advanced_map)
-                if area > self._largest_area:
-                    return "area"
-                self._flow.accept()
-                self._cost, self._area = reached, area
-            self._steps[resolution] = (growth if accepted else 0.5) * step
-            tried, taken = tried + 1, taken + accepted
-            self._record(number, resolution, step, accepted)
-            tell(progress, "omt", len(self.history) - 1, most, {"cost": self._cost})
-        # Refused steps are about to be retried smaller: a cycle of them says nothing about convergence.
-        settled = 2 * taken >= tried and before - self._cost <= tolerance * abs(self._cost)
-        return "cost" if settled else ""
+        most = cycles * len(self._resolutions)
+        for number in range(1, cycles + 1):
+            before, taken, tried = self._cost, 0, 0
+            for resolution in self._resolutions:
+                if self._steps[resolution] < self._least[resolution]:
+                    continue
+                self._flow.set_hamiltonian(resolution)
+                if self._flow.hamiltonian_norm() <= smallest_hamiltonian:
+                    return "hamiltonian"
+                step = min(self._steps[resolution], COURANT / max(self._flow.set_velocity(), float(TINY)))
+                accepted = self._flow.advance(step)
+                reached = self._flow.cost_of(self._flow.advanced)
+                accepted = accepted and reached < self._cost
+                if accepted:
+                    area = self._flow.area_of(self._flow.advanced_map)
+                    if area > self._largest_area:
+                        return "area"
+                    self._flow.accept()
+                    self._cost, self._area = reached, area
+                self._steps[resolution] = (growth if accepted else 0.5) * step
+                tried, taken = tried + 1, taken + accepted
+                self._record(number, resolution, step, accepted)
+                tell(progress, "omt", len(self.history) - 1, most, {"cost": self._cost})
+            # Refused steps are about to be retried smaller: a cycle of them says nothing about convergence.
+            if 2 * taken >= tried and before - self._cost <= tolerance * abs(self._cost):
+                return "cost"
+        return "cycles"
 
     def _record(self, cycle: int, level: int, step: float, accepted: bool) -> None:
         entry: Record = {"iteration": len(self.history), "cycle": cycle, "level": level, "cost": self._cost}
