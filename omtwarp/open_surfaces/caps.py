@@ -74,14 +74,11 @@ def pack_caps(shares: Floats) -> tuple[Floats, float]:
     count = len(shares)
     if count == 1:
         return np.array([[0.0, 0.0, 1.0]]), 1.0
-    rng = np.random.default_rng(1943)
-    starts = rng.normal(size=(4 if count <= 50 else 1, count, 3))  # arrangements to try; of many caps one suffices
-    starts = normalised(starts)
+    size = 4 if count <= 50 else 1, count, 3  # arrangements to try; of many caps one suffices
+    starts = normalised(np.random.default_rng(1943).normal(size=size))
     low, high = 0.02, 0.98
-    best = _apart(starts[0], shares, low)
-    while best is None:  # very many caps: gaps take most of the sphere
-        low *= 0.5
-        best = _apart(starts[0], shares, low)
+    while (best := _apart(starts[0], shares, low)) is None:
+        low *= 0.5  # very many caps: gaps take most of the sphere
     for _ in range(7):  # the covered share is then known to 1 %
         covered = 0.5 * (low + high)
         packing = next(
@@ -122,7 +119,4 @@ def _apart(start: Floats, shares: Floats, covered: float) -> Floats | None:
 
     # 100 unequal caps took 172 steps, 30 took 231.
     solution = minimize(overlaps, start.ravel(), jac=True, method="L-BFGS-B", options={"maxiter": 500})
-    if solution.fun > SETTLED:
-        return None
-    placed = solution.x.reshape(-1, 3)
-    return normalised(placed)
+    return normalised(solution.x.reshape(-1, 3)) if solution.fun <= SETTLED else None

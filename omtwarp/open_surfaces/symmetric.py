@@ -93,9 +93,8 @@ class MirrorFactor(SaddlePointFactor):
         self._sphere, self._double, self._device = sphere, double, sphere.device
         surface = sphere.surface
         self._half = double.half
-        number = np.full(len(double.mirror), -1, dtype=np.int32)
+        self._number = number = np.full(len(double.mirror), -1, dtype=np.int32)
         number[self._half] = np.arange(len(self._half))
-        self._number = number
         self._original = np.where(double.copied, double.mirror, np.arange(len(double.mirror)))
         self._kept = np.flatnonzero((number[surface.edges] >= 0).all(axis=1))
         self._edges = number[surface.edges[self._kept]]

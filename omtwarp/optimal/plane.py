@@ -235,9 +235,7 @@ def plane_trouble(
 ):
     """Mark with 1 where a step turns a triangle over or takes nearly all its area, shape [F]."""
     f = wp.tid()
-    trouble[f] = ZERO
-    if not keeps_volume(areas[f], before[f]):
-        trouble[f] = ONE
+    trouble[f] = wp.where(keeps_volume(areas[f], before[f]), ZERO, ONE)
 
 
 @wp.kernel

@@ -55,10 +55,7 @@ def triangle_trouble(
     t = wp.tid()
     face = faces[t]
     after = oriented_volume(moved[face[0]], moved[face[1]], moved[face[2]])
-    if keeps_volume(after, volume[t]):
-        trouble[t] = ZERO
-    else:
-        trouble[t] = ONE
+    trouble[t] = wp.where(keeps_volume(after, volume[t]), ZERO, ONE)
 
 
 @wp.kernel

@@ -252,20 +252,14 @@ class _Flow:
         self.state = wp.empty(1, dtype=FlowState, device=device)
         self.running, self.searching = (wp.zeros(1, dtype=wp.int32, device=device) for _ in range(2))
 
-    def launch(
-        self, kernel: wp.Kernel, dim: int | tuple[int, ...], inputs: list[object], outputs: list[object]
-    ) -> None:
+    def launch(self, kernel: wp.Kernel, dim: int, inputs: list[object], outputs: list[object]) -> None:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
 
     def measure(self, points: wp.array) -> wp.array:
         """Compute partial sums of the cost and the area error, and what :meth:`set_gradient` needs."""
         if self.targeted:
-            self.launch(
-                values_at_points,
-                self.count,
-                [points, self.hints, *self.grid.triangles, self.grid.node_shares],
-                [self.shares],
-            )
+            inputs = [points, self.hints, *self.grid.triangles, self.grid.node_shares]
+            self.launch(values_at_points, self.count, inputs, [self.shares])
         options = [self.shares, int(self.geodesic), wp.float64(self.grid.spacing), wp.float64(LARGEST_ERROR)]
         inputs = [Each(self.start_centres), points, *each(self.faces, self.masses), *options]
         outputs = each(self.measured, self.turned, self.centres)
