@@ -11,6 +11,7 @@ the quartered mesh.
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,11 +72,16 @@ class Cells:
         tolerances: root mean square and largest relative error up to which areas count as kept.
         areas: returns the areas of the cells, shape [N], from those of the triangles, shape [F].
         on_triangles: returns the sum of the potentials, shape [N], of the cells that a triangle belongs to, shape [F].
+        means: returns the mean over every cell's mass, shape [N], of a number per vertex, shape [V].
+        masses: divides the areas of the cells among the vertices as their masses are, shape [V]; 4π times a factor in
+            all.
         multipliers: N; 0 where areas are measured and not kept.
         slope_count: see above.
     """
 
     tolerances: tuple[float, float]
+    means: Callable[[wp.array], wp.array]
+    masses: Callable[[wp.array, float], wp.array]
 
     def __init__(
         self, surface: Surface, of_triangles: NDArray[np.int32], wanted: Floats, slope_count: int, device: wp.Device
@@ -84,14 +90,6 @@ class Cells:
         self.wanted, self.multipliers, self.slope_count = wanted, len(wanted), slope_count
         belongs = combined(of_triangles, np.ones(of_triangles.shape), len(wanted))
         self.areas, self.on_triangles = SparseProduct(belongs.T, device), SparseProduct(belongs, device)
-
-    @abstractmethod
-    def means(self, values: wp.array) -> wp.array:
-        """Return the mean over every cell's mass, shape [N], of a number per vertex, shape [V]."""
-
-    @abstractmethod
-    def masses(self, areas: wp.array, factor: float) -> wp.array:
-        """Divide the areas of the cells among the vertices as their masses are, shape [V]; 4π times a factor in all."""
 
     @abstractmethod
     def slopes(self, of_triangles: wp.array, out: wp.array) -> None:
@@ -175,16 +173,8 @@ class TriangleCells(Cells):
         super().__init__(surface, quartered.parents[:, None], wanted, 2 * self.vertices.size, device)
         share = np.tile(np.repeat([CORNER_SHARE, MIDDLE_SHARE], 3), (len(self.vertices), 1))
         shares = combined(self.vertices, share, surface.vertex_count)
-        self._means, self._masses = SparseProduct(shares, device), SparseProduct(shares.T, device)
+        self.means, self.masses = SparseProduct(shares, device), SparseProduct(shares.T, device)
         self._factor: SaddlePointFactor | None = None
-
-    def means(self, values: wp.array) -> wp.array:
-        """Return the mean over every triangle's mass, shape [N]."""
-        return self._means(values)
-
-    def masses(self, areas: wp.array, factor: float) -> wp.array:
-        """Divide the areas of the triangles among their vertices in the shares of mass, shape [V]."""
-        return self._masses(areas, factor)
 
     def slopes(self, of_triangles: wp.array, out: wp.array) -> None:
         """Write the derivatives by every triangle's six vertices."""

@@ -42,7 +42,7 @@ from omtwarp.device.threads import FIRST_THREAD, Each, each, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
-from omtwarp.optimal.cells import Cells
+from omtwarp.optimal.cells import Cells, RingCells
 from omtwarp.optimal.kernels import area_errors, raise_diagonal, vertex_entries
 from omtwarp.optimal.shape import ShapeTerms
 from omtwarp.solvers.cholesky.saddle import COORDINATES, SaddleMatrix
@@ -179,7 +179,7 @@ class TransportEnergy:
 
     Args:
         domain: where the vertices move.
-        cells: whose areas are kept.
+        cells: whose areas are kept; the triangles around vertices where it is None.
         cost: of every vertex's place.
         shape: distortion of the triangles.
         shape_weight: β.
@@ -203,7 +203,7 @@ class TransportEnergy:
     def __init__(
         self,
         domain: Domain,
-        cells: Cells,
+        cells: Cells | None,
         cost: VertexCost,
         shape: Shape,
         shape_weight: float,
@@ -212,6 +212,7 @@ class TransportEnergy:
         *,
         workspace: Workspace | None = None,
     ):
+        cells = RingCells(domain.surface, domain.device) if cells is None else cells
         self.domain, self.cells, self.vertex_cost, self.shape = domain, cells, cost, shape
         self.shape_weight, self.cost_weight, self.area_weight = shape_weight, cost_weight, area_weight
         self.surface, self.device = domain.surface, domain.device

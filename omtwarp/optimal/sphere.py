@@ -169,11 +169,10 @@ def energy_on_sphere(
         cells: whose areas are kept; the triangles around vertices by default.
         softness: as of :class:`GeodesicCost`.
     """
-    kept = RingCells(surface, device) if cells is None else cells
     cost, shape = GeodesicCost(surface, start, device, softness), DistortionEnergy(surface, device)
     where = Sphere(surface, device) if domain is None else domain
-    energy = TransportEnergy(where, kept, cost, shape, shape_weight, area_weight=area_weight, workspace=shape.workspace)
-    energy.has_local_steps = isinstance(kept, RingCells)
+    energy = TransportEnergy(where, cells, cost, shape, shape_weight, 1.0, area_weight, workspace=shape.workspace)
+    energy.has_local_steps = isinstance(energy.cells, RingCells)
     return energy
 
 

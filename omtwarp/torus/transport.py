@@ -10,7 +10,7 @@ from dataclasses import replace
 from omtwarp.device.policy import resolve_device
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
-from omtwarp.optimal.cells import Cells, MeasuredRings, RingCells
+from omtwarp.optimal.cells import Cells, MeasuredRings
 from omtwarp.optimal.energy import TransportEnergy
 from omtwarp.optimal.exact import restore_areas
 from omtwarp.optimal.nested import shape_term_by_law
@@ -49,9 +49,8 @@ def energy_on_torus(
         device: where the map is.
     """
     plane = Plane(surface, torus.wraps @ torus.lattice, resolve_device(device))
-    kept = RingCells(surface, plane.device) if cells is None else cells
     cost, shape = PlaneCost(plane, start), PlaneShape(plane)
-    return TransportEnergy(plane, kept, cost, shape, shape_weight, cost_weight, area_weight)
+    return TransportEnergy(plane, cells, cost, shape, shape_weight, cost_weight, area_weight)
 
 
 def transport_on_torus(
