@@ -164,8 +164,6 @@ def map_surface(
     if together:
         maps, caps = _side_by_side(parts, maps, shares, exact)
     maps = _finished(maps, given, exact)
-    for finding in (finding for each in maps for finding in each.report["warnings"]):
-        warnings.warn(finding["text"], OmtwarpWarning, stacklevel=2)
     return in_file(maps[0] if len(maps) == 1 else joined(maps, count, caps), of_file, count)
 
 
@@ -216,6 +214,8 @@ def _check_domain(domain: Domain, parts: list[Part], components: bool, together:
 def _finished(maps: list[MapResult], given: list[Part], exact: bool) -> list[MapResult]:
     """Put the maps of parts into the order of the input, and their certificates into their reports.
 
+    The caller of :func:`map_surface` is warned of what they do not keep.
+
     Raises:
         OmtwarpError: a map is not one to one.
     """
@@ -224,6 +224,8 @@ def _finished(maps: list[MapResult], given: list[Part], exact: bool) -> list[Map
         each.report["certificate"] = each.certificate.to_dict()
         if not each.certificate.bijective:
             raise OmtwarpError(f"no map to the {each.domain} that is one to one was found: {each.certificate}")
+    for finding in (finding for each in maps for finding in each.report["warnings"]):
+        warnings.warn(finding["text"], OmtwarpWarning, stacklevel=3)
     return maps
 
 
