@@ -387,15 +387,8 @@ def _on_torus(part: Part, progress: Progress | None, options: MapOptions) -> Map
             raise OmtwarpError(f"'{name}' is an option of maps to the sphere: a map to a torus has none")
     device = str(resolve_device(options.device))
     with solving_with(options.solver, device):
-        result = map_to_torus(
-            Surface(ordered.vertices, ordered.faces),
-            refine=options.refine,
-            exact=options.exact,
-            optimality=options.optimality,
-            strict=options.strict,
-            progress=progress,
-            device=device,
-        )
+        surface = Surface(ordered.vertices, ordered.faces)
+        result = map_to_torus(surface, options, progress=progress, device=device)
     return torus_in_input_order(result, ordered, part)
 
 

@@ -20,7 +20,7 @@ from omtwarp.optimal.cells import TriangleCells
 from omtwarp.optimal.exact import largest_error, minimise_cells
 from omtwarp.optimal.refinement import not_matched
 from omtwarp.optimal.solver import OptimalMap
-from omtwarp.options import AreaMatch, Domain, Progress, Record, continued, parse_refinement, tell
+from omtwarp.options import AreaMatch, Domain, MapOptions, Progress, Record, continued, parse_refinement, tell
 from omtwarp.torus.harmonic import QUANTUM, FlatTorus, conformal_torus, embedded_torus, quantised
 from omtwarp.torus.transport import eased_on_torus, energy_on_torus, refine_on_torus, transport_on_torus
 
@@ -29,23 +29,13 @@ WRONG_AREA = 1e-4  # largest relative error of an area around a vertex without a
 
 
 def map_to_torus(
-    surface: Surface,
-    *,
-    refine: AreaMatch | str | float | None = None,
-    exact: bool = False,
-    optimality: bool = True,
-    strict: bool = False,
-    progress: Progress | None = None,
-    device: str | None = "auto",
+    surface: Surface, options: MapOptions, *, progress: Progress | None = None, device: str | None = "auto"
 ) -> MapResult:
     """Map a closed surface of genus 1 to a flat torus, areas around vertices kept, by optimal transport.
 
     Args:
         surface: closed, connected, of genus 1.
-        refine: a refinement as of :func:`omtwarp.refine_map`, less distortion of shape at more cost.
-        exact: keep the area of every triangle to 1e-6, by the map of the mesh with its triangles cut into four.
-        optimality: whether the distance from the optimum is measured.
-        strict: whether a map whose areas are wrong is an error, in place of a warning.
+        options: of the map: ``refine``, ``exact``, ``optimality`` and ``strict``.
         progress: called as ``progress(stage, done, total, details)``.
         device: where the minimisation is.
 
@@ -54,11 +44,11 @@ def map_to_torus(
     """
     run = _TorusComputation(surface, progress, device)
     run.optimal()
-    if exact:
+    if options.exact:
         run.keep_every_area()
-    if refine is not None:
-        run.refine(refine)
-    return run.result(strict, optimality)
+    if options.refine is not None:
+        run.refine(options.refine)
+    return run.result(options)
 
 
 class _TorusComputation:
@@ -162,12 +152,8 @@ class _TorusComputation:
             history=self.history,
         ).with_arrays(origin_arrays(surface.origins))
 
-    def result(self, strict: bool, measured: bool) -> MapResult:
-        """Return the finished map; with a warning, or an error if strict, where areas are wrong.
-
-        Args:
-            strict: as of :func:`map_to_torus`.
-            measured: whether the report says how far the map is from optimal.
+    def result(self, options: MapOptions) -> MapResult:
+        """Return the finished map; with a warning, or an error if ``options.strict``, where areas are wrong.
 
         Raises:
             OmtwarpError: the map is not one to one.
@@ -176,7 +162,7 @@ class _TorusComputation:
         if not result.bijective:
             raise OmtwarpError(f"the map to the torus is not one to one: {result.certificate}")
         for finding in self.warnings:
-            if strict:
+            if options.strict:
                 raise OmtwarpError(f"the map is not as good as strict=True requires: {finding['text']}")
             warnings.warn(OmtwarpWarning(finding["text"]), stacklevel=5)
         result.report.update(
@@ -190,7 +176,7 @@ class _TorusComputation:
                 "warnings": self.warnings,
             }
         )
-        if measured:
+        if options.optimality:
             lattice, shift = self.conformal.lattice, self.conformal.wraps @ self.conformal.lattice
             x, y = self.conformal.coordinates @ lattice, self.torus.coordinates @ lattice
             result.report["optimality"] = torus_optimality(self.surface, x, y, shift, lattice).to_dict()

@@ -321,13 +321,8 @@ class _Untangling:
         face_epsilon = wp.array(epsilon[patches.face_patch], dtype=wp.float64, device=self.device, copy=False)
         energy = self._energy(points, face_epsilon)
         inputs = [points, self.d_faces, self.d_frames, self.d_areas, face_epsilon, self.area_weight]
-        wp.launch(
-            untangle_newton,
-            dim=len(patches.faces),
-            inputs=inputs,
-            outputs=[self.d_gradient, self.d_hessian],
-            device=self.device,
-        )
+        outputs = [self.d_gradient, self.d_hessian]
+        wp.launch(untangle_newton, dim=len(patches.faces), inputs=inputs, outputs=outputs, device=self.device)
         entries = self.d_gradient.numpy().ravel()[self.gradient_kept]
         gradient = np.bincount(self.gradient_slot, entries, minlength=2 * patches.free).astype(np.float64, copy=False)
         gradient = gradient.reshape(-1, 2)
