@@ -110,20 +110,16 @@ class MirrorFactor(SaddlePointFactor):
         """Factorise the systems of the half, whose vertices are at these places."""
         return vertex_saddle_factor(len(places), self._edges, lambda: dissect(places, self._edges))
 
-    def _take(self, points: wp.array | None) -> None:
-        """Take the tangent bases of a symmetric map, vec3d, shape [W]."""
-        self._points = points
-        up = np.zeros((len(self._double.mirror), 3))
-        up[self._half[self._rim], 2] = 1.0
-        self._normals = self._coordinates(up)[self._half]
-
     def factorise(self, matrix: SaddleMatrix) -> None:
         """Factorise a matrix of the double.
 
         Raises:
             NotPositiveDefinite: it is not definite on the half.
         """
-        self._take(matrix.points)
+        self._points = matrix.points
+        up = np.zeros((len(self._double.mirror), 3))
+        up[self._half[self._rim], 2] = 1.0
+        self._normals = self._coordinates(up)[self._half]
         diagonal, off_diagonal, gradients, compliance = matrix.on_host()
         own, others = self._halved(diagonal, off_diagonal)
         self._factor.factorise(SaddleMatrix.of(own, others, self._slopes(gradients), self._own(compliance)))
@@ -170,15 +166,11 @@ class MirrorFactor(SaddlePointFactor):
     def solve(self, right: wp.array) -> wp.array:
         """Solve for coordinates and multipliers of a symmetric right-hand side, shape [2 W + N]."""
         numbers, split = right.numpy(), COORDINATES * len(self._double.mirror)
-        first = numbers[:split].reshape(-1, COORDINATES)
-        u, q = solve_parts(self._factor, self._tangential(first), self._own(numbers[split:]))
+        first = numbers[:split].reshape(-1, COORDINATES)[self._half] * self._share[:, None]
+        along = first - self._normals * np.einsum("va,va->v", self._normals, first)[:, None]  # not across the boundary
+        u, q = solve_parts(self._factor, along, self._own(numbers[split:]))
         whole = np.concatenate([self._mirrored(u).ravel(), self._of_double(q)])
         return wp.array(whole, dtype=wp.float64, device=self._device)
-
-    def _tangential(self, first: Floats) -> Floats:
-        """Return the right-hand sides of the half's coordinates, without the component across the boundary."""
-        right = first[self._half] * self._share[:, None]
-        return right - self._normals * np.einsum("va,va->v", self._normals, right)[:, None]
 
     def _mirrored(self, u: Floats) -> Floats:
         """Return the coordinates of the double's vertices, shape [W, 2], from those of the half's."""
