@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import omtwarp
-from omtwarp.commands._options import Argument, Printing, Source, Typed, output_option
+from omtwarp.commands._options import Argument, Only, Printing, Source, Typed, output_option
 from omtwarp.commands._streams import STREAM, input_file, input_table, progress_bar, say, step_times
 from omtwarp.commands._work import load_whole_map, map_from, require_whole, show_facts, start_device
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
@@ -35,11 +35,10 @@ def run_spharm(
     *,
     output: Annotated[Path, output_option(".csv")],
     mesh: Annotated[Path | None, Argument(file=input_file)] = None,
-    finished: Annotated[Path | None, Typed("--map", file=input_file)] = None,
+    source: Annotated[Source, Only(("finished", "repair"))],
     degree: Annotated[int, Typed(bounds=(0, 500))] = 15,
     fit: Fit = Fit.LEAST_SQUARES,
     reconstruction: Path | None = None,
-    repair: bool = False,
     device: Device = MapOptions.device,
     printing: Printing,
 ) -> None:
@@ -60,8 +59,6 @@ def run_spharm(
         fit: How to fit: least squares at the vertices, or integrals over the triangles.
         reconstruction (MESH): Also write the surface that the coefficients describe.
         mesh (MESH): A closed triangle mesh, or -; not needed with --map.
-        finished (NPZ): A finished map (from 'omtwarp map') instead of a new one; - is standard input.
-        repair: Repair the mesh first: equal vertices, orientation, small holes, largest component; prints what it did.
     """
     import numpy as np
 
@@ -69,12 +66,11 @@ def run_spharm(
     from omtwarp.shape_analysis.expansion import expand
     from omtwarp.spheres import mesh_grid
 
-    check_outputs([(output, EXPANSIONS), (reconstruction, MESH_SUFFIXES)], mesh, finished)
+    check_outputs([(output, EXPANSIONS), (reconstruction, MESH_SUFFIXES)], mesh, source.finished)
     start_device(device)
-    result = map_from(mesh, Source(finished=finished, repair=repair), MapOptions(device=device), printing)
-    result = require_whole(result, finished or mesh)
+    result = require_whole(map_from(mesh, source, MapOptions(device=device), printing), source.finished or mesh)
     whole = result.closed()
-    mesh_grid(whole.sphere, whole.faces, str(finished or mesh))  # harmonics need a map that covers the sphere once
+    mesh_grid(whole.sphere, whole.faces, str(source.finished or mesh))  # harmonics need a map that covers it once
     with step_times(printing.verbose) as done:
         expansion = expand(whole.sphere, whole.vertices, degree, faces=whole.faces, method=fit.value)
         done("expand")

@@ -16,12 +16,11 @@
 A number may be NaN, where there is none.
 """
 
-import io
 import re
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,36 +89,31 @@ def read_data(path: Path, structure: str | None = None) -> VertexData:
     name = path.name.lower()
     by_nibabel = name.endswith((".annot", ".nii", *MGH_SUFFIXES, *CURV_SUFFIXES)) or data[:3] == b"\xff\xff\xff"
     with reading(path, "data", len(data)), copied(data, path.name) if by_nibabel else nullcontext(path) as file:
-        if name.endswith(".npy"):
-            content = from_npy(io.BytesIO(data), path.stem)
-        elif name.endswith(TEXT_SUFFIXES):
-            content = from_text(data.decode("utf-8-sig"), path.stem)
-        elif name.endswith((".gii", ".gii.gz")):
-            content = _read_gifti(path)
-        elif name.endswith(".annot"):
-            content = _read_annot(file)
-        elif name.endswith(".ply"):
-            content = _read_ply(data)
-        elif name.endswith(MGH_SUFFIXES):
-            content = _read_mgh(file)
-        elif name.endswith(".nii"):
-            content = _read_cifti(file, structure or structure_of(path))
-        elif by_nibabel:
-            values = nibabel_module().freesurfer.read_morph_data(file)
-            content = VertexData(np.asarray(values, np.float64)[:, None], (path.suffix.lstrip("."),))
-        else:
+        readers: dict[str | tuple[str, ...], Callable[[], VertexData]] = {
+            ".npy": lambda: from_npy(data, path.stem),
+            TEXT_SUFFIXES: lambda: from_text(data.decode("utf-8-sig"), path.stem),
+            (".gii", ".gii.gz"): lambda: _read_gifti(path),
+            ".annot": lambda: _read_annot(file),
+            ".ply": lambda: _read_ply(data),
+            MGH_SUFFIXES: lambda: _read_mgh(file),
+            ".nii": lambda: _read_cifti(file, structure or structure_of(path)),
+            name if by_nibabel else CURV_SUFFIXES: lambda: _read_curv(file),
+        }
+        read = next((read for endings, read in readers.items() if name.endswith(endings)), None)
+        if read is None:
             known = ", ".join((*DATA_SUFFIXES, *MGH_SUFFIXES, *CIFTI_SUFFIXES))
             raise OmtwarpError(f"unknown format of data: use {known}")
+        content = read()
     return content if content.structure else replace(content, structure=structure_of(path))
 
 
-def from_npy(stream: BinaryIO, name: str = "data") -> VertexData:
+def from_npy(data: bytes, name: str = "data") -> VertexData:
     """Read an array [V] or [V, K] in NumPy's format.
 
     Raises:
         OmtwarpError: the file holds no such array.
     """
-    array = array_of(stream.read(), name)
+    array = array_of(data, name)
     if array.dtype.kind not in "iufb" or array.ndim not in (1, 2):
         raise OmtwarpError("not an array of numbers of shape [V] or [V, K]")
     columns = array.reshape(len(array), -1)
@@ -197,6 +191,11 @@ def _read_gifti(path: Path) -> VertexData:
     structure = meta.get("AnatomicalStructurePrimary")
     kind = np.int64 if labels else np.float64
     return VertexData(np.stack([array.data.astype(kind) for array in arrays], axis=1), names, table, structure, meta)
+
+
+def _read_curv(path: Path) -> VertexData:
+    values = nibabel_module().freesurfer.read_morph_data(path)
+    return VertexData(np.asarray(values, np.float64)[:, None], (path.suffix.lstrip("."),))
 
 
 def _read_mgh(path: Path) -> VertexData:

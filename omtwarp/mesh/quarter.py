@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from omtwarp.mesh.arrays import Floats, Ints, norms
+from omtwarp.mesh.arrays import Floats, Ints, normalised
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.surface import Surface
 
@@ -48,10 +48,8 @@ class QuarteredSurface(Origins):
             Unit vectors, shape [V + E, 3]. Where the ends of an edge are opposite points it is the first end.
         """
         one, other = sphere[self.split_edges[:, 0]], sphere[self.split_edges[:, 1]]
-        middle = one + other
-        length = norms(middle)[..., None]
-        middle = np.where(length > 0.0, middle / np.where(length > 0.0, length, 1.0), one)
-        return np.concatenate([sphere, middle])
+        middle = normalised(one + other)
+        return np.concatenate([sphere, np.where(middle.any(axis=1, keepdims=True), middle, one)])
 
     def sum_of_parts(self, per_part: Floats) -> Floats:
         """Sum numbers on the parts, shape [4 F], over every original triangle; returns shape [F]."""

@@ -196,12 +196,16 @@ def _read_obj(data: bytes) -> Triangles:
 
     Its texture coordinates, normals, materials and groups make a general reader split, drop and reorder vertices.
     """
-    text = utf8(data).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").replace(b"\r", b"\n")
-    lines = re.findall(rb"^[ \t]*([vf])[ \t]+([^\n#]*)", text, flags=re.MULTILINE)
+    lines = re.findall(rb"^[ \t]*([vf])[ \t]+([^\n#]*)", obj_text(data), flags=re.MULTILINE)
     vertices = coordinates([rest.split() for kind, rest in lines if kind == b"v"])
     polygons = [[word.partition(b"/")[0] for word in rest.split()] for kind, rest in lines if kind == b"f"]
     vertices_before = np.cumsum([kind == b"v" for kind, _ in lines])[[kind == b"f" for kind, _ in lines]]
     return vertices, *_from_polygons(polygons, vertices_before)
+
+
+def obj_text(data: bytes) -> bytes:
+    """Return the text of a Wavefront OBJ with its lines joined where they go on, and ended as on Unix."""
+    return utf8(data).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").replace(b"\r", b"\n")
 
 
 def _from_polygons(

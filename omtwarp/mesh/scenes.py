@@ -120,7 +120,11 @@ class GltfInput:
             return None
         if "bufferView" in entry:
             return self._view(entry["bufferView"])[0]
-        if uri.startswith("data:"):
+        return self._named(uri)
+
+    def _named(self, uri: str) -> bytes | None:
+        """Return what a URI holds, or the content of the file that it names; None where nothing is there."""
+        if "base64," in uri:
             return base64.b64decode(uri.partition("base64,")[2])
         there = file_beside(self.file, unquote(uri))
         return None if there is None else read_bytes(there, LARGEST_MESH_FILE)
@@ -139,15 +143,10 @@ class GltfInput:
         """
         if number not in self.known:
             uri = self.buffers[number].get("uri")
-            if uri is None:
-                self.known[number] = self._chunk()
-            elif "base64," in uri:
-                self.known[number] = base64.b64decode(uri.partition("base64,")[2])
-            else:
-                there = file_beside(self.file, unquote(uri))
-                if there is None:
-                    raise OmtwarpError(f"names '{uri}', which is not there")
-                self.known[number] = read_bytes(there, LARGEST_MESH_FILE)
+            content = self._chunk() if uri is None else self._named(uri)
+            if content is None:
+                raise OmtwarpError(f"names '{uri}', which is not there")
+            self.known[number] = content
         return self.known[number]
 
     def _chunk(self) -> bytes:

@@ -7,7 +7,7 @@ import math
 import os
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,8 +22,8 @@ from omtwarp.files.limits import LARGEST_MESH_FILE, MOST_FACES
 from omtwarp.mesh.arrays import Bytes, Floats, Ints, whole_numbers
 from omtwarp.mesh.ply import Column, ply_columns, polygons_of
 from omtwarp.mesh.polygons import fans, taken_together
-from omtwarp.mesh.read import coordinates, mesh_content, numbers_of, read_mesh, require_counted_from_one, utf8
-from omtwarp.mesh.scenes import gltf_pictures, load_scene, placed_meshes, scene_formats
+from omtwarp.mesh.read import coordinates, mesh_content, numbers_of, obj_text, read_mesh, require_counted_from_one, utf8
+from omtwarp.mesh.scenes import Document, gltf_pictures, load_scene, placed_meshes, scene_formats
 from omtwarp.texturing.export import SLOTS, Material
 from omtwarp.texturing.image import as_bytes, decoded, read_image, with_opacity, without_full_opacity
 from omtwarp.texturing.painted import PaintedMesh, corners_of, joined_seams
@@ -46,8 +46,8 @@ _OPTIONS = {
 
 def _statements(data: bytes) -> tuple[NDArray[np.bytes_], list[bytes]]:
     """Return the kinds of an OBJ file's statements, shape [N], and what stands behind each."""
-    joined = utf8(data).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").replace(b"\r", b"\n")
-    statements = [(match[1] or match[3], match[2] or match[4] or b"") for match in _STATEMENT.finditer(joined)]
+    found = _STATEMENT.finditer(obj_text(data))
+    statements = [(match[1] or match[3], match[2] or match[4] or b"") for match in found]
     return np.array([kind for kind, _ in statements], dtype="S6"), [rest for _, rest in statements]
 
 
@@ -100,20 +100,17 @@ def _with(material: Material, key: str, values: list[str], picture: Callable[[st
         return material
     if not numbers or not np.isfinite(numbers).all():
         return material
-    first = min(max(numbers[0], 0.0), 1.0)
-    if key == "kd":
-        red, green, blue = np.clip((numbers * 3)[:3], 0.0, 1.0)
-        return replace(material, color=(float(red), float(green), float(blue), material.color[3]))
-    if key in ("d", "tr"):
-        return replace(material, color=(*material.color[:3], first if key == "d" else 1.0 - first))
-    if key == "pr":
-        return replace(material, roughness=first)
-    if key == "pm":
-        return replace(material, metallic=first)
+    red, green, blue = (min(max(number, 0.0), 1.0) for number in (numbers * 3)[:3])
+    changes: dict[str, dict] = {
+        "kd": {"color": (red, green, blue, material.color[3])},
+        "d": {"color": (*material.color[:3], red)},
+        "tr": {"color": (*material.color[:3], 1.0 - red)},
+        "pr": {"roughness": red},
+        "pm": {"metallic": red},
+    }
     if key in _PHONG:
-        kept = dict(material.phong) | {_PHONG[key]: tuple(numbers)}
-        return replace(material, phong=tuple(kept.items()))
-    return material
+        changes[key] = {"phong": tuple((dict(material.phong) | {_PHONG[key]: tuple(numbers)}).items())}
+    return replace(material, **changes.get(key, {}))
 
 
 def _picture_name(words: list[str]) -> str:
@@ -361,12 +358,12 @@ def _numbers(column: Column) -> Floats:
     return np.asarray(column, dtype=np.float64)
 
 
-def _from_scene(scene: trimesh.Scene, looks: list[GltfLook] | None) -> PaintedMesh:
+def _from_scene(scene: trimesh.Scene, looks: list[Material] | None) -> PaintedMesh:
     """Take all geometries of a scene together, where the scene puts them.
 
     Args:
         scene: of trimesh's.
-        looks: of a glTF file's materials, whose colours are linear; None for other formats.
+        looks: the materials of a glTF file, whose colours at vertices are linear; None for other formats.
     """
     placed = placed_meshes(scene)
     if not placed:
@@ -395,23 +392,8 @@ def _from_scene(scene: trimesh.Scene, looks: list[GltfLook] | None) -> PaintedMe
     return joined_seams(mesh)
 
 
-@dataclass(frozen=True)
-class GltfLook:
-    """What trimesh does not tell of a glTF material.
-
-    Attributes:
-        name: as the file has it.
-        factor: the base colour, unrounded, shape [4]; None for white.
-        pictures: by the names of their roles.
-    """
-
-    name: str
-    factor: Floats | None
-    pictures: dict[str, Bytes]
-
-
-def gltf_materials(data: bytes, file: Path, suffix: str) -> list[GltfLook]:
-    """Read names, colours and pictures of a glTF file's materials, in its order.
+def gltf_materials(data: bytes, file: Path, suffix: str) -> list[Material]:
+    """Read the materials of a glTF file, in its order.
 
     Raises:
         OmtwarpError: a picture cannot be read, or is elsewhere than in the file's directory.
@@ -426,20 +408,21 @@ def gltf_materials(data: bytes, file: Path, suffix: str) -> list[GltfLook]:
             known[key] = whole[..., :3] if opaque and whole.shape[2] == 4 else whole
         return known[key]
 
-    looks = []
+    materials = []
     for material, pictures in gltf_pictures(data, file, suffix):
-        factor = material.get("pbrMetallicRoughness", {}).get("baseColorFactor")
-        exact = np.clip(np.asarray(factor, dtype=np.float64), 0.0, 1.0) if factor and len(factor) == 4 else None
         opaque = material.get("alphaMode", "OPAQUE") == "OPAQUE"  # whatever opacity its colours have
-        if exact is not None and opaque:
-            exact[3] = 1.0
         by_role = {role: picture(content, opaque and role == "baseColorTexture") for role, content in pictures.items()}
-        looks.append(GltfLook(material.get("name") or "material", exact, by_role))
-    return looks
+        materials.append(_of_gltf(material, by_role, opaque))
+    return materials
 
 
-def _appearance(mesh: trimesh.Trimesh, looks: list[GltfLook] | None) -> tuple[Material, Floats | None, Bytes | None]:
-    """Return the material, texture coordinates [V, 2] and colours [V, 4] of a mesh that trimesh read."""
+def _appearance(mesh: trimesh.Trimesh, looks: list[Material] | None) -> tuple[Material, Floats | None, Bytes | None]:
+    """Return the material, texture coordinates [V, 2] and colours [V, 4] of a mesh that trimesh read.
+
+    Args:
+        mesh: of trimesh's.
+        looks: the materials of a glTF file, by whose numbers trimesh's are called; None for other formats.
+    """
     from trimesh.visual import ColorVisuals, TextureVisuals  # heavy, and loaded by whoever has a mesh of trimesh's
 
     visual = mesh.visual
@@ -461,32 +444,41 @@ def _appearance(mesh: trimesh.Trimesh, looks: list[GltfLook] | None) -> tuple[Ma
     if not hasattr(source, "baseColorFactor"):  # of formats older than glTF
         diffuse = np.asarray(getattr(source, "diffuse", (255, 255, 255, 255)), dtype=np.float64) / 255.0
         return Material(name, _color(diffuse)), coordinates, None
-    look = looks[int(name)] if looks is not None and name.isdecimal() and int(name) < len(looks) else None
-    return _of_gltf(source, look or GltfLook(name, None, {})), coordinates, _vertex_colors(mesh)
+    if looks is not None and name.isdecimal() and int(name) < len(looks):
+        return looks[int(name)], coordinates, _vertex_colors(mesh)
+    names = ("metallicFactor", "roughnessFactor", "emissiveFactor", "doubleSided")
+    known = {word: value for word in names if (value := getattr(source, word)) is not None} | {"name": name}
+    if source.baseColorFactor is not None:  # which trimesh rounds to bytes
+        known["baseColorFactor"] = source.baseColorFactor / 255.0
+    return _of_gltf(known | {"pbrMetallicRoughness": known}, {}), coordinates, _vertex_colors(mesh)
 
 
-def _of_gltf(source: trimesh.visual.material.PBRMaterial, look: GltfLook) -> Material:
-    """Return a material that trimesh read, with its look as the file has it."""
-    color = (1.0, 1.0, 1.0, 1.0)
-    if source.baseColorFactor is not None:
-        values = np.asarray(source.baseColorFactor)
-        scaled = values / 255.0 if values.dtype.kind in "iu" else values.astype(np.float64)
-        scaled = scaled if look.factor is None else look.factor
-        color = _color(np.concatenate([to_srgb(scaled[:3]), scaled[3:4]]))
-    picture = look.pictures.get("baseColorTexture")
+def _of_gltf(material: Document, pictures: dict[str, Bytes], opaque: bool = False) -> Material:
+    """Return a material that is described in the terms of glTF.
+
+    Args:
+        material: its entry.
+        pictures: by the names of their roles.
+        opaque: whether the opacity of its colour counts for nothing.
+    """
+    surface = material.get("pbrMetallicRoughness", {})
+    factor = surface.get("baseColorFactor", ())
+    scaled = np.asarray(factor if len(factor) == 4 else (1.0, 1.0, 1.0, 1.0), dtype=np.float64)
+    color = _color(np.append(to_srgb(scaled[:3]), 1.0 if opaque else scaled[3]))
+    picture = pictures.get("baseColorTexture")
     if picture is not None and picture.shape[:2] == (1, 1):  # one texel is a plain colour, which needs no coordinates
         texel = with_opacity(picture[0]) / 255.0
         light = to_linear(np.array(color[:3])) * to_linear(texel[0, :3])
         color, picture = _color(np.append(to_srgb(light), color[3] * texel[0, 3])), None
-    emission = np.zeros(3) if source.emissiveFactor is None else np.asarray(source.emissiveFactor, dtype=np.float64)
+    red, green, blue = map(float, material.get("emissiveFactor", (0.0, 0.0, 0.0)))
     return Material(
-        name=look.name,
+        name=material.get("name") or "material",
         color=color,
-        metallic=1.0 if source.metallicFactor is None else float(source.metallicFactor),
-        roughness=1.0 if source.roughnessFactor is None else float(source.roughnessFactor),
-        emission=(float(emission[0]), float(emission[1]), float(emission[2])),
-        two_sided=bool(source.doubleSided),
-        **{own: look.pictures.get(slot) for slot, own, *_ in SLOTS} | {"picture": picture},  # type: ignore[arg-type]
+        metallic=float(surface.get("metallicFactor", 1.0)),
+        roughness=float(surface.get("roughnessFactor", 1.0)),
+        emission=(red, green, blue),
+        two_sided=bool(material.get("doubleSided")),
+        **{own: pictures.get(slot) for slot, own, *_ in SLOTS} | {"picture": picture},  # type: ignore[arg-type]
     )
 
 
