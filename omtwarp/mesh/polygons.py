@@ -1,6 +1,7 @@
-"""Polygons and strips of triangles, as files list them, cut into triangles."""
+"""Polygons and strips of triangles, as files list them, cut into triangles, and triangles cut evenly."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,3 +112,28 @@ def counted_lists(entries: NDArray[np.generic], count: int) -> tuple[NDArray[np.
     is_corner = np.ones(place, dtype=bool)
     is_corner[starts[:count]] = False
     return numbers[:place][is_corner], numbers[starts[:count]]
+
+
+@lru_cache(maxsize=8)
+def grid_points(parts: int) -> NDArray[np.int64]:
+    """Return the steps from corner 0 towards corners 1 and 2 of the points of an evenly divided triangle, shape [K, 2].
+
+    Row i holds the points with i steps towards corner 1; point (i, j) is number i (2 n + 3 - i) / 2 + j.
+    """
+    steps = np.arange(parts + 1)
+    return np.argwhere(np.add.outer(steps, steps) <= parts)
+
+
+def grid_shares(parts: int) -> NDArray[np.float64]:
+    """Return the barycentric coordinates of the points of an evenly divided triangle, shape [K, 3]."""
+    points = grid_points(parts)
+    return np.column_stack([parts - points.sum(axis=1), points]) / parts
+
+
+@lru_cache(maxsize=8)
+def grid_triangles(parts: int) -> NDArray[np.int64]:
+    """Return the corners of the parts of an evenly divided triangle, numbers of its points, shape [parts², 3]."""
+    here, steps = np.arange(len(grid_points(parts))), grid_points(parts).sum(axis=1)
+    ahead = here + parts + 1 - grid_points(parts)[:, 0]  # one step towards corner 1
+    upright, turned = np.stack([here, ahead, here + 1], axis=1), np.stack([ahead, ahead + 1, here + 1], axis=1)
+    return np.concatenate([upright[steps < parts], turned[steps < parts - 1]])

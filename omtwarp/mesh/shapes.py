@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import TINY, Floats, cross, normalised, norms, summed
+from omtwarp.mesh.polygons import grid_shares, grid_triangles
 from omtwarp.mesh.surface import Surface
 
 Faces = NDArray[np.int64]
@@ -33,26 +34,12 @@ def icosphere(frequency: int = 16) -> Surface:
         frequency: any whole number from 1; the mesh has 20 ``frequency``² faces and 10 ``frequency``² + 2 vertices.
     """
     corners, big_faces = _icosahedron()
-    n = frequency
-    i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1), indexing="ij")
-    i, j = i[i + j <= n], j[i + j <= n]
-    row = np.cumsum(np.concatenate([[0], n + 1 - np.arange(n + 1)]))  # where the points with a given i begin
-
-    def at(i: NDArray, j: NDArray) -> NDArray:
-        return row[i] + j
-
-    up, down = i + j < n, i + j < n - 1
-    cells = np.concatenate(
-        [
-            np.stack([at(i, j)[up], at(i[up] + 1, j[up]), at(i[up], j[up] + 1)], axis=1),
-            np.stack([at(i[down] + 1, j[down]), at(i[down] + 1, j[down] + 1), at(i[down], j[down] + 1)], axis=1),
-        ]
-    )
-    weights = np.stack([n - i - j, i, j], axis=1)
-    points = np.einsum("pk,fkx->fpx", weights / n, corners[big_faces]).reshape(-1, 3)
-    faces = (cells[None] + (np.arange(20) * len(i))[:, None, None]).reshape(-1, 3)
+    shares = grid_shares(frequency)
+    points = np.einsum("pk,fkx->fpx", shares, corners[big_faces]).reshape(-1, 3)
+    faces = (grid_triangles(frequency) + (np.arange(20) * len(shares))[:, None, None]).reshape(-1, 3)
 
     # A grid point is known by its weights at the twelve corners of the icosahedron: exact, so shared edges weld.
+    weights = np.rint(shares * frequency).astype(np.int64)
     held = weights[None] > 0
     owner = np.where(held, big_faces[:, None, :], 12)
     order = np.argsort(owner, axis=2)

@@ -13,7 +13,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,7 +25,10 @@ from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.limits import MOST_FILM_PIXELS, MOST_FRAMES
 from omtwarp.location import combined
 from omtwarp.maps.domains import is_torus_map
+from omtwarp.maps.result import MapResult
+from omtwarp.maps.torus_map import ring_torus, tube_radius
 from omtwarp.mesh.arrays import Bytes, Floats, Ints, cross, normalised, norms
+from omtwarp.mesh.polygons import grid_shares, grid_triangles
 from omtwarp.mesh.surface import SPHERE_AREA, as_unit_vectors, sums_around, triangle_areas
 from omtwarp.options import Backend, BackendLike, PatternLike, Progress, tell
 from omtwarp.render import annotate, output
@@ -36,12 +38,8 @@ from omtwarp.render.scene import Appearance, Part, RenderJob, SurfaceView, norma
 from omtwarp.render.subject import FinishedMap, Picture, map_view, posed, torus_view
 from omtwarp.texturing.adaptive import rasterize
 from omtwarp.texturing.image import PictureLike
-from omtwarp.texturing.smooth import grid_shares, grid_triangles, smooth_map
-from omtwarp.texturing.textured import spheres_of, texture_torus
-
-if TYPE_CHECKING:
-    from omtwarp.maps.result import MapResult
-
+from omtwarp.texturing.smooth import smooth_map
+from omtwarp.texturing.textured import domains_of, texture_torus
 
 PROBE_WIDTH = 192  # of the pictures on which motion is measured
 SPACING = 1.08  # distance of two domains over the sum of their radii, as seen
@@ -327,8 +325,7 @@ class Story:
         if self.weights is not None:
             # During the second part, added points also move to the domain, not to the flat triangles inside it.
             fill = max(time - 1.0, 0.0) * (self.domain_points - self.weights @ self.domain)
-            places, normals = self.weights @ places + fill, self.weights @ normals
-            normals = normalised(normals)
+            places, normals = self.weights @ places + fill, normalised(self.weights @ normals)
         look = Appearance(kind="uv" if self.on_torus else "sphere", value=points, image=self.image)
         look.repeat_rows = self.on_torus
         return Part(positions=places, normals=normals, faces=self.parts, **vars(look))
@@ -437,7 +434,6 @@ def _on_torus(
 ) -> tuple[Story, SurfaceView]:
     """Return the course of a film of a map to a torus, which ends with a ring torus."""
     tube_turns = 24  # beginnings along the tube of a ring torus that are compared
-    from omtwarp.maps.torus_map import ring_torus, tube_radius
 
     cut = texture_torus(result, image, None if image is not None else pattern, size=texels)
     shown = posed(torus_view(result, cut.image), up, front)
@@ -477,12 +473,6 @@ def _on_torus(
         surface, domain, ends, np.hstack([first, flat]), np.hstack([last, flat]), corners, parts, shares,
         np.asarray(cut.image[..., :3]), "torus", on_torus=True,
     ), shown  # fmt: skip
-
-
-def domains_of(result: FinishedMap, count: int) -> NDArray[np.intp]:
-    """Return the number of the domain that every face has, shape [F]: zeros, but with parts that have one each."""
-    number = spheres_of(result)
-    return np.zeros(count, dtype=np.intp) if number is None else number
 
 
 def domain_name(result: FinishedMap) -> str:

@@ -14,8 +14,9 @@ from omtwarp.metrics.distortion import Distortion
 from omtwarp.open_surfaces.caps import disk_to_cap
 from omtwarp.options import Domain, Record
 from omtwarp.render.camera import Camera, camera_axes
-from omtwarp.render.films import domain_name, domains_of, fits_of, placed_on
+from omtwarp.render.films import domain_name, fits_of, placed_on
 from omtwarp.render.scene import SurfaceView
+from omtwarp.texturing.textured import domains_of
 
 NUMBER, COUNT, TEXT, FLAG = "number", "count", "text", "flag"
 

@@ -104,11 +104,6 @@ class Atlas(ABC):
         return np.full(self.height, self.width, dtype=np.int32)
 
     @property
-    def filled(self) -> bool:
-        """Whether charts and gutters cover the whole picture."""
-        return bool((self.row_lengths == self.width).all())
-
-    @property
     def covered(self) -> NDArray[np.bool_]:
         """Which texels charts and gutters cover, shape [H, W]."""
         return np.arange(self.width) < self.row_lengths[:, None]
@@ -120,8 +115,6 @@ class Atlas(ABC):
 
     def fill_empty(self, picture: NDArray[np.generic]) -> None:
         """Fill the texels of a picture [H, W, C] that no chart covers with the mean colour of the others."""
-        if self.filled:
-            return
         # Mean samples: texels along a side that the mean colour of a picture is taken from
         step = max(self.width // 256, 1)
         mean = picture[::step, ::step][self.covered[::step, ::step]].mean(axis=0, dtype=np.float64)
@@ -168,9 +161,7 @@ class Equirectangular(Atlas):
         self.parameters = self.seam - np.pi, 0.0
         # The cut is the half-plane y = 0, x < 0 after a rotation that brings the seam to longitude π. At π that
         # rotation is exactly the identity.
-        turn = np.pi - self.seam
-        self._cos = 1.0 if turn == 0.0 else float(np.cos(turn))
-        self._sin = 0.0 if turn == 0.0 else float(np.sin(turn))
+        self._cos, self._sin = float(np.cos(np.pi - self.seam)), float(np.sin(np.pi - self.seam))
         self.arcs = (Arc((self._sin, self._cos, 0.0), ((-self._cos, self._sin, 0.0),)),)
 
     def charts(self, directions: Floats) -> Ints:

@@ -95,8 +95,7 @@ def occlusion(target: Target) -> Bytes:
     known = np.flatnonzero(inside.ravel())
     low, high = target.vertices.min(axis=0), target.vertices.max(axis=0)
     scale = float((high - low).max())
-    normal = rows[known, 3:]
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), TINY)
+    normal = normalised(rows[known, 3:])
     # Of the extent: how far off the surface rays begin. Single precision resolves 1e-7 of it.
     origins = (rows[known, :3] - low) / scale + 1e-4 * normal
     x, begin = (target.vertices - low) / scale, (1.0 - rays * flat) * (ahead * known % 1.0)
@@ -149,9 +148,8 @@ def detail_normals(target: Target, tangents: Floats, detail: tuple[Floats, Ints]
     scale = float((high - low).max())
     values = np.concatenate([(target.points - low) / scale, target.normals, tangents], axis=2)
     picture = bake_corners(target.uv, values, target.size, samples=1, device=target.device)
-    rows = picture.reshape(-1, 10).astype(np.float64)
     known = np.flatnonzero(covered(target.uv, target.size, device=target.device).ravel())
-    rows = rows[known]
+    rows = picture.reshape(-1, 10)[known].astype(np.float64)
     where = target.device
     numbers = sent(triangles.astype(np.int32), wp.int32, where)
     mesh = wp.Mesh(sent(((fine - low) / scale).astype(np.float32), wp.vec3, where), numbers.flatten())
@@ -317,9 +315,7 @@ def face_openness(vertices: Floats, faces: Ints) -> Floats:
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     x = (vertices - low) / (high - low).max()
     p = x[faces]
-    normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    normal /= np.where(length > 0, length, 1.0)
+    normal = normalised(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]))
     # Ray budget: about half a second on one CPU core
     step = max(1, int(np.ceil(len(faces) * rays / 400_000)))
     chosen = np.arange(0, len(faces), step)

@@ -52,12 +52,11 @@ class _PictureSource(ValueSource):
 
     def __init__(self, picture: NDArray[np.generic], kind: int, offset: float, gutter: float, device: wp.Device):
         self.channels = picture.shape[2]
-        self._kind, self._offset, self._gutter = kind, offset, gutter
-        self._picture = wp.array(np.ascontiguousarray(as_floats(picture)), dtype=wp.float32, device=device)
+        texels = wp.array(np.ascontiguousarray(as_floats(picture)), dtype=wp.float32, device=device)
+        self._inputs = [kind, wp.float64(offset), wp.float64(gutter), texels]
 
     def launch(self, directions: wp.array, out: wp.array) -> None:
-        numbers = [self._kind, wp.float64(self._offset), wp.float64(self._gutter), self._picture]
-        inputs = [*numbers, Each(directions)]
+        inputs = [*self._inputs, Each(directions)]
         launch_parts(kernels.sample_picture, len(directions), inputs, each(out), directions.device)
 
 
@@ -92,9 +91,8 @@ def source_of(given: Source, projection: str, device: wp.Device) -> ValueSource:
         return pattern(given)
     if callable(given) and not hasattr(given, "__array__"):
         return _CallableSource(given)
-    return _PictureSource(
-        read_image(cast(PictureLike, given)), 0 if projection == "equirectangular" else 3, 0.0, 0.0, device
-    )
+    kind = Kind.EQUIRECTANGULAR if projection == "equirectangular" else Kind.SINUSOIDAL
+    return _PictureSource(read_image(cast(PictureLike, given)), kind, 0.0, 0.0, device)
 
 
 def _target(atlas: str | Atlas, size: int | tuple[int, int] | None) -> Atlas:
@@ -242,12 +240,7 @@ def sample(
     """
     where = resolve_device(device)
     array = picture if isinstance(picture, np.ndarray) and picture.ndim == 3 else read_image(picture)
-    source = picture_source(array, atlas, where)
-    d = np.ascontiguousarray(np.asarray(directions, dtype=np.float64).reshape(-1, 3))
-    out = wp.empty((len(d), source.channels), dtype=wp.float64, device=where)
-    if len(d):
-        source.launch(wp.array(d, dtype=wp.vec3d, device=where), out)
-    return out.numpy()
+    return picture_source(array, atlas, where).at(directions, where)
 
 
 def picture_source(array: NDArray[np.generic], atlas: str | Atlas, where: wp.Device) -> _PictureSource:
@@ -279,9 +272,8 @@ def claimed(corners: wp.array, width: int, height: int, grow: float, where: wp.D
     owner = wp.full(width * height, NOBODY, dtype=wp.int32, device=where)
 
     def claim(rows: tuple[int, int]) -> None:
-        wp.launch(
-            kernels.own_texels, dim=len(corners), inputs=[corners, width, wp.float64(grow), *rows, owner], device=where
-        )
+        inputs = [corners, width, wp.float64(grow), *rows, owner]
+        wp.launch(kernels.own_texels, dim=len(corners), inputs=inputs, device=where)
 
     parts = launch_parts_of(where, height, core_count(), 1)
     if parts > 1:
@@ -513,9 +505,8 @@ def overlap(uv: Floats, width: int, height: int, where: wp.Device) -> float:
     """Return the share of the covered texels that lie in more than one triangle, from 0 to 1."""
     # Texels by which a centre lies inside a triangle for certain: neighbours share their sides to round-off.
     inside = 0.02
-    first, last = (
-        claimed(in_texels(some, width, height, where), width, height, -inside, where) for some in (uv, uv[::-1])
-    )
+    corners = (in_texels(some, width, height, where) for some in (uv, uv[::-1]))
+    first, last = (claimed(some, width, height, -inside, where) for some in corners)
     covered_texels = first != NOBODY
     several = covered_texels & (first != len(uv) - 1 - last)
     return float(several.sum() / max(covered_texels.sum(), 1))

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.colors import to_linear
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.output import as_path, companion, staged
-from omtwarp.mesh.arrays import ROUND_OFF, TINY, Bytes, Floats, Ints, single_precision, summed
+from omtwarp.mesh.arrays import ROUND_OFF, TINY, Bytes, Floats, Ints, normalised, single_precision, summed
 from omtwarp.mesh.write import GltfFile
 from omtwarp.options import TextureFormat
 from omtwarp.texturing.image import png_bytes, webp_bytes
@@ -72,8 +72,7 @@ class Material:
     @property
     def plain(self) -> bool:
         """Whether the material has no picture of any kind."""
-        pictures = (self.picture, self.normal_picture, self.occlusion_picture)
-        return all(one is None for one in (*pictures, self.roughness_picture, self.emission_picture))
+        return all(getattr(self, own) is None for _, own, *_ in SLOTS)
 
     def on_other_coordinates(self) -> "Material":
         """Return the material without pictures but that of its colours, which are laid out for coordinates left.
@@ -130,8 +129,7 @@ def corner_tangents(vertices: Floats, faces: Ints, uv: Floats, normals: Floats) 
     # Of a normal's x: another axis helps where it is larger. Below 1/sqrt(2) an axis is 45 degrees or more from the
     # normal.
     helper = np.where(np.abs(normal[:, :1]) < 0.7, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
-    other = np.cross(normal, helper)
-    other /= np.maximum(np.linalg.norm(other, axis=1, keepdims=True), TINY)
+    other = normalised(np.cross(normal, helper))
     degenerate = length <= ROUND_OFF * max(float(length.max(initial=0.0)), TINY)
     unit = np.where(degenerate, other, flat / np.maximum(length, TINY))
     return np.concatenate([unit, np.repeat(sign, 3)[:, None]], axis=1).reshape(-1, 3, 4)
@@ -374,10 +372,8 @@ def obj_files(model: Model, place: Path, kept: tuple[Path | None, ...]) -> list[
         library.append("")
     beside = companion(place, ".mtl", kept)
     text = ["# omtwarp\n", f"mtllib {beside.name}\n", _lines("v", model.vertices, "%.17g")]
-    text += [
-        _lines("vn", model.normals, "%.5f"),
-        *(_lines("vt", part.uv, "%.9g") for part in parts if part.uv is not None),
-    ]
+    text.append(_lines("vn", model.normals, "%.5f"))
+    text += (_lines("vt", part.uv, "%.9g") for part in parts if part.uv is not None)
     text += _obj_faces(parts, names, model.objects or [("surface", "")])
     return [*written.values(), (beside, "\n".join(library).encode()), (place, "".join(text).encode())]
 

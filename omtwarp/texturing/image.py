@@ -85,9 +85,8 @@ def _from_pil(image: Image, name: str) -> NDArray[np.generic]:
     if max(image.size) > LONGEST_SIDE:
         raise OmtwarpError(f"{name}: {image.width}x{image.height} texels; no side may be longer than {LONGEST_SIDE}")
     if image.width * image.height > MOST_TEXELS:
-        raise OmtwarpError(
-            f"{name}: {image.width}x{image.height} texels; a picture may have {MOST_TEXELS / 1e6:.0f} million at most"
-        )
+        most = f"{MOST_TEXELS / 1e6:.0f} million"
+        raise OmtwarpError(f"{name}: {image.width}x{image.height} texels; a picture may have {most} at most")
     if image.mode in ("I;16", "I;16L", "I;16B", "I", "F"):  # more than 8 bits: Pillow's own conversion would clip
         values = np.asarray(image, dtype=np.float32)
         top = 65535.0 if image.mode != "F" else 1.0
@@ -236,9 +235,7 @@ def rotation_matrix(rotate: ArrayLike | None) -> Floats:
     if given.shape == (3, 3):
         # Orthonormal, of a rotation's entries: matrices written with seven digits pass
         if not np.allclose(given @ given.T, np.eye(3), atol=1e-6) or np.linalg.det(given) < 0:
-            raise OmtwarpError(
-                "rotate: the 3x3 matrix is not a rotation: its rows must be orthonormal, its determinant 1"
-            )
+            raise OmtwarpError("rotate: the 3x3 matrix is no rotation: its rows must be orthonormal, its determinant 1")
         return Rotation.from_matrix(given).as_matrix()  # exact: the 1e-6 above must not reach the texture
     angles = np.atleast_1d(given)
     if angles.shape not in ((1,), (3,)) or not np.all(np.isfinite(angles)):

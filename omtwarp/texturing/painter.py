@@ -19,6 +19,7 @@ from omtwarp.maps.domains import is_torus_map
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.arrays import Floats, Ints
 from omtwarp.mesh.origins import Origins
+from omtwarp.mesh.polygons import grid_shares, grid_triangles
 from omtwarp.mesh.surface import plane_areas, triangle_areas, vertex_normals
 from omtwarp.options import AtlasLike, CoordinatesLike, KeepLike, PatternLike, ProjectionLike
 from omtwarp.texturing import bakes, baking, image as pictures
@@ -29,7 +30,7 @@ from omtwarp.texturing.image import PictureLike
 from omtwarp.texturing.painted import PaintedMesh
 from omtwarp.texturing.patterns import Pattern
 from omtwarp.texturing.seams import shares_of_corners
-from omtwarp.texturing.smooth import SmoothMap, grid_shares, grid_triangles, smooth_map
+from omtwarp.texturing.smooth import SmoothMap, smooth_map
 from omtwarp.texturing.textured import MapLike, SphereMap, as_map, spheres_of, texture
 from omtwarp.texturing.unwrap import pack_rows
 
@@ -320,9 +321,7 @@ class _Painting:
         return baking.tinted(pictures.with_opacity(pictures.as_floats(picture)), color)
 
     def _together(self, pattern: NDArray[np.float32], base: NDArray[np.float32]) -> NDArray[np.float32]:
-        if self.keep == "over":
-            return baking.over(pattern, base, self.opacity)
-        return baking.over(base, pattern, self.opacity)
+        return baking.over(*((pattern, base) if self.keep == "over" else (base, pattern)), self.opacity)
 
     def _tangents(self, mesh: PaintedMesh) -> Floats | None:
         """Return the tangents at a mesh's corners where a normal map is asked for, shape [F, 3, 4]."""

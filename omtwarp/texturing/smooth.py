@@ -20,7 +20,7 @@ that changes linearly from vertex to vertex.
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sparse
@@ -30,8 +30,10 @@ from scipy.sparse.linalg import cg
 from omtwarp.flips.exact import flipped_faces
 from omtwarp.geometry.operators import corner_cotangents
 from omtwarp.location import combined
-from omtwarp.mesh.arrays import Floats, Ints, summed
+from omtwarp.mesh.arrays import Floats, Ints, normalised, summed
+from omtwarp.mesh.polygons import grid_shares, grid_triangles
 from omtwarp.mesh.surface import unit_normals, vertex_normals
+from omtwarp.mesh.validate import Topology
 
 HALVINGS = 4  # of the difference from the linear map, before the map is linear there
 
@@ -43,7 +45,7 @@ class SmoothMap:
     Attributes:
         parts: n, into how many parts every edge is divided.
         sphere: unit vectors of all points: the mesh's vertices first, then those on edges and inside, shape [N, 3].
-        grid: the points of every triangle, row by row as :func:`grid_points` lists them, int32, shape [F, K].
+        grid: the points of every triangle as :func:`omtwarp.mesh.polygons.grid_points` lists them, int32, shape [F, K].
         corners: vertices of the triangles, shape [F, 3].
         count: of the vertices, V.
     """
@@ -71,35 +73,6 @@ class SmoothMap:
     def faces(self) -> Ints:
         """The parts of all triangles, those of triangle f from f n² on, int32, shape [F n², 3]."""
         return self.grid[:, grid_triangles(self.parts)].reshape(-1, 3)
-
-
-@lru_cache(maxsize=8)
-def grid_points(parts: int) -> NDArray[np.int64]:
-    """Return the steps from corner 0 towards corners 1 and 2 of the points of an evenly divided triangle, shape [K, 2].
-
-    Row i holds the points with i steps towards corner 1; point (i, j) is number i (2 n + 3 - i) / 2 + j.
-    """
-    return np.array([(i, j) for i in range(parts + 1) for j in range(parts + 1 - i)], dtype=np.int64)
-
-
-def grid_shares(parts: int) -> Floats:
-    """Return the barycentric coordinates of the points of an evenly divided triangle, shape [K, 3]."""
-    points = grid_points(parts)
-    return np.column_stack([parts - points.sum(axis=1), points]) / parts
-
-
-@lru_cache(maxsize=8)
-def grid_triangles(parts: int) -> NDArray[np.int64]:
-    """Return the corners of the parts of an evenly divided triangle, numbers of its points, shape [parts², 3]."""
-
-    def number(i: int, j: int) -> int:
-        return i * (2 * parts + 3 - i) // 2 + j
-
-    upright = [(number(i, j), number(i + 1, j), number(i, j + 1)) for i in range(parts) for j in range(parts - i)]
-    turned = [
-        (number(i + 1, j), number(i + 1, j + 1), number(i, j + 1)) for i in range(parts) for j in range(parts - i - 1)
-    ]
-    return np.array(upright + turned, dtype=np.int64)
 
 
 def smooth_map(vertices: Floats, faces: Ints, sphere: Floats, parts: int) -> SmoothMap:
@@ -133,14 +106,12 @@ def smooth_curves(vertices: Floats, faces: Ints, sphere: Floats, *, filtered: bo
         filtered: whether waves of a few edges are taken out; False keeps the images of the vertices.
     """
     faces = np.asarray(faces, dtype=np.int32)
-    tails, heads = faces.ravel().astype(np.int64), np.roll(faces, -1, axis=1).ravel().astype(np.int64)
-    keys, edge_of = np.unique(np.minimum(tails, heads) * len(vertices) + np.maximum(tails, heads), return_inverse=True)
-    ends = np.stack(np.divmod(keys, len(vertices)), axis=1)
+    topology = Topology(faces.astype(np.int64), len(vertices))
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     places = (vertices - low) / max(float((high - low).max()), np.finfo(float).tiny)
     still = _without_waves(places, faces, sphere) if filtered else sphere
-    towards = _edge_derivatives(places, faces, still, ends)
-    return SmoothCurves(places, faces, sphere, still, ends, edge_of.reshape(-1, 3), towards)
+    towards = _edge_derivatives(places, faces, still, topology.edges)
+    return SmoothCurves(places, faces, sphere, still, topology.edges, topology.face_edges, towards)
 
 
 @dataclass(frozen=True)
@@ -172,8 +143,7 @@ class SmoothCurves:
         With the derivatives' differences from the chord, a and b, the two differ by t (1 - t)² a - t² (1 - t) b.
         """
         apart = self.towards - (self.sphere[self.ends[:, 1]] - self.sphere[self.ends[:, 0]])[:, None]
-        middle = self.sphere[self.ends].sum(axis=1)
-        middle /= np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), np.finfo(float).tiny)
+        middle = normalised(self.sphere[self.ends].sum(axis=1))
         apart -= np.einsum("esj,ej->es", apart, middle)[..., None] * middle[:, None]
         largest: Floats = (4.0 / 27.0 * np.linalg.norm(apart, axis=2).sum(axis=1))[self.edge_of].max(axis=1)
         return largest
@@ -303,8 +273,7 @@ def _without_waves(places: Floats, faces: Ints, sphere: Floats) -> Floats:
     for coefficient in series[2:]:
         before, now = now, 2.0 * (mean @ now) - before
         total += coefficient * now
-    filtered = total / root[:, None]
-    filtered /= np.maximum(np.linalg.norm(filtered, axis=1, keepdims=True), np.finfo(float).tiny)
+    filtered = normalised(total / root[:, None])
 
     length = np.repeat(np.linalg.norm(sphere[pairs[:, 0]] - sphere[pairs[:, 1]], axis=1), 2)
     number = np.maximum(np.bincount(pairs.ravel(), minlength=count), 1)
@@ -315,8 +284,7 @@ def _without_waves(places: Floats, faces: Ints, sphere: Floats) -> Floats:
     moved *= np.minimum(1.0, 0.3 * edge / np.maximum(way, np.finfo(float).tiny))[:, None]
     kept, allowed = np.ones(count), flipped_faces(sphere, faces)
     for rounds in range(count):
-        points = sphere + kept[:, None] * moved
-        points /= np.linalg.norm(points, axis=1, keepdims=True)
+        points = normalised(sphere + kept[:, None] * moved)
         touched = np.unique(faces[flipped_faces(points, faces) & ~allowed])
         touched = touched[kept[touched] > 0.0]
         if not len(touched):
@@ -337,9 +305,7 @@ def _edge_derivatives(places: Floats, faces: Ints, sphere: Floats, ends: NDArray
         flat = np.stack([np.einsum("ij,ij->i", edge, axes[ends[:, side]]) for axes in (first, second)], axis=1)
         size = np.linalg.norm(flat, axis=1, keepdims=True)
         # Of an edge's length: where its part in a vertex's tangent plane is shorter it has no direction there.
-        way[:, side] = np.where(
-            size > 1e-9 * length[:, None], flat / np.maximum(size, np.finfo(float).tiny), (1.0, 0.0)
-        )
+        way[:, side] = np.where(size > 1e-9 * length[:, None], normalised(flat), (1.0, 0.0))
     # What each edge is multiplied by, at either end: its direction there, in the columns of that vertex.
     columns = 2 * ends[:, :, None] + np.arange(2)
     at_start, at_end = (combined(columns[:, side], way[:, side], 2 * count) for side in range(2))
@@ -357,8 +323,7 @@ def _edge_derivatives(places: Floats, faces: Ints, sphere: Floats, ends: NDArray
 def _tangents(normals: Floats) -> tuple[Floats, Floats]:
     """Return two unit vectors at right angles to each unit normal, and to one another."""
     away = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
-    first = np.cross(normals, away)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    first = normalised(np.cross(normals, away))
     return first, np.cross(normals, first)
 
 

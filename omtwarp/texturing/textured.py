@@ -330,6 +330,12 @@ def spheres_of(result: object) -> NDArray[np.intp] | None:
     return number if len(distinct) > 1 else None
 
 
+def domains_of(result: object, count: int) -> NDArray[np.intp]:
+    """Return the number of the domain that every face has, shape [F]: zeros, but with parts that have one each."""
+    number = spheres_of(result)
+    return np.zeros(count, dtype=np.intp) if number is None else number
+
+
 def _natural_size(picture: NDArray, atlas: str) -> int | tuple[int, int] | None:
     """Return the size of a texture whose texels are about as large as those of the image."""
     # Of the picture's width. Octahedral textures then have as many texels, 0.56 widths squared beside 0.5; three cells

@@ -15,7 +15,7 @@ from omtwarp.mesh.surface import plane_areas, triangle_areas
 from omtwarp.texturing.atlas import CUBE_FRAMES
 from omtwarp.texturing.export import Material
 from omtwarp.texturing.painted import PaintedMesh
-from omtwarp.texturing.textured import MapLike, SphereMap, as_map, spheres_of
+from omtwarp.texturing.textured import MapLike, SphereMap, as_map, domains_of
 
 MARGIN = 1.0 / 128.0
 """Free space around a chart, in heights of the picture: 8 texels at 1024, enough for three levels of mip maps."""
@@ -83,8 +83,7 @@ def laid_out(result: MapLike, aspect: float = 1.0, margin: float = MARGIN) -> tu
         charts = _strips(result, aspect)
     else:
         vertices, faces, sphere = as_map(result)
-        number = spheres_of(result)
-        parts = np.zeros(len(faces), dtype=np.intp) if number is None else number
+        parts = domains_of(result, len(faces))
         disk = getattr(result, "disk", None)
         if disk is None:
             charts = _cubes(vertices, faces, sphere, parts)

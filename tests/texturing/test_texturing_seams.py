@@ -198,7 +198,7 @@ def test_a_cube_map_in_pictures_of_three_shapes(size, sides, columns):
     assert (texel[:, 0] < atlas.row_lengths[row]).all() and row.max() < 2 * atlas.cell
     cell = row // atlas.cell * columns + texel[:, 0] // atlas.cell
     np.testing.assert_array_equal(cell, chart)
-    assert len(atlas.texels) == 6 * atlas.cell**2 and atlas.filled == (6 * atlas.cell**2 == sides[0] * sides[1])
+    assert len(atlas.texels) == 6 * atlas.cell**2 and atlas.covered.all() == (6 * atlas.cell**2 == sides[0] * sides[1])
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,10 @@ from texturing_shapes import ellipsoid, rotation, stretch_latitude, unit
 
 from omtwarp.flips.exact import count_flips, flipped_faces
 from omtwarp.mesh import shapes
+from omtwarp.mesh.polygons import grid_points
 from omtwarp.texturing import bake, texture
 from omtwarp.texturing.baking import sample
-from omtwarp.texturing.smooth import grid_points, smooth_curves, smooth_map
+from omtwarp.texturing.smooth import smooth_curves, smooth_map
 
 
 def ball(subdivisions):

@@ -67,6 +67,14 @@ class ValueSource(ABC):
     def launch(self, directions: wp.array, out: wp.array) -> object:
         """Write the values of directions, vec3d [N], to an array, float64 [N, channels]."""
 
+    def at(self, directions: ArrayLike, where: wp.Device) -> Floats:
+        """Return the values of directions of any length, shape [N, 3], as float64, shape [N, channels]."""
+        d = np.ascontiguousarray(np.asarray(directions, dtype=np.float64).reshape(-1, 3))
+        out = wp.empty((len(d), self.channels), dtype=wp.float64, device=where)
+        if len(d):
+            self.launch(wp.array(d, dtype=wp.vec3d, device=where), out)
+        return out.numpy()
+
 
 class Pattern(ValueSource):
     """A colour for every direction on the sphere.
@@ -82,12 +90,7 @@ class Pattern(ValueSource):
 
     def __call__(self, directions: ArrayLike, device: str | wp.Device = "cpu") -> Floats:
         """Return the colours of directions of any length, shape [N, 3], as float64 from 0 to 1, shape [N, 3]."""
-        d = np.ascontiguousarray(np.asarray(directions, dtype=np.float64).reshape(-1, 3))
-        where = resolve_device(device)
-        out = wp.empty((len(d), 3), dtype=wp.float64, device=where)
-        if len(d):
-            self.launch(wp.array(d, dtype=wp.vec3d, device=where), out)
-        return out.numpy()
+        return self.at(directions, resolve_device(device))
 
     def launch(self, directions: wp.array, out: wp.array) -> wp.array:
         """Colour an array of directions (vec3d, shape [N]) into ``out`` (float64, shape [>= N, 3]) on their device.

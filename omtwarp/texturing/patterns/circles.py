@@ -88,9 +88,7 @@ class Circles(Pattern):
         _, gap = _neighbours(self.centres, 1)
         if 2.0 * self.radius >= gap.min():
             most = 0.5 * self.count * (1.0 - np.cos(gap.min() / 2.0))
-            raise OmtwarpError(
-                f"circles: {self.count} circles over {coverage:.2f} of the sphere touch: at most {most:.2f}"
-            )
+            raise OmtwarpError(f"circles: {self.count} over {coverage:.2f} of the sphere touch: at most {most:.2f}")
 
     def spread(self, count: int) -> tuple[Floats, Ints]:
         """Compute the centres of so many circles, shape [count, 3], and their groups, shape [count]."""
