@@ -26,10 +26,7 @@ def compose(
         RGB, or RGBA where it is to be transparent.
     """
     width, height = size
-    drawn = picture
-    if picture.shape[:2] != (height, width):
-        drawn = np.zeros((height, width, 4), dtype=np.uint8)
-        drawn[: picture.shape[0], : picture.shape[1]] = picture
+    drawn = np.pad(picture, ((0, height - picture.shape[0]), (0, width - picture.shape[1]), (0, 0)))
     colors, coverage = drawn[..., :3], drawn[..., 3:]
     if transparent:
         whole = np.maximum(coverage, 1).astype(np.uint16)

@@ -12,15 +12,13 @@ from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
+from PIL import Image
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import as_path, check_output, staged
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 STILL_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP", ".tif": "TIFF", ".tiff": "TIFF"}
 FILM_FORMATS = (".gif", ".mp4", ".webp")
@@ -66,7 +64,7 @@ def check_target(path: str | os.PathLike[str], *, film: bool, transparent: bool)
     return target
 
 
-def save_still(image: Image, path: str | os.PathLike[str]) -> None:
+def save_still(image: Image.Image, path: str | os.PathLike[str]) -> None:
     """Write one picture.
 
     Raises:
@@ -80,7 +78,7 @@ def save_still(image: Image, path: str | os.PathLike[str]) -> None:
         (image.convert("RGB") if kind == "JPEG" else image).save(file, kind, **options)
 
 
-def save_film(frames: Iterable[Image], path: str | os.PathLike[str], fps: float) -> None:
+def save_film(frames: Iterable[Image.Image], path: str | os.PathLike[str], fps: float) -> None:
     """Write frames as an endless GIF or WebP, or as an MP4 (H.264), for which they are not kept.
 
     Raises:
@@ -99,9 +97,7 @@ def save_film(frames: Iterable[Image], path: str | os.PathLike[str], fps: float)
             _mp4(frames, file, fps)
 
 
-def _gif(frames: Sequence[Image], file: Path, fps: float) -> None:
-    from PIL import Image
-
+def _gif(frames: Sequence[Image.Image], file: Path, fps: float) -> None:
     # One palette for all frames, or colours would flicker as the surface turns; made from a strip of small copies.
     clear = frames[0].mode == "RGBA"
     width = 128
@@ -158,7 +154,7 @@ def _encoder(program: str) -> list[str]:
     return next((options for name, options in ENCODERS.items() if f" {name} " in listed), MPEG4)
 
 
-def _mp4(frames: Iterable[Image], file: Path, fps: float) -> None:
+def _mp4(frames: Iterable[Image.Image], file: Path, fps: float) -> None:
     shown_in_turn = iter(frames)
     first = next(shown_in_turn)
     width, height = (first.width // 2 * 2, first.height // 2 * 2)  # H.264 halves the colours' resolution

@@ -248,24 +248,20 @@ def preview(
     if path is not None and frames is None and str(as_path(path)).lower().endswith((".gif", ".mp4")):
         # Turntable frames: 10 degrees each
         options["frames"] = 36
-    film = options.get("frames") is not None
-    target = (
-        None if path is None else output.check_target(path, film=film, transparent=options.get("transparent", False))
-    )
+    film, transparent = options.get("frames") is not None, options.get("transparent", False)
+    target = None if path is None else output.check_target(path, film=film, transparent=transparent)
     chosen = complete(options, "preview")
     cameras = cameras_of(chosen)
+    several = not film and len(cameras) > 1
+    names = _captions(chosen["captions"], cameras) if several else []
+    images = _draw(subject, chosen, cameras, clear=transparent or several)
     if film:
-        images = _draw(subject, chosen, cameras, clear=chosen["transparent"])
         if target is not None:
             output.save_film(images, target, chosen["fps"])
         return images
-    several = len(cameras) > 1
-    names = _captions(chosen["captions"], cameras) if several else []
-    images = _draw(subject, chosen, cameras, clear=chosen["transparent"] or several)
-    if not several:
-        return _written(images[0], target)
-    background, transparent = chosen["background"], chosen["transparent"]
-    return _written(annotate.grid(images, names, background=background, transparent=transparent), target)
+    if several:
+        images = [annotate.grid(images, names, background=chosen["background"], transparent=transparent)]
+    return _written(images[0], target)
 
 
 @takes(PanelOptions, PANEL_DEFAULTS | {"size": PANEL_SIZE})

@@ -438,8 +438,7 @@ def _picture(part: Appearance, where: wp.Device) -> Picture:
     picture.decode = wp.array(decode, dtype=wp.float32, device=where)
     picture.sizes = wp.array(sizes, dtype=wp.int32, device=where)
     picture.repeat, picture.repeat_rows = int(part.repeat), int(part.repeat_rows)
-    tint = to_linear(np.array(part.tint))
-    picture.tint = wp.vec3(*(float(channel) for channel in tint))
+    picture.tint = wp.vec3(*to_linear(np.array(part.tint)).tolist())
     return picture
 
 
@@ -449,15 +448,14 @@ def _look(job: RenderJob, where: wp.Device) -> Look:
     look.lights = wp.array(lights, dtype=wp.vec4, device=where)
     look.sky, look.ground, look.roughness = job.light.sky, job.light.ground, job.light.roughness
     look.unlit = int(job.light.unlit)
-    look.edge_color = wp.vec3(*(float(channel) for channel in parse_color(job.wireframe.color)))
+    look.edge_color = wp.vec3(*parse_color(job.wireframe.color).tolist())
     look.edge_width, look.edge_opacity = job.wireframe.width, job.wireframe.opacity
     return look
 
 
 def _view(shot: Shot, width: int, height: int) -> View:
     view = View()
-    right, up, backward, origin = (wp.vec3(*(float(x) for x in shot.pose[:3, k])) for k in range(4))
-    view.right, view.up, view.backward, view.origin = right, up, backward, origin
+    view.right, view.up, view.backward, view.origin = (wp.vec3(*shot.pose[:3, k].tolist()) for k in range(4))
     view.perspective = int(shot.perspective)
     view.half_width, view.half_height = shot.half_width, shot.half_height
     view.width, view.height = width, height

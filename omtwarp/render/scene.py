@@ -51,7 +51,7 @@ class ScalarField:
         Raises:
             OmtwarpError: there is no finite value, the range is empty, or a logarithmic range is not positive.
         """
-        one_value = 1e-3  # by which the range of a constant is widened both ways, relative to it
+        part = 1e-3  # by which the range of a constant is widened both ways, relative to it
         values = numbers_of(self.values, "the scalar")
         if self.range is None:
             shown = values[np.isfinite(values) & (values > 0)] if self.logarithmic else values[np.isfinite(values)]
@@ -60,10 +60,8 @@ class ScalarField:
                 raise OmtwarpError(f"the scalar has no {kind} value among {values.size}: there is nothing to colour")
             low, high = float(shown.min()), float(shown.max())
             if low == high:  # a constant sits in the middle of the map
-                step = abs(low) * one_value or one_value
-                low, high = (
-                    (low / (1 + one_value), high * (1 + one_value)) if self.logarithmic else (low - step, high + step)
-                )
+                step = abs(low) * part or part
+                low, high = (low / (1 + part), high * (1 + part)) if self.logarithmic else (low - step, high + step)
         else:
             low, high = float(self.range[0]), float(self.range[1])
         if not (np.isfinite(low) and np.isfinite(high) and low < high) or (self.logarithmic and low <= 0):
@@ -191,12 +189,7 @@ class SurfaceView:
         if self.image is not None:
             self.image = np.ascontiguousarray(as_bytes(read_image(self.image))[..., :3])
         if self.materials is not None:
-            which = np.asarray(self.face_material)
-            numbers = which.shape == (triangles,) and np.issubdtype(which.dtype, np.integer)
-            if not numbers or which.min() < 0 or which.max() >= len(self.materials):
-                raise OmtwarpError(
-                    f"face_material: give one of {len(self.materials)} numbers to each of {triangles} faces"
-                )
+            which = whole_numbers(self.face_material, "face_material", (triangles,), below=len(self.materials))
             self.face_material = which
         if self.sphere is not None:
             self.sphere = _checked("sphere", self.sphere, [(count, 3)])
@@ -234,7 +227,7 @@ class Appearance:
     kind: str
     value: NDArray
     image: Bytes | None = None
-    tint: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    tint: Sequence[float] = (1.0, 1.0, 1.0)
     repeat: bool = True
     repeat_rows: bool = False
     mipmaps: bool = True
@@ -416,10 +409,7 @@ def _look_of(view: SurfaceView) -> Appearance:
     outside = 1e-6  # of a picture's height: coordinates that exceed it by less are rounded, not repeated
     if view.image is not None:
         picture = cast(Bytes, view.image)  # as the view itself has made it
-        tint = (1.0, 1.0, 1.0)
-        if view.color is not None:
-            red, green, blue = (float(channel) for channel in parse_color(view.color))
-            tint = (red, green, blue)
+        tint = parse_color("white" if view.color is None else view.color).tolist()
         if view.sphere is not None:
             return Appearance(kind="sphere", value=np.asarray(view.sphere), image=picture, tint=tint)
         value = np.asarray(view.uv)
@@ -478,8 +468,7 @@ def arrow_part(view: SurfaceView, arrows: Arrows) -> Part | None:
     normals = welded_normals(positions, faces)
     if len(vectors) != len(vertices):
         positions = positions[faces].mean(axis=1)
-        normals = normals[faces].mean(axis=1)
-        normals = normalised(normals)
+        normals = normalised(normals[faces].mean(axis=1))
     lengths = norms(vectors)
     longest = lengths.max(initial=0.0)
     if longest == 0.0:
@@ -510,9 +499,7 @@ def _thin_out(points: Floats, count: int) -> NDArray[np.intp]:
         # Of the points in a cell the one nearest its middle, so that neighbours keep their distance.
         offset = np.abs((points + 2.0) / width - cells - 0.5).max(axis=1)
         order = np.lexsort((offset, keys))
-        first = np.ones(len(order), dtype=bool)
-        first[1:] = keys[order][1:] != keys[order][:-1]
-        return order[first]
+        return order[np.unique(keys[order], return_index=True)[1]]
 
     # Of the width of cells in radii: 2000 to 1 in powers of two, to 0.003 %
     narrow, wide = 1e-3, 2.0

@@ -206,12 +206,9 @@ def _from_trimesh(mesh: trimesh.Trimesh) -> SurfaceView:
     return SurfaceView(vertices, faces)
 
 
-def _factor(factor: ArrayLike) -> tuple[float, float, float] | None:
-    """Return the sRGB colour of a glTF material's factor, which is linear; None for white."""
-    values = np.asarray(factor)
-    scaled = values / 255.0 if np.issubdtype(values.dtype, np.integer) else values.astype(np.float64)
-    red, green, blue = (float(channel) for channel in to_srgb(scaled[:3]))
-    return None if (red, green, blue) == (1.0, 1.0, 1.0) else (red, green, blue)
+def _factor(factor: NDArray[np.uint8]) -> Floats | None:
+    """Return the sRGB colour of a glTF material's factor, which is linear, as trimesh has it; None for white."""
+    return None if (factor[:3] == 255).all() else to_srgb(factor[:3] / 255.0)
 
 
 def posed(view: SurfaceView, up: str | None = None, front: str | None = None) -> SurfaceView:

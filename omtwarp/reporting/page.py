@@ -6,10 +6,10 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import as_path, check_output, write_text
@@ -24,15 +24,12 @@ from omtwarp.render.subject import posed, torus_view
 from omtwarp.reporting import scene as views, sections
 from omtwarp.reporting.markup import Markup, data_uri, element, figure, fill_page, html, join
 from omtwarp.reporting.scene import AREA_COLOURS, RANGE, Scene, make_scene
-from omtwarp.reporting.stages import TORUS, Stage, shown_history, shown_report, stages_of, view_on_domain
+from omtwarp.reporting.stages import KNOWN, TORUS, Stage, shown_history, shown_report, stages_of, view_on_domain
 from omtwarp.texturing import read_image
 from omtwarp.texturing.adaptive import rasterize
 from omtwarp.texturing.image import PictureLike
 from omtwarp.texturing.patterns import Pattern, pattern as pattern_by_name
 from omtwarp.texturing.textured import texture_torus
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 
 def write_report(
@@ -184,18 +181,14 @@ def _stills(
     return stills
 
 
-def _still(subject: SurfaceView, size: int, device: str) -> Image | list[Image]:
+def _still(subject: SurfaceView, size: int, device: str) -> Image.Image | list[Image.Image]:
     """Draw a picture of a page."""
     sides, camera = (size, size * 3 // 4), Camera(margin=0.03)
     return preview(subject, size=sides, camera=camera, transparent=True, color_bar=False, device=device)
 
 
 # Names of the record of the last stage, and its label and colour.
-LAST = {
-    "omt": ("Optimal transport", "--transport"),
-    "exact": ("Exact areas", "--after"),
-    "refine": ("Refined", "--after"),
-}
+LAST = {key: look for _, key, *look in KNOWN[2:]} | {"exact": ["Exact areas", "--after"]}
 
 
 def torus_stages(result: MapResult) -> list[Stage]:
@@ -212,7 +205,7 @@ def torus_stages(result: MapResult) -> list[Stage]:
     outside = 1.0 + tube_radius(result.lattice)
     stages = []
     for key, stage, places, (label, colour) in (
-        ("conformal", "conformal", result.conformal, ("Conformal", "--before")),
+        ("conformal", "conformal", result.conformal, ["Conformal", "--before"]),
         (name, "coordinates", result.coordinates, LAST[name]),
     ):
         points = ring_torus(places, result.lattice) / outside
@@ -261,14 +254,11 @@ def torus_scene(
 def _picture(image: Bytes) -> str:
     """Write a picture that repeats as a data URI, no wider than the view shows."""
     picture_width = 1024  # texels of a pattern along the first vector; a picture of more is made smaller
-    from PIL import Image as pil
-
-    drawn = pil.fromarray(image).convert("RGB")
+    drawn = Image.fromarray(image).convert("RGB")
     kind = views.picture_kind(np.asarray(drawn))
     if drawn.width > picture_width:
-        drawn = drawn.resize(
-            (picture_width, max(round(drawn.height * picture_width / drawn.width), 1)), pil.Resampling.BOX
-        )
+        height = max(round(drawn.height * picture_width / drawn.width), 1)
+        drawn = drawn.resize((picture_width, height), Image.Resampling.BOX)
     return data_uri(drawn, kind)
 
 
@@ -284,15 +274,13 @@ def _torus_pictures(
     result: MapResult, image: PictureLike | None, pattern: str, pose: SurfaceView, size: int, device: str
 ) -> tuple[str, Markup]:
     """Draw a map to a torus; return the first picture, as a data URI, and the section with all of them."""
-    drawn = []
-    for which, on, _ in PICTURES:
+    drawn, shown = [], []
+    for which, on, seen in PICTURES:
         subject = torus_view(result, image, which=which, on=on, pattern=pattern)
         if on == "surface":
             subject.up, subject.front = pose.up, pose.front
         drawn.append(_still(subject, size, device))
-    shown = [
-        figure(picture, f"{which}, {on}. ", words) for picture, (which, on, words) in zip(drawn, PICTURES, strict=True)
-    ]
+        shown.append(figure(drawn[-1], f"{which}, {on}. ", seen))
     words = "The pattern on the torus, carried to the surface by two maps."
     pair = element("div", *shown, class_="pair pictures")
     return data_uri(drawn[0], "webp"), sections.section("Before and after", words, pair)

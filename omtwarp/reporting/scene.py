@@ -13,14 +13,15 @@ from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from omtwarp.colors import colormap_table
 from omtwarp.device.policy import resolve_device
 from omtwarp.geometry.axes import fitted_rotation
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.arrays import Bytes, Floats, Ints, cross, norms
+from omtwarp.mesh.arrays import Bytes, Floats, Ints, norms
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, sums_around, triangle_areas, vertex_normals
-from omtwarp.render.camera import DEFAULT_FRONT, VIEWS, Camera, axis_vector, camera_axes
+from omtwarp.render.camera import VIEWS, Camera, camera_axes
 from omtwarp.render.films import fits_of
 from omtwarp.render.scene import SurfaceView
 from omtwarp.render.subject import posed
@@ -109,9 +110,7 @@ def make_scene(
 
 def view_axes(pose: SurfaceView) -> Floats:
     """Return as rows the axes of a surface that point right, up and towards the viewer, shape [3, 3]."""
-    upward = pose.up or "y"
-    above, forward = axis_vector(upward), axis_vector(pose.front or DEFAULT_FRONT[upward.lstrip("+-")])
-    return np.stack([cross(above, forward), above, forward])
+    return camera_axes(Camera(azimuth=0.0, elevation=0.0), pose.up or "y", pose.front).T
 
 
 def placed_in_view(vertices: Floats, used: NDArray[np.integer], axes: Floats) -> Floats:
@@ -244,15 +243,13 @@ def cube_faces(texture: Source, size: int = FACE_TEXELS, *, device: str = "auto"
         size: texels along a face.
         device: where it is baked.
     """
-    from PIL import Image as pil
-
     baked = bake_bytes(texture, Look(Cube(size, gutter=0), resolve_device(device)))[..., :3]
     kind = picture_kind(baked)
     uris = []
     for number, quarters in _GL_FACES:  # both have equiangular faces
         row, column = divmod(number, 3)
         cell = baked[row * size : (row + 1) * size, column * size : (column + 1) * size]
-        uris.append(data_uri(pil.fromarray(np.ascontiguousarray(np.rot90(cell, quarters))), kind))
+        uris.append(data_uri(Image.fromarray(np.ascontiguousarray(np.rot90(cell, quarters))), kind))
     return uris
 
 

@@ -43,13 +43,12 @@ class Row:
     remark: str
 
 
-def histograms(rows: Sequence[Row], title: str, description: str, *, mirrored: bool) -> Markup:
+def histograms(rows: Sequence[Row], title: str, *, mirrored: bool) -> Markup:
     """Draw histograms of ratios above one another on a common axis of powers of two, each scaled to its own peak.
 
     Args:
         rows: from top to bottom.
-        title: for screen readers.
-        description: text for readers who do not see the chart, like ``title``.
+        title: for screen readers, who are told the remarks of the first and the last row too.
         mirrored: whether the ratio lies on both sides of 1 (areas), or on one (the larger over the smaller).
     """
     low, high, step = ratio_range(rows, mirrored)
@@ -86,7 +85,8 @@ def histograms(rows: Sequence[Row], title: str, description: str, *, mirrored: b
         for kind, text, below in (("row", words, 20), ("remark", row.remark, 36)):
             level = f"{base - height + below:.1f}"
             parts.append(element("text", text, class_=kind, x=side, y=level, text_anchor=anchor))
-    return _svg(bottom + 28, title, description, parts)
+    told = " ".join(f"{row.label}: {row.remark}." for row in (rows[0], rows[-1]))
+    return _svg(bottom + 28, title, told, parts)
 
 
 def ratio_range(rows: Sequence[Row], mirrored: bool) -> tuple[float, float, float]:
@@ -258,16 +258,8 @@ def distributions(stages: Sequence[Stage]) -> Markup:
         area.append(Row(stage.label, stage.colour, ratio, weights, f"{within:.1%} within 5 %"))
         (median,) = _weighted_quantiles(stretch, weights, (0.5,))
         angle.append(Row(stage.label, stage.colour, stretch, weights, f"median {2.0**median:.2f}"))
-    first, last = area[0], area[-1]
-    left = histograms(
-        area, "Histogram of area ratios", f"{first.label}: {first.remark}. {last.label}: {last.remark}.", mirrored=True
-    )
-    right = histograms(
-        angle,
-        "Histogram of stretch ratios",
-        f"{angle[0].label}: {angle[0].remark}. {angle[-1].label}: {angle[-1].remark}.",
-        mirrored=False,
-    )
+    left = histograms(area, "Histogram of area ratios", mirrored=True)
+    right = histograms(angle, "Histogram of stretch ratios", mirrored=False)
     return fill_page("distributions.html", domain=stages[-1].domain, areas=left, angles=right)
 
 
