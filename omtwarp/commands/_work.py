@@ -14,10 +14,10 @@ from omtwarp.commands._options import Printing, Source
 from omtwarp.commands._streams import is_standard_output, progress_bar, say, warnings_as_lines
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output, make_folder
-from omtwarp.options import Domain, MapOptions, WeightsAt, parse_device
+from omtwarp.options import Domain, MapOptions, parse_device
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import NDArray
 
     from omtwarp.maps.result import MapReport, MapResult
     from omtwarp.mesh.read import JoinedMesh
@@ -350,14 +350,7 @@ def report_text(report: object) -> str:
 
 
 def make_map(
-    surface: omtwarp.Surface,
-    mapping: MapOptions,
-    *,
-    quiet: bool,
-    any_surface: Mapping[str, object] | None = None,
-    weights: ArrayLike | None = None,
-    weights_at: WeightsAt = WeightsAt.AUTO,
-    target: omtwarp.TargetDensity | None = None,
+    surface: omtwarp.Surface, mapping: MapOptions, quiet: bool, any_surface: dict | None = None, **mass: object
 ) -> MapResult:
     """Map a mesh with a progress bar; its warnings are lines on standard error.
 
@@ -366,15 +359,11 @@ def make_map(
         mapping: the options of the map.
         quiet: whether to draw no progress.
         any_surface: options of :func:`omtwarp.map_surface` for a mesh that is no sphere.
-        weights: of vertices or triangles.
-        weights_at: which of them.
-        target: the density on the sphere.
+        mass: weights of vertices or triangles, which of them, and the density on the sphere.
     """
-
     with warnings_as_lines(), progress_bar(quiet) as bar:
         mapped: Callable[..., MapResult] = omtwarp.map_to_sphere if any_surface is None else omtwarp.map_surface
-        chosen = {**vars(mapping), **(any_surface or {})}
-        return mapped(surface, weights=weights, weights_at=weights_at, target=target, progress=bar, **chosen)
+        return mapped(surface, progress=bar, **mass, **vars(mapping) | (any_surface or {}))
 
 
 def require_bijective(result: MapResult, path: Path | None = None) -> None:

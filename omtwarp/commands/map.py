@@ -53,7 +53,7 @@ class Topology:
     cut_along: CutAlong | None = None
     torus: bool = False
 
-    def keywords(self) -> dict[str, object] | None:
+    def keywords(self) -> dict | None:
         """Return the options of :func:`omtwarp.map_surface`; None where the surface has to be a sphere.
 
         Raises:
@@ -184,9 +184,8 @@ def run_map(
         sound = _work.read_sound_mesh(mesh, repair, any_surface=kind is not None, smoothing=smoothing)
         structure = structure_of(mesh)
         weights, at = weights_of(mass, sound, structure)
-        result = make_map(
-            sound.surface, mapping, quiet=printing.quiet, any_surface=kind, weights=weights, weights_at=at, target=goal
-        )
+        asked = {"weights": weights, "weights_at": at, "target": goal}
+        result = make_map(sound.surface, mapping, quiet=printing.quiet, any_surface=kind, **asked)
         require_bijective(result)
         if up is not None or front is not None:
             result = standing(result, None, up, front)

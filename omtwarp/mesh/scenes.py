@@ -86,13 +86,9 @@ class GltfInput:
             ValueError: an array is not as long as announced.
         """
         accessors = self.document.get("accessors", [])
-        scaled = {
-            number
-            for mesh in self.document.get("meshes", [])
-            for primitive in mesh.get("primitives", [])
-            for name, number in primitive.get("attributes", {}).items()
-            if name.startswith(("POSITION", "NORMAL", "TEXCOORD_"))
-        }
+        primitives = [one for mesh in self.document.get("meshes", []) for one in mesh.get("primitives", [])]
+        pairs = (pair for one in primitives for pair in one.get("attributes", {}).items())
+        scaled = {number for name, number in pairs if name.startswith(("POSITION", "NORMAL", "TEXCOORD_"))}
         wanted = [k for k, one in enumerate(accessors) if "sparse" in one or (k in scaled and one.get("normalized"))]
         if not wanted:
             return

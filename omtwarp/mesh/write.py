@@ -130,9 +130,8 @@ class GltfFile:
         """
         content, names, source = self.content, self.names, len(self.content.images)
         across, upwards = (names.REPEAT if on else names.CLAMP_TO_EDGE for on in wraps)
-        content.samplers[:] = [
-            names.Sampler(magFilter=names.LINEAR, minFilter=names.LINEAR_MIPMAP_LINEAR, wrapS=across, wrapT=upwards)
-        ]
+        filters = {"magFilter": names.LINEAR, "minFilter": names.LINEAR_MIPMAP_LINEAR}
+        content.samplers[:] = [names.Sampler(wrapS=across, wrapT=upwards, **filters)]
         content.images.append(names.Image(bufferView=self._view(encoded), mimeType=f"image/{kind}", name=name))
         texture = names.Texture(sampler=0, source=source)
         if kind == "webp":

@@ -11,11 +11,7 @@ from omtwarp.render.scene import ScalarField
 
 
 def compose(
-    picture: Bytes,
-    size: tuple[int, int],
-    background: object,
-    transparent: bool,
-    hidden: tuple[int, int, int] = (255, 255, 255),
+    picture: Bytes, size: tuple[int, int], background: object, transparent: bool, hidden: tuple[int, int, int]
 ) -> Image.Image:
     """Lay a drawn surface (colours multiplied by coverage) over the background, at the left of a canvas.
 
@@ -144,9 +140,8 @@ def grid(
         # Panels come transparent where the background runs through the whole sheet.
         canvas.paste(image, place, image if image.mode == "RGBA" and not transparent else None)
         if band and captions[k]:
-            draw.text(
-                (x + width / 2, y + height + band * 0.42), captions[k], font=font(letters), fill=color, anchor="mm"
-            )
+            middle = (x + width / 2, y + height + band * 0.42)
+            draw.text(middle, captions[k], font=font(letters), fill=color, anchor="mm")
     if head:
         draw.text((size[0] / 2, head * 0.55), title, font=font(letters * 1.25), fill=color, anchor="mm")
     canvas.info["backend"] = next((image.info["backend"] for image in reversed(images) if "backend" in image.info), "")

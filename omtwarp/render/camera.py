@@ -165,13 +165,7 @@ def camera_axes(camera: Camera, up: str = "y", front: str | None = None) -> Floa
 
 
 def frame(
-    points: Floats,
-    cameras: Sequence[Camera],
-    aspect: float,
-    *,
-    up: str | None = None,
-    front: str | None = None,
-    centred: bool = False,
+    points: Floats, cameras: Sequence[Camera], aspect: float, up: str | None, front: str | None, centred: bool = False
 ) -> list[Shot]:
     """Place cameras so that the points fill the picture, all at one scale.
 

@@ -149,15 +149,8 @@ class _Studio:
 
     def draw(self, times: Sequence[float], width: int, height: int) -> list[Bytes]:
         """Return the pictures of some moments, uint8 [height, width, 4], colours multiplied by their coverage."""
-        shot = self.shot_for(width / height)
-        job = RenderJob(
-            parts=[self.story.part(time) for time in times],
-            shots=[shot] * len(times),
-            width=width,
-            height=height,
-            light=as_light("studio"),
-            one_each=True,
-        )
+        parts, shots = [self.story.part(time) for time in times], [self.shot_for(width / height)] * len(times)
+        job = RenderJob(parts, shots, width, height, as_light("studio"), one_each=True)
         return render(job, self.backend, self.device)[0]
 
     def times(self, aspect: float, seconds: float | None, progress: Progress | None = None) -> list[float]:
@@ -246,7 +239,7 @@ class _Studio:
         for start in range(0, len(moments), BATCH):
             some = moments[start : start + BATCH]
             for moment, picture in zip(some, self.draw(some, width, height - band), strict=True):
-                image = annotate.compose(picture, size, self.background, False)
+                image = annotate.compose(picture, size, self.background, False, ink)
                 if band:
                     place = (width / 2, height - 0.55 * band)
                     words = self.story.captions[math.floor(moment) + math.ceil(moment)]  # at 0, to 1, at 1, to 2, at 2
@@ -391,7 +384,7 @@ def story_of(
         raise OmtwarpError(f"cannot film a {type(result).__name__}: give a map")
     used = np.unique(story.faces)
     extent = np.concatenate([story.surface[used], story.domain[used]])
-    return story, lambda aspect: frame(extent, [camera], aspect, up=shown.up, front=shown.front)[0]
+    return story, lambda aspect: frame(extent, [camera], aspect, shown.up, shown.front)[0]
 
 
 def _on_domains(
@@ -446,14 +439,8 @@ def _on_torus(
     chosen = np.linspace(0, len(surface) - 1, min(4000, len(surface))).astype(int)
     steps = np.zeros((tube_turns, 2))
     steps[:, tube] = np.arange(tube_turns) / tube_turns
-    fits = [
-        Rotation.align_vectors(
-            surface[chosen] - middle,
-            ring_torus(result.coordinates[vertex[chosen]] + step, result.lattice),
-            weights=weights[chosen],
-        )
-        for step in steps
-    ]
+    here, there, heavy = surface[chosen] - middle, result.coordinates[vertex[chosen]], weights[chosen]
+    fits = [Rotation.align_vectors(here, ring_torus(there + step, result.lattice), weights=heavy) for step in steps]
     best = int(np.argmin([off for _, off in fits]))
     area = float(triangle_areas(surface, corners).sum())
     scale = math.sqrt(area / (4.0 * math.pi**2 * tube_radius(result.lattice)))

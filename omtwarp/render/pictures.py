@@ -363,16 +363,11 @@ def _draw(subject: Subject, options: PreviewOptions, cameras: list[Camera], clea
     parts += arrows
     points = np.concatenate([scene.normalised_points(view), *(part.positions.astype(np.float64) for part in arrows)])
     centred = options["frames"] is not None
-    job = RenderJob(
-        parts=parts,
-        shots=frame(points, cameras, drawn_width / height, up=view.up, front=view.front, centred=centred),
-        width=drawn_width,
-        height=height,
-        light=as_light(options["light"] or ("studio" if view.scalar is None else "soft")),
-        samples=int(options["samples"] or (2 if parts[0].edges else 1)),
-        wireframe=wireframe if isinstance(wireframe, Wireframe) else Wireframe(),
-    )
-
+    shots = frame(points, cameras, drawn_width / height, view.up, view.front, centred)
+    light = as_light(options["light"] or ("studio" if view.scalar is None else "soft"))
+    samples = int(options["samples"] or (2 if parts[0].edges else 1))
+    lines = wireframe if isinstance(wireframe, Wireframe) else Wireframe()
+    job = RenderJob(parts, shots, drawn_width, height, light, samples, lines)
     pictures, renderer = render(job, options["backend"], options["device"])
     color = annotate.ink(background, options["transparent"])
     images = []

@@ -156,12 +156,7 @@ def _lead(result: MapResult, report: MapReport, last: Stage) -> str:
 
 
 def _stills(
-    result: MapResult,
-    stages: Sequence[Stage],
-    texture: Pattern | NDArray[np.generic],
-    pose: SurfaceView,
-    size: int,
-    device: str,
+    result: MapResult, stages: Sequence[Stage], texture: Pattern | NDArray, pose: SurfaceView, size: int, device: str
 ) -> dict[str, str]:
     """Draw the first and the last stage, as data URIs by key: the surface, and ``sphere KEY``."""
     stills: dict[str, str] = {}
@@ -241,11 +236,8 @@ def torus_scene(
     # Largest ring: radius of the ring torus with its tube; that of the surface is 1
     radius = min(float(np.sqrt(area / (4.0 * np.pi**2 * ring**2 * share))), 1.0)
     along = norms(result.lattice)
-    header = {
-        "radius": radius,
-        "ring": {"radius": ring, "lines": np.maximum(np.rint(lines * along / along.min()), 1.0).tolist()},
-        "picture": [_picture(cut.image)],
-    }
+    shown = {"radius": ring, "lines": np.maximum(np.rint(lines * along / along.min()), 1.0).tolist()}
+    header = {"radius": radius, "ring": shown, "picture": [_picture(cut.image)]}
     turn = views.alignment(stages[-1].sphere[used], placed)
     normals = cut.unit_normals()[used] @ axes.T
     return views.packed_scene(stages, result.faces, used, (placed, normals, faces), own, header, turn)

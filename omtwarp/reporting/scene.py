@@ -143,12 +143,8 @@ def packed_scene(
         turn: the rotation of the domain, shape [3, 3].
     """
     placed, normals, triangles = shown
-    arrays: dict[str, NDArray] = {
-        "position": signed(placed),
-        "normal": signed(normals),
-        "index": triangles.astype(np.uint32).ravel(),
-        **own,
-    }
+    index = triangles.astype(np.uint32).ravel()
+    arrays: dict[str, NDArray] = {"position": signed(placed), "normal": signed(normals), "index": index, **own}
     for stage in stages:
         arrays[f"direction-{stage.key}"] = signed(stage.sphere[used])
         around = np.maximum(np.bincount(faces.ravel(), minlength=len(stage.sphere)), 1)
@@ -320,13 +316,8 @@ def viewer_section(stages: Sequence[Stage], poster: str, poster_alt: str, textur
         texture: name of the texture among the colourings.
     """
     last, domain = stages[-1].key, stages[-1].domain
-    colourings = [
-        ("picture", texture),
-        ("graticule", "Lattice" if domain == TORUS else "Graticule"),
-        ("area", "Area"),
-        ("angle", "Angle"),
-        ("plain", "Plain"),
-    ]
+    colourings = [("picture", texture), ("graticule", "Lattice" if domain == TORUS else "Graticule")]
+    colourings += [(name, name.capitalize()) for name in ("area", "angle", "plain")]
     choices = _segments("Map", "stage", [(stage.key, stage.label) for stage in stages], last)
     return fill_page(
         "viewer.html",

@@ -4,9 +4,9 @@ Charts are drawn in the page's own colours, so that they follow its light and da
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import cast
+from typing import TypeAlias, cast
 
 import numpy as np
 
@@ -117,29 +117,23 @@ def power_name(exponent: float) -> str:
     return f"{value:.0f}" if abs(value - round(value)) < ROUND else f"{value:.1f}"
 
 
+Mark: TypeAlias = tuple[float, str] | None
+"""A number in a chart, and a few words about it."""
+
+
 def curve(
-    x: Sequence[float],
-    y: Sequence[float],
-    title: str,
-    description: str,
-    *,
-    colour: str,
-    x_label: str,
-    y_label: str,
-    level: tuple[float, str] | None = None,
-    mark: tuple[int, str] | None = None,
+    points: Iterable[tuple[float, float]], title: str, told: str, y_label: str, level: Mark = None, mark: Mark = None
 ) -> Markup:
-    """Draw a curve through points, with a horizontal level and one marked point.
+    """Draw the curve of a number over iterations, with a horizontal level and one marked point.
 
     Args:
-        x, y: the points.
-        title, description: for screen readers.
-        colour: CSS variable.
-        x_label, y_label: names of the axes.
-        level: a value of y with its name, drawn across.
-        mark: index of a point with a few words.
+        points: iterations and the number at each; those at which it is not finite are left out.
+        title, told: for screen readers.
+        y_label: name of the number.
+        level: a value of it, drawn across.
+        mark: index of a point.
     """
-    points = [(a, b) for a, b in zip(map(float, x), map(float, y), strict=True) if math.isfinite(b)]
+    points = [(float(a), float(b)) for a, b in points if math.isfinite(b)]
     if not points:
         return html("")
     values = [b for _, b in points] + ([level[0]] if level else [])
@@ -162,22 +156,22 @@ def curve(
         at, below = across(tick), f"{bottom + 18:.0f}"
         parts.append(element("text", f"{tick:.6g}", class_="tick", x=at, y=below, text_anchor="middle"))
     below = f"{bottom + 36:.0f}"
-    parts.append(element("text", x_label, class_="axis-name", x=right, y=below, text_anchor="end"))
+    parts.append(element("text", "iteration", class_="axis-name", x=right, y=below, text_anchor="end"))
     if level:
         at = above(level[0])
         parts.append(element("line", class_="level", x1=left, x2=right, y1=at, y2=at))
         parts.append(element("text", level[1], class_="remark", x=right, y=at - 6, text_anchor="end"))
     line = " ".join(f"{across(a):.1f},{above(b):.1f}" for a, b in points)
-    ink = f"--ink:var({colour})"
+    ink = "--ink:var(--transport)"
     parts.append(element("polyline", class_="curve", style=ink, points=line))
     for a, b in (points[0], points[-1]):
         parts.append(element("circle", class_="dot", style=ink, cx=across(a), cy=above(b), r=3.5))
     if mark and 0 <= mark[0] < len(points):
-        at, up = across(points[mark[0]][0]), above(points[mark[0]][1])
+        at, up = across(points[int(mark[0])][0]), above(points[int(mark[0])][1])
         anchor, shift = ("start", 10) if at < 0.6 * right else ("end", -10)
         parts.append(element("circle", class_="ring", style=ink, cx=at, cy=up, r=6))
         parts.append(element("text", mark[1], class_="remark", x=at + shift, y=up - 10, text_anchor=anchor))
-    return _svg(HEIGHT, title, description, parts)
+    return _svg(HEIGHT, title, told, parts)
 
 
 def _svg(height: float, title: str, description: str, parts: Sequence[Markup]) -> Markup:
@@ -275,15 +269,12 @@ def transport(report: MapReport, history: Sequence[Record], stages: Sequence[Sta
         bound = optimality.get("lower_bound")
         name = "squared geodesic" if report.get("cost") != "geodesic" else "geodesic"
         chart = curve(
-            iterations,
-            costs,
+            zip(iterations, costs, strict=True),
             "Transport cost over iterations",
             f"From {costs[0]:.5g} to {costs[-1]:.5g} in {iterations[-1]:.0f} iterations.",
-            colour="--transport",
-            x_label="iteration",
-            y_label=f"cost M, {name}",
-            level=(float(bound), "lower bound for any map") if bound and name != "geodesic" else None,
-            mark=(near, f"within 1 % after {iterations[near]:.0f}") if 0 < near < len(costs) - 1 else None,
+            f"cost M, {name}",
+            (float(bound), "lower bound for any map") if bound and name != "geodesic" else None,
+            (near, f"within 1 % after {iterations[near]:.0f}") if 0 < near < len(costs) - 1 else None,
         )
         change = html("{} → {} in {:.0f} iterations.", _number(costs[0]), _number(costs[-1]), iterations[-1])
         cards.append(html('<div class="card"><h3>Cost of the transport</h3><p>{}</p>{}</div>', change, chart))

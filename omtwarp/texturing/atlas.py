@@ -35,17 +35,9 @@ ATLASES = tuple(AtlasName)
 QUARTER = np.pi / 4.0
 
 # normal, right and up of the six faces of the cube; right x up = normal, so that nothing is mirrored from outside
-CUBE_FRAMES = np.array(
-    [
-        [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
-        [[0, 1, 0], [-1, 0, 0], [0, 0, 1]],
-        [[-1, 0, 0], [0, -1, 0], [0, 0, 1]],
-        [[0, -1, 0], [1, 0, 0], [0, 0, 1]],
-        [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
-        [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
-    ],
-    dtype=np.float64,
-)
+_NORMAL = np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=np.float64)
+_UP = np.array([[0, 0, 1]] * 4 + [[-1, 0, 0], [1, 0, 0]], dtype=np.float64)
+CUBE_FRAMES = np.stack([_NORMAL, np.cross(_UP, _NORMAL), _UP], axis=1) + 0.0  # which makes -0 and 0 the same bits
 
 SIZE = 2048  # texels across a picture where no size is given
 

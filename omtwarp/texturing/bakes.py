@@ -101,7 +101,7 @@ def occlusion(target: Target) -> Bytes:
     x, begin = (target.vertices - low) / scale, (1.0 - rays * flat) * (ahead * known % 1.0)
     normals, open_part = np.zeros((len(rows), 3)), np.zeros(len(rows))
     normals[known] = normal
-    open_part[known] = open_shares(x, target.faces, origins, normal, known, begin, rays, target.device)
+    open_part[known] = open_shares(x[target.faces], origins, normal, known, begin, rays, target.device)
     shared = _among_neighbours(open_part.reshape(inside.shape), normals.reshape(*inside.shape, 3))
     grey = np.rint(255.0 * shared).astype(np.uint8)
     if len(known):
@@ -322,24 +322,17 @@ def face_openness(vertices: Floats, faces: Ints) -> Floats:
     # Ray start, of the extent, off the surface: single precision resolves 1e-7 of it
     origins = p[chosen].mean(axis=1) + 1e-4 * normal[chosen]
     numbers, middle = np.arange(len(chosen)), np.full(len(chosen), 0.5)
-    shares = open_shares(x, faces, origins, normal[chosen], numbers, middle, rays, wp.get_device("cpu"))
+    shares = open_shares(p, origins, normal[chosen], numbers, middle, rays, wp.get_device("cpu"))
     return np.repeat(shares, step)[: len(faces)]
 
 
 def open_shares(
-    vertices: Floats,
-    faces: Ints,
-    origins: Floats,
-    normals: Floats,
-    numbers: NDArray[np.integer],
-    firsts: NDArray[np.floating],
-    rays: int,
-    where: wp.Device,
+    triangles: Floats, origins: Floats, normals: Floats, numbers: NDArray, firsts: NDArray, rays: int, where: wp.Device
 ) -> Floats:
     """Return the shares of cosine-weighted rays from points that meet no triangle, shape [N].
 
     Args:
-        vertices, faces: the surface, of an extent near 1.
+        triangles: the surface, of an extent near 1, shape [F, 3, 3].
         origins: shape [N, 3], off the surface.
         normals: the middles of the rays, unit vectors, shape [N, 3].
         numbers: by which the points' rays are turned against each other, shape [N].
@@ -347,7 +340,7 @@ def open_shares(
         rays: from each point.
         where: the device.
     """
-    corners = without_slivers(vertices[faces]).reshape(-1, 3)
+    corners = without_slivers(triangles).reshape(-1, 3)
     points, start, ways = (sent(x.astype(np.float32), wp.vec3, where) for x in (corners, origins, normals))
     which, indices = (sent(x.astype(np.int32), wp.int32, where) for x in (numbers, np.arange(len(corners))))
     mesh, begin = wp.Mesh(points, indices), sent(firsts.astype(np.float32), wp.float32, where)

@@ -304,13 +304,9 @@ class Layout:
 
     def interpolate(self, values: wp.array, texels: wp.array, samples: int, out: wp.array) -> None:
         """Interpolate values at corners [F, 3, C] at the samples of texels, into ``out`` [texels * samples², C]."""
-        known = [*self.on_sphere, self.corners, self.chords, values, self.owner, texels]
-        wp.launch(
-            kernels.owner_values,
-            dim=len(texels) * samples**2,
-            inputs=[*known, self.width, self.height, samples, out],
-            device=self.where,
-        )
+        inputs = [*self.on_sphere, self.corners, self.chords, values, self.owner, texels]
+        inputs += [self.width, self.height, samples, out]
+        wp.launch(kernels.owner_values, dim=len(texels) * samples**2, inputs=inputs, device=self.where)
 
     def look_up(self, source: ValueSource, corners: wp.array, texels: wp.array, samples: int, out: wp.array) -> None:
         """Write a source's values at vectors that are interpolated between those at corners, shape [F, 3, 3]."""

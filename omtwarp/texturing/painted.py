@@ -186,14 +186,8 @@ class PaintedMesh:
             metallicFactor=material.metallic,
             roughnessFactor=material.roughness,
         )
-        return trimesh.Trimesh(
-            vertices=self.vertices[vertex],
-            faces=rows,
-            vertex_normals=self.unit_normals()[vertex],
-            visual=trimesh.visual.TextureVisuals(uv=uv, material=look),
-            process=False,
-            validate=False,
-        )
+        normals, visual = self.unit_normals()[vertex], trimesh.visual.TextureVisuals(uv=uv, material=look)
+        return trimesh.Trimesh(self.vertices[vertex], rows, vertex_normals=normals, visual=visual, process=False)
 
     def split(self) -> tuple[Ints, Ints, Floats]:
         """Cut the mesh along the seams of its texture, so that every vertex has one pair of coordinates.
@@ -395,11 +389,7 @@ def joined_seams(mesh: PaintedMesh) -> PaintedMesh:
     if number is None:
         return mesh
     stays, after = compressed(number)
-    doubled = len(stays) - int(stays.sum())
-    return replace(
-        mesh,
-        vertices=mesh.vertices[stays],
-        faces=after[mesh.faces].astype(np.int32),
-        vertex_colors=None if mesh.vertex_colors is None else mesh.vertex_colors[stays],
-        notes=(*mesh.notes, f"joined {doubled} copies of vertices along seams"),
-    )
+    notes = (*mesh.notes, f"joined {len(stays) - int(stays.sum())} copies of vertices along seams")
+    colors = None if mesh.vertex_colors is None else mesh.vertex_colors[stays]
+    points, faces = mesh.vertices[stays], after[mesh.faces].astype(np.int32)
+    return replace(mesh, vertices=points, faces=faces, vertex_colors=colors, notes=notes)

@@ -445,9 +445,8 @@ class _Painting:
         before = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
         faces = np.concatenate([mesh.faces + at for mesh, at in zip(meshes, before[:-1], strict=True)])
         vertices, uv = (np.concatenate([getattr(mesh, name) for mesh in meshes]) for name in ("vertices", "uv"))
-        source, weights = (
-            np.concatenate([getattr(sheet, name) for sheet in drawn_parts]) for name in ("source_face", "weights")
-        )
+        columns = ([getattr(sheet, name) for sheet in drawn_parts] for name in ("source_face", "weights"))
+        source, weights = map(np.concatenate, columns)
         whole = PaintedMesh(vertices, faces, uv, (Material("texture", picture=picture),), wraps_rows=False)
         return _Sheet(whole, source, weights)
 
@@ -456,17 +455,12 @@ class _Painting:
         own, source = self.own, sheet.source_face
         # A light grey, on which ambient occlusion shows
         materials = (Material("texture", (0.8, 0.8, 0.8, 1.0)),) if own is None or self.keep is None else own.materials
-        return PaintedMesh(
-            sheet.mesh.vertices,
-            sheet.mesh.faces,
-            sheet.mesh.uv,
-            materials,
-            None if len(materials) == 1 or own is None else own.material_of[source],
-            wraps_rows=sheet.mesh.wraps_rows,
-            source_files=() if own is None else own.source_files,
-            objects=() if own is None else own.objects,
-            face_object=None if own is None or own.face_object is None else own.face_object[source],
-        )
+        mesh, number = sheet.mesh, None if len(materials) == 1 or own is None else own.material_of[source]
+        made = PaintedMesh(mesh.vertices, mesh.faces, mesh.uv, materials, number, wraps_rows=mesh.wraps_rows)
+        if own is None:
+            return made
+        object_of = None if own.face_object is None else own.face_object[source]
+        return replace(made, source_files=own.source_files, objects=own.objects, face_object=object_of)
 
     def _atlas_base(self, own: PaintedMesh, target: bakes.Target) -> NDArray[np.float32]:
         """Return the colours that a mesh's own materials have on its atlas."""

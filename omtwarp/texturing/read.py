@@ -380,16 +380,10 @@ def _from_scene(scene: trimesh.Scene, looks: list[Material] | None) -> PaintedMe
         colored = colored or color is not None
     uv_all = np.concatenate(uvs)
     points, triangles = taken_together([one[2:] for one in placed])
-    mesh = PaintedMesh(
-        points,
-        triangles.astype(np.int32),
-        None if np.isnan(uv_all).all() else uv_all,
-        tuple(materials.values()),
-        np.concatenate(which),
-        np.concatenate(colors) if colored else None,
-        (f"took {len(placed)} geometries together",) if len(placed) > 1 else (),
-    )
-    return joined_seams(mesh)
+    uv, tints = None if np.isnan(uv_all).all() else uv_all, np.concatenate(colors) if colored else None
+    notes = (f"took {len(placed)} geometries together",) if len(placed) > 1 else ()
+    faces, numbers = triangles.astype(np.int32), np.concatenate(which)
+    return joined_seams(PaintedMesh(points, faces, uv, tuple(materials.values()), numbers, tints, notes))
 
 
 def gltf_materials(data: bytes, file: Path, suffix: str) -> list[Material]:

@@ -73,14 +73,8 @@ def unwrap(sphere: Floats, faces: Ints, atlas: Atlas, *, rotation: Floats | None
         mesh.cut(arc)
     _refine(mesh, atlas)
     chart = _face_charts(mesh, atlas)
-    return Unwrapped(
-        faces=mesh.faces,
-        uv=atlas.corner_uv(mesh.points[mesh.faces], chart),
-        sphere=normalised(mesh.points) @ turn.T,
-        source_face=mesh.source_face,
-        chart=chart,
-        weights=mesh.weights,
-    )
+    uv, directions = atlas.corner_uv(mesh.points[mesh.faces], chart), normalised(mesh.points) @ turn.T
+    return Unwrapped(mesh.faces, uv, directions, mesh.source_face, chart, mesh.weights)
 
 
 def shares_of_corners(cut: Unwrapped, faces: Ints) -> Floats:

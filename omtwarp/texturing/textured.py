@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Protocol, TypeAlias
@@ -134,26 +135,15 @@ def texture(
             texels = bake_bytes(source, look, projection=projection)
         cut = cutting.result()
     sampled = partial(sample, directions=sphere @ rotation, atlas=layout, device="cpu")
-    return PaintedMesh(
-        cut.weights @ vertices,
-        cut.faces,
-        cut.uv,
-        (Material("texture", picture=np.ascontiguousarray(pictures.without_full_opacity(texels))),),
-        wraps=layout.wraps,
-        wraps_rows=False,
-        source_files=(Path(image),) if isinstance(image, (str, os.PathLike)) else (),
-        normals=unit_normals(cut.weights @ vertex_normals(vertices, faces)),
-        layout=SphereLayout(cut, layout, rotation, vertices, faces, sampled),
-    )
+    materials = (Material("texture", picture=np.ascontiguousarray(pictures.without_full_opacity(texels))),)
+    made = PaintedMesh(cut.weights @ vertices, cut.faces, cut.uv, materials, wraps=layout.wraps, wraps_rows=False)
+    normals = unit_normals(cut.weights @ vertex_normals(vertices, faces))
+    whole = SphereLayout(cut, layout, rotation, vertices, faces, sampled)
+    return replace(made, source_files=_named(image), normals=normals, layout=whole)
 
 
 def _chosen_size(
-    asked: str | None,
-    picture: NDArray[np.generic] | None,
-    atlas: AtlasLike,
-    vertices: Floats,
-    faces: Ints,
-    sphere: Floats,
+    asked: str | None, picture: NDArray | None, atlas: AtlasLike, vertices: Floats, faces: Ints, sphere: Floats
 ) -> int | tuple[int, int] | None:
     """Return the size of a texture where none is given in texels: that of the picture, or one that looks sharp.
 
@@ -179,13 +169,13 @@ def texture_torus(
         picture = pictures.as_bytes(pictures.read_image(image))
     coordinates, wraps, faces = result.coordinates, result.wraps, result.faces
     whole = wraps - np.floor((coordinates[faces] + wraps).min(axis=1, keepdims=True))
-    return PaintedMesh(
-        result.vertices,
-        faces,
-        coordinates[faces] + whole,
-        (Material("texture", picture=picture),),
-        source_files=(as_path(image),) if isinstance(image, str | os.PathLike) else (),
-    )
+    materials, files = (Material("texture", picture=picture),), _named(image)
+    return PaintedMesh(result.vertices, faces, coordinates[faces] + whole, materials, source_files=files)
+
+
+def _named(image: PictureLike | None) -> tuple[Path, ...]:
+    """Return the file of a picture that is given by its name."""
+    return (as_path(image),) if isinstance(image, str | os.PathLike) else ()
 
 
 def torus_pattern(name: str, lattice: Floats, size: int | None = None) -> Bytes:

@@ -50,7 +50,7 @@ def test_framing_fills_the_picture(seed, azimuth, elevation, aspect, projection,
     points = np.random.default_rng(seed).normal(size=(40, 3))
     points /= np.linalg.norm(points, axis=1).max()
     camera = Camera(azimuth, elevation, projection=projection, margin=0.1)
-    (shot,) = frame(points, [camera], aspect, up=up)
+    (shot,) = frame(points, [camera], aspect, up, None)
     seen = projected(points, shot)
     low, high = seen.min(axis=0), seen.max(axis=0)
     assert np.all(low > -0.8 - 1e-9) and np.all(high < 0.8 + 1e-9)
@@ -81,7 +81,7 @@ def test_views_look_where_they_say() -> None:
 
 def test_turntable_keeps_the_axis_in_the_middle() -> None:
     points = np.random.default_rng(0).normal(size=(50, 3))
-    shots = frame(points, turntable(Camera(10, 20), 7), 1.3, centred=True)
+    shots = frame(points, turntable(Camera(10, 20), 7), 1.3, None, None, centred=True)
     for shot in shots:
         assert np.allclose(projected(np.zeros((1, 3)), shot), 0.0, atol=1e-12)
         assert np.abs(projected(points, shot)).max() <= 0.9 + 1e-9

@@ -35,11 +35,10 @@ def test_common_axis_holds_nearly_all_of_every_row():
 
 
 def test_curve_passes_through_its_points():
-    names = {"colour": "--x", "x_label": "x", "y_label": "y"}
-    text = charts.curve([0, 1, 2], [4.0, 2.0, 1.0], "t", "d", level=(0.5, "low"), **names)
+    text = charts.curve([(0, 4.0), (1, 2.0), (2, 1.0)], "t", "d", "y", level=(0.5, "low"))
     ElementTree.fromstring(text)
     points = [tuple(map(float, p.split(","))) for p in re.search(r'points="([^"]+)"', text)[1].split()]
     (x0, y0), (x1, y1), (x2, y2) = points
     assert x1 - x0 == pytest.approx(x2 - x1, abs=0.2)
     assert (y1 - y0) / (y2 - y1) == pytest.approx(2.0, abs=0.02)
-    assert charts.curve([0, 1], [np.nan, np.inf], "t", "d", **names) == ""
+    assert charts.curve([(0, np.nan), (1, np.inf)], "t", "d", "y") == ""
