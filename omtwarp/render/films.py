@@ -169,9 +169,7 @@ class _Studio:
         if seconds is None:
             # Share of the picture that edges sweep over from one frame to the next. Circles on a creature then move by
             # a pixel or two of a picture of 1920 x 1080, and no more than a fiftieth of its pixels change.
-            moving = math.ceil(total / 0.008 / (1.0 - EASE))
-            if moving + 3 * rest > MOST_FRAMES:
-                moving = MOST_FRAMES - 3 * rest
+            moving = min(math.ceil(total / 0.008 / (1.0 - EASE)), MOST_FRAMES - 3 * rest)
         else:
             whole = max(round(seconds * self.fps), 2)
             rest = min(rest, whole // 6)

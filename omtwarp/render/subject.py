@@ -191,18 +191,14 @@ def _from_trimesh(mesh: trimesh.Trimesh) -> SurfaceView:
     kind = getattr(visual, "kind", None)
     if kind == "texture" and isinstance(visual, TextureVisuals):
         material, uv = visual.material, visual.uv
-        picture = getattr(material, "baseColorTexture", None)
-        if picture is None:
-            picture = getattr(material, "image", None)
+        picture = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
         factor = getattr(material, "baseColorFactor", None)
         color = None if factor is None else _factor(factor)
         if picture is not None and uv is not None and len(uv) == len(vertices):
             return SurfaceView(vertices, faces, image=picture, uv=np.asarray(uv)[:, :2], color=color)
         return SurfaceView(vertices, faces, color=color)
-    if kind == "vertex" and isinstance(visual, ColorVisuals):
-        return SurfaceView(vertices, faces, colors=np.asarray(visual.vertex_colors))
-    if kind == "face" and isinstance(visual, ColorVisuals):
-        return SurfaceView(vertices, faces, colors=np.asarray(visual.face_colors))
+    if kind in ("vertex", "face") and isinstance(visual, ColorVisuals):
+        return SurfaceView(vertices, faces, colors=np.asarray(getattr(visual, f"{kind}_colors")))
     return SurfaceView(vertices, faces)
 
 

@@ -91,9 +91,8 @@ def make_scene(
     placed = placed_in_view(vertices, used, axes)
     normals = vertex_normals(vertices, np.asarray(result.faces))[used] @ axes.T
     several = any(stage.count > 1 for stage in stages)
-    places = {}
-    if several:
-        places = {stage.key: domain_places(stage, result.faces, placed, triangles, used) for stage in stages}
+    shown = stages if several else []
+    places = {stage.key: domain_places(stage, result.faces, placed, triangles, used) for stage in shown}
 
     # A sphere of the surface's own area, unless folds make that too large for the view.
     covered = SPHERE_AREA * (0.5 if stages[-1].domain in ("hemisphere", "disk") else 1.0)  # of caps nearly all

@@ -270,10 +270,7 @@ def export(
         )
     encoding, kept = format_for(suffix, texture_format), tuple(keep)
     with staged(path, keep=kept) as file:
-        if suffix == ".glb":
-            files = [(file, glb_bytes(model, encoding))]
-        else:
-            files = obj_files(model, file, kept)
+        files = [(file, glb_bytes(model, encoding))] if suffix == ".glb" else obj_files(model, file, kept)
         for name, content in files:
             name.write_bytes(content)
     return [as_path(path).with_name(name.name) for name, _ in files[:-1]] + [as_path(path)]

@@ -354,12 +354,11 @@ class _Painting:
         if what not in ("curvature", "area"):
             values = bakes.data_at_vertices(Path(what), len(self.vertices), self.origins, self.structure)
             return values, "viridis", float(np.nanmin(values)), float(np.nanmax(values))
-        # Least range, of a binary logarithm: a map that keeps areas to round-off still has a range of colours
-        least = 1e-9 if what == "area" else 0.0
         if what == "area":
-            values = np.log2(bakes.area_ratio(self.vertices, self.faces, self.on_map, self.parts))
+            # Least range, of a binary logarithm: a map that keeps areas to round-off still has a range of colours
+            values, least = np.log2(bakes.area_ratio(self.vertices, self.faces, self.on_map, self.parts)), 1e-9
         else:
-            values = bakes.mean_curvature(self.vertices, self.faces)
+            values, least = bakes.mean_curvature(self.vertices, self.faces), 0.0
         # Per cent of the vertices whose curvature or area the colours distinguish; few corners have far more
         most = max(float(np.percentile(np.abs(values), 95.0)), least)
         return values, "coolwarm", -most, most

@@ -431,9 +431,8 @@ def _appearance(mesh: trimesh.Trimesh, looks: list[Material] | None) -> tuple[Ma
     if kind != "texture" or not isinstance(visual, TextureVisuals):
         return Material(), None, None
     source, uv = visual.material, visual.uv
-    coordinates = None
-    if uv is not None and len(uv) == len(mesh.vertices):
-        coordinates = np.asarray(uv, dtype=np.float64)[:, :2]
+    fits = uv is not None and len(uv) == len(mesh.vertices)
+    coordinates = np.asarray(uv, dtype=np.float64)[:, :2] if fits else None
     name = str(getattr(source, "name", None) or "material")
     if not hasattr(source, "baseColorFactor"):  # of formats older than glTF
         diffuse = np.asarray(getattr(source, "diffuse", (255, 255, 255, 255)), dtype=np.float64) / 255.0
