@@ -80,7 +80,7 @@ def raised() -> Iterator[None]:
 def removed_at_the_end(folder: Path) -> Iterator[None]:
     """Let an interruption that ends the process in a block, or a request to terminate, remove a directory before."""
     _staged.add(folder)
-    ends = _answered_by(_end)
+    ends = _answered_by(_end) or _answered_by(signal.SIG_IGN)  # ignored in jobs in the background
     previous = signal.signal(signal.SIGTERM, _end) if ends else None
     try:
         yield
