@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -14,7 +15,7 @@ from omtwarp.commands._options import Printing, Source
 from omtwarp.commands._streams import is_standard_output, progress_bar, say, warnings_as_lines
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_output, make_folder
-from omtwarp.options import Domain, MapOptions, parse_device
+from omtwarp.options import Domain, MapOptions, Method, parse_device
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -222,8 +223,13 @@ def outputs_of(meshes: Sequence[Path], output: Output, suffix: str) -> list[Outp
     twice = next((target for k, target in enumerate(targets) if target in targets[:k]), None)
     if twice is not None:
         raise OmtwarpError(f"two meshes would both be written as '{twice}': rename one, or map them by themselves")
+    if not output.exists():
+        _made.append(output)
     make_folder(output)
     return targets
+
+
+_made: list[Path] = []  # folders of outputs that were not there before
 
 
 def targets_of(source: Source, output: Path, suffix: str, allowed: tuple[str, ...], *inputs: Path | None) -> list[Path]:
@@ -290,6 +296,9 @@ def show_each(
         if printing.as_json:
             print(report_text(known[0] if len(given) == 1 and known else known), end="")
     if failed:
+        for folder in _made:
+            with suppress(OSError):  # something was written in it
+                folder.rmdir()
         raise OmtwarpError(f"{len(failed)} of {len(given)} meshes failed: {', '.join(failed)}")
 
 
@@ -303,6 +312,26 @@ def start_device(device: str) -> None:
     from omtwarp.device.policy import resolve_device
 
     resolve_device(device)
+
+
+def refuse(options: Mapping[str, object]) -> None:
+    """Refuse options that would have no effect.
+
+    Args:
+        options: by what they are for, in words; one that is given counts as true.
+
+    Raises:
+        OmtwarpError: some option is given.
+    """
+    for words, given in options.items():
+        if given:
+            raise OmtwarpError(f"{words}: leave it out")
+
+
+def route_of(mapping: MapOptions) -> dict[str, object]:
+    """Return the options of a map that are given, but for the device, with their values."""
+    usual = vars(MapOptions(device=mapping.device))
+    return {f"--{name.replace('_', '-')}": value for name, value in vars(mapping).items() if value != usual[name]}
 
 
 def require_whole(result: MapResult, name: object) -> MapResult:
@@ -361,6 +390,8 @@ def make_map(
         any_surface: options of :func:`omtwarp.map_surface` for a mesh that is no sphere.
         mass: weights of vertices or triangles, which of them, and the density on the sphere.
     """
+    if mapping.method in (Method.TUTTE, Method.MEAN_VALUE):
+        refuse({f"--until is for methods of several stages, not for {mapping.method}": "--until" in route_of(mapping)})
     with warnings_as_lines(), progress_bar(quiet) as bar:
         mapped: Callable[..., MapResult] = omtwarp.map_to_sphere if any_surface is None else omtwarp.map_surface
         return mapped(surface, progress=bar, **mass, **vars(mapping) | (any_surface or {}))
@@ -396,6 +427,8 @@ def map_from(mesh: Path | None, source: Source, mapping: MapOptions, printing: P
     if finished is not None:
         if mesh is not None:
             raise OmtwarpError(f"both a mesh '{mesh}' and a finished map '{finished}': the map has its mesh, give one")
+        of_new = [*route_of(mapping), *["--repair"] * source.repair]
+        refuse({f"{name} is for new maps, and '{finished}' is finished": True for name in of_new})
         return omtwarp.MapResult.load(finished)
     if mesh is None:
         raise OmtwarpError("nothing to work on: give a mesh, or a finished map with --map")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -111,6 +112,10 @@ def facts_of(mesh: Path, repair: bool, target: Path | None, *, verbose: bool) ->
     if target is not None:
         write_mesh(target, vertices, faces)
         facts["output"] = {"path": str(target), "vertices": len(vertices), "faces": len(faces)}
+        with suppress(OmtwarpError):  # of a picture that cannot be read
+            painted = omtwarp.read_painted_mesh(mesh)
+            if painted.uv is not None or painted.vertex_colors is not None:
+                say(f"warning: {target}: without the colours and texture coordinates of {mesh}")
     return facts
 
 

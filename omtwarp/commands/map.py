@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import omtwarp
 from omtwarp.commands import _work
 from omtwarp.commands._options import ROUTE, Argument, Only, Printing, Typed, output_option
-from omtwarp.commands._streams import input_file
+from omtwarp.commands._streams import input_file, say
 from omtwarp.commands._work import make_map, require_bijective
 from omtwarp.commands.texture import standing
 from omtwarp.errors import OmtwarpError
@@ -74,6 +74,11 @@ class Topology:
             "cut": self.cut or self.cut_along is not None,
             "cut_along": self.cut_along or CutAlong.AUTO,
         }
+
+    def idle(self, result: MapResult) -> bool:
+        """Return whether options were given for what the surface of a map does not have."""
+        whole = self != Topology() and result.domain == Domain.SPHERE and result.part is None
+        return whole and result.filled_faces is None
 
 
 @dataclass(frozen=True)
@@ -174,6 +179,8 @@ def run_map(
     reports = _work.outputs_of(meshes, report, ".json")
     suffixes = (".ply",) if beside else (".npz", *SUFFIXES)
     check_outputs([*((target, suffixes) for target in targets), *((one, (".json",)) for one in reports)], *meshes)
+    whole = any(target.suffix.lower() == ".npz" for target in targets)
+    _work.refuse({"--radius is for spheres as meshes, not for .npz": whole and radius != 1.0})
     kind = topology.keywords()
     _work.start_device(mapping.device)
     goal = mass.target()
@@ -187,6 +194,8 @@ def run_map(
         asked = {"weights": weights, "weights_at": at, "target": goal}
         result = make_map(sound.surface, mapping, quiet=printing.quiet, any_surface=kind, **asked)
         require_bijective(result)
+        if topology.idle(result):
+            say(f"warning: {mesh}: closed and without handles, so that options for holes, handles and parts do nothing")
         if up is not None or front is not None:
             result = standing(result, None, up, front)
         if structure is not None:

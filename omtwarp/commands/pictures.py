@@ -10,7 +10,7 @@ import omtwarp
 from omtwarp.commands import _options
 from omtwarp.commands._options import ROUTE, Argument, Only, PictureOrPattern, Printing, RouteOptions, Source, Typed
 from omtwarp.commands._streams import input_file, progress_bar, step_times
-from omtwarp.commands._work import map_from, show_each, start_device, targets_of
+from omtwarp.commands._work import map_from, refuse, show_each, start_device, targets_of
 from omtwarp.errors import OmtwarpError
 from omtwarp.options import BACKGROUND, FILM_RATE, PICTURE_SIZE, Backend, Device, MapOptions, tell
 
@@ -102,6 +102,13 @@ def run_preview(
     if (not given and finished is None) or (len(given) == 1 and finished is not None):
         raise OmtwarpError("give either a mesh or map to draw, or a map with --map")
     targets = targets_of(Source(subjects, finished), output, ".png", PICTURES, image)
+    film = frames is not None or output.suffix.lower() in (".gif", ".mp4")
+    parallel = lens.projection is CameraProjection.ORTHOGRAPHIC
+    refuse({
+        "--fps is for films, with --frames": fps != FILM_RATE and not film,
+        "--field-of-view is for --projection perspective": parallel and lens.field_of_view != Lens.field_of_view,
+        "--background is not seen with --transparent": look.transparent and look.background != BACKGROUND,
+    })  # fmt: skip
 
     def draw_one(subject: Path | None, target: Path) -> tuple[dict[str, object], str]:
         shown = subject or finished
@@ -170,11 +177,15 @@ def run_film(
         output: .mp4 (needs ffmpeg), .gif or .webp; a directory of .gif for several meshes.
         size (WIDTHxHEIGHT): Size in pixels; 1920x1080 by default, 640x360 for .gif and .webp.
     """
+    from omtwarp.colors import backdrop
+    from omtwarp.render.camera import Camera, as_view
     from omtwarp.render.output import check_target
 
     targets = targets_of(source, output, ".gif", FILMS, shown.image)
     for target in targets:
         check_target(target, film=True, transparent=False)
+    backdrop(look.background, 1, 2)
+    as_view(look.view, Camera())
     start_device(mapping.device)
     picture = shown.read()
 

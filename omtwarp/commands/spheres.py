@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import omtwarp
 from omtwarp.commands._options import Argument, Printing, Typed, output_option
 from omtwarp.commands._streams import input_file, is_standard_output, progress_bar, step_times, warnings_as_lines
-from omtwarp.commands._work import show_facts
+from omtwarp.commands._work import refuse, show_facts
 from omtwarp.commands.pictures import FILMS
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_folder, check_output, check_outputs
@@ -67,6 +67,7 @@ class Pair:
         check_output(self.output, (".npz", *SUFFIXES), self.source, self.surface)
         if self.as_map and self.source.suffix.lower() != ".npz":
             raise OmtwarpError(f"cannot write '{self.output}': a whole map needs a map (.npz) as input")
+        refuse({"--radius is for spheres as meshes, not for .npz": self.as_map and self.radius != Pair.radius})
         for ours in (self.source, self.surface):
             for theirs in (other, self.to_surface):
                 require_same_structure(ours, theirs)

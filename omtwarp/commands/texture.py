@@ -497,9 +497,13 @@ def run_transfer(
     from omtwarp.texturing.painter import check_options
 
     check_options(how.uv, None, None, how.atlas)
+    _work.refuse({"--mirror is for maps that are to be aligned, without --aligned": how.aligned and how.mirror})
     check_output(output, (".glb", ".obj"), source, target, map_of_source, map_of_target)
     given = (source, map_of_source), (target, map_of_target)
     pairs = [painted_with_map(*one, repair) for one in given]  # all are read before the first is mapped
+    scan = pairs[0][0]
+    if scan.vertex_colors is None and len(scan.materials) == 1 and scan.materials[0].picture is None:
+        raise OmtwarpError(f"nothing to transfer: '{source}' has neither a picture nor colours")
     for (_, known), (_, of_map) in zip(pairs, given, strict=True):
         if of_map is not None:
             _work.require_whole(cast("MapResult", known), of_map)

@@ -110,7 +110,7 @@ def as_views(views: object, base: Camera) -> list[Camera]:
         return [as_view(views, base)]  # type: ignore[arg-type]
     if not isinstance(views, Sequence) or len(views) == 0:
         raise OmtwarpError(f"{views!r} is not a list of views: use names, (azimuth, elevation) pairs or cameras")
-    return [as_view(view, base) for view in views]
+    return [camera for view in views for camera in as_views(view, base)]
 
 
 def turntable(base: Camera, frames: int) -> list[Camera]:

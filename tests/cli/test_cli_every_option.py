@@ -58,6 +58,7 @@ INSTEAD = {
     "map --together": "map two.ply -o map.npz --device cpu --until conformal",
     "map --cut": "map ring.ply -o map.npz --device cpu --until conformal",
     "map --cut-along": "map ring.ply -o map.npz --device cpu --until conformal",
+    "map --radius": "map ball.ply -o map.ply --device cpu",
     "map --smoothing": "map labels.tif -o map.npz --device cpu --until conformal",
     "map --torus": "map ring.ply -o map.npz --device cpu",
     "texture --uv own": "texture own.glb --map ball.npz -o texture.glb --size 64 --device cpu",
