@@ -1,15 +1,16 @@
 """Writing of meshes with vertices and faces unchanged, in double precision where the format has it."""
 
 import os
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.files.output import as_path, staged
-from omtwarp.mesh.arrays import Floats, Ints, single_precision
+from omtwarp.mesh.arrays import Floats, Ints, norms, single_precision
 from omtwarp.mesh.neuro import FREESURFER_SUFFIXES, write_freesurfer_surface, write_gifti_surface
 from omtwarp.mesh.vtk import write_vtk
 
@@ -71,7 +72,7 @@ def _write(file: Path, suffix: str, points: Floats, triangles: Ints, beside: Map
         rows += [f"3 {a} {b} {c}\n" for a, b, c in triangles.tolist()]
         file.write_text("".join(rows), "ascii")
     else:
-        positions = single_precision(points, "vertices")  # which both formats have
+        positions = in_single_precision(points, triangles, "vertices")  # which both formats have
         if suffix == ".glb":
             content = GltfFile()
             content.add_triangles(triangles, {"POSITION": positions})
@@ -80,6 +81,33 @@ def _write(file: Path, suffix: str, points: Floats, triangles: Ints, beside: Map
             import trimesh
 
             trimesh.Trimesh(points, triangles, process=False).export(file)
+
+
+def in_single_precision(points: Floats, faces: NDArray[np.integer], name: str) -> NDArray[np.float32]:
+    """Round points as formats of single precision hold them, and warn where they are too far away for their edges.
+
+    Args:
+        points: shape [V, 3].
+        faces: shape [F, 3].
+        name: what to call them in a message.
+
+    Raises:
+        OmtwarpError: they are out of the range of single precision.
+    """
+    rounded = single_precision(points, name)
+
+    def changed(at: Floats) -> int:
+        """Return how many triangles have an edge that rounding makes longer or shorter by a tenth."""
+        there = at.astype(np.float32).astype(np.float64)
+        before, after = (norms(x[faces] - x[np.roll(faces, 1, axis=1)]) for x in (at, there))
+        return int((np.abs(after - before) > 0.1 * before).any(axis=1).sum())
+
+    # Slivers along the charts of a texture change at the origin too; one triangle in a thousand may be as small
+    lost = changed(points)
+    if lost > len(faces) / 1000 + changed(points - points.mean(axis=0)):
+        what = f"single precision changes edges of {lost} of {len(faces)} faces by more than a tenth"
+        warnings.warn(f"{what}: move the mesh to the origin, or write .ply or .obj", OmtwarpWarning, stacklevel=3)
+    return rounded
 
 
 class GltfFile:

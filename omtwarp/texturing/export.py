@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.colors import to_linear
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.output import as_path, companion, staged
-from omtwarp.mesh.arrays import ROUND_OFF, TINY, Bytes, Floats, Ints, normalised, single_precision, summed
-from omtwarp.mesh.write import GltfFile
+from omtwarp.mesh.arrays import ROUND_OFF, TINY, Bytes, Floats, Ints, normalised, summed
+from omtwarp.mesh.write import GltfFile, in_single_precision
 from omtwarp.options import TextureFormat
 from omtwarp.texturing.image import png_bytes, webp_bytes
 
@@ -295,7 +295,8 @@ def glb_bytes(model: Model, texture_format: TextureFormat) -> bytes:
         OmtwarpError: positions are out of the range of single precision, the only one that the format has.
     """
     file = GltfFile()
-    positions = single_precision(model.vertices, "cannot write positions as GLB")
+    faces = np.concatenate([part.vertex[part.faces] for part in model.parts])
+    positions = in_single_precision(model.vertices, faces, "cannot write positions as GLB")
     known: dict[int, int] = {}
     for number, part in enumerate(model.parts):
         rows = {"POSITION": positions[part.vertex], "NORMAL": model.normals[part.vertex]}

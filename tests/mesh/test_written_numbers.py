@@ -117,3 +117,18 @@ def test_complex_targets_are_refused(target):
 def test_complex_previews_are_refused(tmp_path, subject, options):
     with pytest.raises(OmtwarpError, match="complex numbers"):
         preview(subject, tmp_path / "a.png", size=(16, 16), backend="warp", **options)
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".stl"])
+def test_digits_that_are_lost_far_from_the_origin_are_warned_of(tmp_path, suffix, recwarn):
+    path = tmp_path / f"ball{suffix}"
+    write_mesh(path, BALL.vertices + 100.0, BALL.faces)
+    assert not [one for one in recwarn if one.category is omtwarp.OmtwarpWarning]
+    with pytest.warns(omtwarp.OmtwarpWarning, match="single precision changes edges of .* write .ply or .obj"):
+        write_mesh(path, BALL.vertices + 1e7, BALL.faces)
+
+
+def test_digits_that_a_textured_glb_loses_are_warned_of(tmp_path):
+    far = omtwarp.PaintedMesh(BALL.vertices + 1e7, BALL.faces)
+    with pytest.warns(omtwarp.OmtwarpWarning, match="single precision changes edges of .* of 80 faces"):
+        far.export(tmp_path / "far.glb")
