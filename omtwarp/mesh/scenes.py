@@ -219,6 +219,10 @@ _READ = ("KHR_mesh_quantization", "EXT_texture_webp", "KHR_materials_", "KHR_lig
 _OF_PICTURES = ("KHR_texture_", "EXT_texture_", "MSFT_texture_")
 
 
+# What is said of the use of a picture and is not read, with the value at which it changes nothing.
+_LEFT_OUT: Document = {"texCoord": 0, "scale": 1, "strength": 1, "KHR_texture_transform": {}}
+
+
 def scene_formats() -> set[str]:
     """Return the suffixes, without the dot, of the formats that :func:`load_scene` reads."""
     import trimesh
@@ -290,8 +294,8 @@ def load_scene(data: bytes, file: Path, suffix: str, *, pictures: bool = True) -
         return trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=Buffers(), process=False)
 
 
-def gltf_pictures(data: bytes, file: Path, suffix: str) -> list[tuple[Document, dict[str, bytes]]]:
-    """Return every material of a glTF file, and its encoded pictures by the names of their roles.
+def gltf_pictures(data: bytes, file: Path, suffix: str) -> tuple[list[tuple[Document, dict[str, bytes]]], list[str]]:
+    """Return every material of a glTF file, and its encoded pictures by the names of their roles; and what is lost.
 
     Pictures that are not there are left out, and so are those of formats that glTF 2.0 does not know.
 
@@ -302,19 +306,23 @@ def gltf_pictures(data: bytes, file: Path, suffix: str) -> list[tuple[Document, 
     gltf = GltfInput(data, suffix, file)
     picture = cache(gltf.picture)
     pictures: list[tuple[Document, dict[str, bytes]]] = []
+    lost: list[str] = []
     for material in gltf.document.get("materials", []):
         uses: dict[str, object] = {**material.get("pbrMetallicRoughness", {}), **material}
         pictures.append((material, {}))
+        lost += [name for name in material.get("extensions", {}) if name == "KHR_materials_emissive_strength"]
         for role in ROLES:
             used = uses.get(role)
             if not isinstance(used, dict) or "index" not in used:
                 continue
+            given = used | used.get("extensions", {})
+            lost += [f"{name} of {role}" for name, usual in _LEFT_OUT.items() if given.get(name, usual) != usual]
             entry = gltf.document["textures"][used["index"]]  # as WebP where it has it so
             number = entry.get("extensions", {}).get("EXT_texture_webp", entry).get("source")
             content = None if number is None else picture(number)
             if content:
                 pictures[-1][1][role] = content
-    return pictures
+    return pictures, [f"left out {', '.join(dict.fromkeys(lost))}, which are not read"] if lost else []
 
 
 def placed_meshes(scene: trimesh.Scene) -> list[tuple[str, trimesh.Trimesh, Floats, NDArray[np.int64]]]:

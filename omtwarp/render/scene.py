@@ -122,10 +122,12 @@ class SurfaceMaterial:
     Attributes:
         image: a picture as :class:`SurfaceView` takes it, looked up by the surface's ``uv``; None for one colour.
         color: any colour; a factor on the picture where there is one. None is white with a picture, and clay without.
+        colors: at the surface's vertices, shape [V, 3], in place of one colour where there is no picture.
     """
 
     image: PictureLike | None = None
     color: str | ArrayLike | None = None
+    colors: ArrayLike | None = None
 
 
 @dataclass(eq=False)
@@ -355,10 +357,9 @@ def build_parts(view: SurfaceView, edges: bool = False) -> list[Part]:
             image = uv = None
         elif np.ndim(uv) == 3:
             uv = np.asarray(uv)[of_it]
-        alone = replace(
-            view, faces=faces[of_it], image=image, uv=uv, color=material.color, materials=None, face_material=None
-        )
-        parts.append(_build_part(alone, edges, view))
+        colors = material.colors if image is None else None
+        alone = replace(view, faces=faces[of_it], image=image, uv=uv, materials=None, face_material=None, colors=colors)
+        parts.append(_build_part(replace(alone, color=material.color), edges, view))
     return parts
 
 

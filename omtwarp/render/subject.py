@@ -10,6 +10,7 @@ kept: z towards the viewer where y is upwards, -y where z is.
 from __future__ import annotations
 
 import os
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeAlias, cast, runtime_checkable
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.colors import to_srgb
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.maps.domains import is_torus_map
 from omtwarp.mesh.arrays import Bytes, Floats, HasTriangles, Ints, cross, norms
 from omtwarp.render.camera import axis_vector
@@ -70,6 +71,9 @@ def as_surface_view(subject: Subject, image: Picture | None = None) -> SurfaceVi
             from omtwarp.texturing.read import read_painted_mesh
 
             subject = read_painted_mesh(path)
+            for note in subject.notes:
+                if "is not there" in note or note.startswith("left out"):
+                    warnings.warn(f"{path}: {note}", OmtwarpWarning, stacklevel=2)
     if isinstance(subject, SurfaceView):
         view = subject
     elif is_torus_map(subject):
@@ -177,7 +181,8 @@ def painted_view(mesh: PaintedMesh) -> SurfaceView:
         image, uv = material.picture, mesh.uv
         known = uv is not None and np.isfinite(uv[mesh.material_of == number]).all()
         color = None if material.color[:3] == WHITE[:3] else material.color[:3]
-        materials.append(SurfaceMaterial(image if known else None, color))
+        colors = mesh.vertex_colors if image is None and color is None else None
+        materials.append(SurfaceMaterial(image if known else None, color, colors))
     uv = None if mesh.uv is None else np.nan_to_num(mesh.uv)
     if not any(material.image is not None for material in materials):
         uv = None

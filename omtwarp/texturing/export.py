@@ -333,7 +333,7 @@ def _gltf_material(material: Material) -> tuple[dict[str, object], dict[str, obj
     }
     return surface, {
         "name": material.name,
-        "emissiveFactor": list(material.emission),
+        "emissiveFactor": [min(light, 1.0) for light in material.emission],
         "alphaMode": "OPAQUE" if material.opaque else "BLEND",
         "doubleSided": material.two_sided,
     }
@@ -400,6 +400,7 @@ def _library_entry(name: str, material: Material) -> list[str]:
     """Return the lines of a material's numbers."""
     red, green, blue, opacity = material.color
     phong = {"Ks": (0.0, 0.0, 0.0), "illum": (1.0,)} | dict(material.phong)
+    phong |= {"Ke": material.emission} if any(material.emission) else {}
     # Readers take a roughness in place of the shininess that a library had, which had none then
     plain = "Ns" in phong and (material.roughness, material.metallic) == (Material.roughness, Material.metallic)
     return [

@@ -90,6 +90,8 @@ def _from_pil(image: Image, name: str) -> NDArray[np.generic]:
     if image.mode in ("I;16", "I;16L", "I;16B", "I", "F"):  # more than 8 bits: Pillow's own conversion would clip
         values = np.asarray(image, dtype=np.float32)
         top = 65535.0 if image.mode != "F" else 1.0
+        if image.format == "TIFF" and image.mode == "I" and values.max() <= 255.0:  # bytes in 32 bits
+            top = 255.0
         return np.repeat(np.clip(values / top, 0.0, 1.0)[..., None], 3, axis=2)
     turned = ImageOps.exif_transpose(image)
     alpha = turned.mode in ("RGBA", "LA", "PA") or "transparency" in turned.info

@@ -43,6 +43,8 @@ _OPTIONS = {
     "-imfchan": 1, "-type": 1,
 }  # fmt: skip
 
+_VALUE = r"[-+.0-9eE]+|on|off|[a-z]"
+
 
 def _statements(data: bytes) -> tuple[NDArray[np.bytes_], list[bytes]]:
     """Return the kinds of an OBJ file's statements, shape [N], and what stands behind each."""
@@ -67,7 +69,7 @@ def _named(kinds: NDArray[np.bytes_], rests: list[bytes], *names: bytes) -> tupl
 _PHONG = {name.lower(): name for name in ("Ns", "Ka", "Ks", "Ke", "Ni", "Tf", "illum")}
 
 
-def read_mtl(text: str, picture: Callable[[str], Bytes | None]) -> dict[str, Material]:
+def read_mtl(text: str, picture: Callable[..., Bytes | None]) -> dict[str, Material]:
     """Read the materials of a library by name.
 
     Args:
@@ -89,11 +91,11 @@ def read_mtl(text: str, picture: Callable[[str], Bytes | None]) -> dict[str, Mat
     return materials
 
 
-def _with(material: Material, key: str, values: list[str], picture: Callable[[str], Bytes | None]) -> Material:
+def _with(material: Material, key: str, values: list[str], picture: Callable[..., Bytes | None]) -> Material:
     """Apply one statement of a library to a material."""
     slot = {"map_kd": "picture", "norm": "normal_picture", "map_ke": "emission_picture"}.get(key)
     if slot is not None:
-        return replace(material, **{slot: picture(_picture_name(values))})  # type: ignore[arg-type]
+        return replace(material, **{slot: picture(*_picture_name(values))})  # type: ignore[arg-type]
     try:
         numbers = [float(word) for word in takewhile(lambda word: not word.startswith("#"), values)]
     except ValueError:
@@ -107,21 +109,24 @@ def _with(material: Material, key: str, values: list[str], picture: Callable[[st
         "tr": {"color": (*material.color[:3], 1.0 - red)},
         "pr": {"roughness": red},
         "pm": {"metallic": red},
+        "ke": {"emission": tuple(max(number, 0.0) for number in (numbers * 3)[:3])},
     }
     if key in _PHONG:
-        changes[key] = {"phong": tuple((dict(material.phong) | {_PHONG[key]: tuple(numbers)}).items())}
+        changes.setdefault(key, {})["phong"] = tuple((dict(material.phong) | {_PHONG[key]: tuple(numbers)}).items())
     return replace(material, **changes.get(key, {}))
 
 
-def _picture_name(words: list[str]) -> str:
-    """Return the file's name from the words after ``map_Kd``, which may begin with options."""
-    rest = list(words)
+def _picture_name(words: list[str]) -> list[str]:
+    """Return the file's name from the words after ``map_Kd``, and the options before it that move the picture."""
+    rest, moved = list(words), []
     while rest and rest[0].lower() in _OPTIONS:
-        taken = _OPTIONS[rest.pop(0).lower()]
-        while taken and len(rest) > 1 and re.fullmatch(r"[-+.0-9eE]+|on|off|[a-z]", rest[0]):
-            rest.pop(0)
-            taken -= 1
-    return " ".join(rest)
+        option, values = rest.pop(0).lower(), list[str]()
+        while len(values) < _OPTIONS[option] and len(rest) > 1 and re.fullmatch(_VALUE, rest[0]):
+            values.append(rest.pop(0))
+        usual = {"-s": {1.0}, "-o": {0.0}, "-t": {0.0}}.get(option)
+        if usual is not None and not {float(value) for value in values if value[-1].isdigit()} <= usual:
+            moved.append(option)
+    return [" ".join(rest), *moved]
 
 
 # Names under which programs write texture coordinates at the vertices of a PLY file.
@@ -167,7 +172,8 @@ def read_painted_mesh(path: str | os.PathLike[str]) -> PaintedMesh:
             painted = _from_ply(data, file)
         else:
             scene = load_scene(data, file, suffix)
-            painted = _from_scene(scene, gltf_materials(data, file, suffix) if suffix in ("glb", "gltf") else None)
+            looks, notes = gltf_materials(data, file, suffix) if suffix in ("glb", "gltf") else (None, [])
+            painted = _from_scene(scene, looks, notes)
     if len(painted.faces) > MOST_FACES:
         raise OmtwarpError(f"{file}: {len(painted.faces):,} triangles, and {MOST_FACES:,} is the most")
     return replace(painted, source_files=(file, *painted.source_files))
@@ -225,7 +231,8 @@ def _materials_beside(file: Path, libraries: list[str], named: list[Path], notes
     """Return the materials of libraries that a file names; both lists are added to."""
     picture = _pictures_beside(file, named, notes)
     known: dict[str, Material] = {}
-    for library in libraries:
+    lines = [[name] if file_beside(file, name) else name.split() for name in libraries]  # one name, or several
+    for library in (name for line in lines for name in line):
         there = file_beside(file, library)
         if there is None:
             notes.append(f"the material library '{library}' is not there")
@@ -258,11 +265,12 @@ def _colors_behind(points: list[list[bytes]]) -> Bytes | None:
     return with_opacity(np.rint(np.clip(scaled, 0, 255)).astype(np.uint8))
 
 
-def _pictures_beside(file: Path, named: list[Path], notes: list[str]) -> Callable[[str], Bytes | None]:
+def _pictures_beside(file: Path, named: list[Path], notes: list[str]) -> Callable[..., Bytes | None]:
     """Return a function that reads a picture named in a file, None where there is none; both lists are added to."""
 
-    def picture(name: str) -> Bytes | None:
+    def picture(name: str, *moved: str) -> Bytes | None:
         there = file_beside(file, name)
+        notes.extend(f"left out {option} of the picture '{name}', which is not read" for option in moved)
         if there is None:
             notes.append(f"the picture '{name}' is not there")
             return None
@@ -358,12 +366,13 @@ def _numbers(column: Column) -> Floats:
     return np.asarray(column, dtype=np.float64)
 
 
-def _from_scene(scene: trimesh.Scene, looks: list[Material] | None) -> PaintedMesh:
+def _from_scene(scene: trimesh.Scene, looks: list[Material] | None, notes: list[str]) -> PaintedMesh:
     """Take all geometries of a scene together, where the scene puts them.
 
     Args:
         scene: of trimesh's.
         looks: the materials of a glTF file, whose colours at vertices are linear; None for other formats.
+        notes: what was lost of them, in words.
     """
     placed = placed_meshes(scene)
     if not placed:
@@ -381,13 +390,13 @@ def _from_scene(scene: trimesh.Scene, looks: list[Material] | None) -> PaintedMe
     uv_all = np.concatenate(uvs)
     points, triangles = taken_together([one[2:] for one in placed])
     uv, tints = None if np.isnan(uv_all).all() else uv_all, np.concatenate(colors) if colored else None
-    notes = (f"took {len(placed)} geometries together",) if len(placed) > 1 else ()
+    notes = [*notes, *([f"took {len(placed)} geometries together"] if len(placed) > 1 else [])]
     faces, numbers = triangles.astype(np.int32), np.concatenate(which)
-    return joined_seams(PaintedMesh(points, faces, uv, tuple(materials.values()), numbers, tints, notes))
+    return joined_seams(PaintedMesh(points, faces, uv, tuple(materials.values()), numbers, tints, tuple(notes)))
 
 
-def gltf_materials(data: bytes, file: Path, suffix: str) -> list[Material]:
-    """Read the materials of a glTF file, in its order.
+def gltf_materials(data: bytes, file: Path, suffix: str) -> tuple[list[Material], list[str]]:
+    """Read the materials of a glTF file, in its order, and what is lost of them in words.
 
     Raises:
         OmtwarpError: a picture cannot be read, or is elsewhere than in the file's directory.
@@ -403,11 +412,12 @@ def gltf_materials(data: bytes, file: Path, suffix: str) -> list[Material]:
         return known[key]
 
     materials = []
-    for material, pictures in gltf_pictures(data, file, suffix):
+    described, lost = gltf_pictures(data, file, suffix)
+    for material, pictures in described:
         opaque = material.get("alphaMode", "OPAQUE") == "OPAQUE"  # whatever opacity its colours have
         by_role = {role: picture(content, opaque and role == "baseColorTexture") for role, content in pictures.items()}
         materials.append(_of_gltf(material, by_role, opaque))
-    return materials
+    return materials, lost
 
 
 def _appearance(mesh: trimesh.Trimesh, looks: list[Material] | None) -> tuple[Material, Floats | None, Bytes | None]:

@@ -2,6 +2,7 @@
 
 import json
 import re
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -379,3 +380,109 @@ def test_a_picture_of_two_opaque_materials_is_read_and_written_once(tmp_path):
     assert len({id(one) for m in read.materials for one in (m.picture, m.emission_picture)}) == 1
     (again,) = read.export(tmp_path / "again.glb")
     assert file.read_bytes().count(b"\x89PNG") == again.read_bytes().count(b"\x89PNG") == 1
+
+
+def glb_with(path, *, picture=None, material=None):
+    """Change what a GLB's first material, or the use of its picture, says."""
+    import pygltflib
+
+    content = pygltflib.GLTF2().load(str(path))
+    one = content.materials[0]
+    for name, value in (material or {}).items():
+        setattr(one, name, value)
+    for name, value in (picture or {}).items():
+        setattr(one.pbrMetallicRoughness.baseColorTexture, name, value)
+    content.save(str(path))
+
+
+@pytest.mark.parametrize(
+    ("picture", "material", "lost"),
+    [
+        ({"texCoord": 1}, None, "texCoord of baseColorTexture"),
+        (
+            {"extensions": {"KHR_texture_transform": {"scale": [2, 2]}}},
+            None,
+            "KHR_texture_transform of baseColorTexture",
+        ),
+        (
+            None,
+            {"extensions": {"KHR_materials_emissive_strength": {"emissiveStrength": 4.0}}},
+            "KHR_materials_emissive_strength",
+        ),
+        ({"texCoord": 0, "extensions": {"KHR_texture_transform": {}}}, None, ""),
+    ],
+)
+def test_what_is_not_read_of_a_glb_is_said(tmp_path, picture, material, lost):
+    two_halves(tmp_path, picture=True)
+    mesh = read_painted_mesh(tmp_path / "two.obj")
+    replace(mesh, materials=(mesh.materials[1],), face_material=None).export(tmp_path / "a.glb")
+    glb_with(tmp_path / "a.glb", picture=picture, material=material)
+    notes = [note for note in read_painted_mesh(tmp_path / "a.glb").notes if note.startswith("left out")]
+    assert notes == ([f"left out {lost}, which are not read"] if lost else [])
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", omtwarp.OmtwarpWarning)
+        omtwarp.preview(tmp_path / "a.glb", size=(32, 32), backend="warp")
+    assert [str(one.message) for one in caught if one.category is omtwarp.OmtwarpWarning] == [
+        f"{tmp_path / 'a.glb'}: {note}" for note in notes
+    ]
+
+
+def test_light_that_is_sent_out_goes_from_obj_to_glb_and_back(tmp_path):
+    two_halves(tmp_path)
+    with open(tmp_path / "two.mtl", "a") as library:
+        library.write("Ke 0.25 0.5 1\n")
+    mesh = read_painted_mesh(tmp_path / "two.obj")
+    assert [material.emission for material in mesh.materials] == [(0.0, 0.0, 0.0), (0.25, 0.5, 1.0)]
+    mesh.export(tmp_path / "a.glb")
+    again = read_painted_mesh(tmp_path / "a.glb")
+    assert again.materials[1].emission == (0.25, 0.5, 1.0)
+    replace(again, materials=tuple(replace(one, phong=()) for one in again.materials)).export(tmp_path / "b.obj")
+    assert "Ke 0.25 0.5 1\n" in (tmp_path / "b.mtl").read_text()
+    assert read_painted_mesh(tmp_path / "b.obj").materials[1].emission == (0.25, 0.5, 1.0)
+
+
+def test_several_libraries_may_be_named_in_a_line(tmp_path):
+    path, *_ = two_halves(tmp_path)
+    first, second = (tmp_path / "two.mtl").read_text().split("newmtl blue")
+    (tmp_path / "two.mtl").write_text(first)
+    (tmp_path / "my own.mtl").write_text(first.replace("red", "other"))
+    (tmp_path / "more.mtl").write_text("newmtl blue" + second)
+    path.write_text(path.read_text().replace("mtllib two.mtl", "mtllib two.mtl more.mtl\nmtllib my own.mtl"))
+    mesh = read_painted_mesh(path)
+    assert not mesh.notes
+    np.testing.assert_allclose(np.array(mesh.materials[1].color[:3]) * 255, BLUE, atol=1e-3)
+
+
+@pytest.mark.parametrize(("options", "left"), [("-s 2 2 1 -clamp on", "-s"), ("-s 1 1 1 -o 0 0 0", "")])
+def test_a_picture_that_a_library_moves_is_said(tmp_path, options, left):
+    path, *_ = two_halves(tmp_path, picture=True)
+    library = (tmp_path / "two.mtl").read_text()
+    (tmp_path / "two.mtl").write_text(library.replace("-clamp off", options))
+    mesh = read_painted_mesh(path)
+    assert mesh.materials[1].picture is not None
+    assert list(mesh.notes) == [f"left out {left} of the picture 'stripes.png', which is not read"] * bool(left)
+
+
+def test_a_preview_warns_of_a_picture_that_is_not_there(tmp_path):
+    path, *_ = two_halves(tmp_path, picture=True)
+    (tmp_path / "stripes.png").unlink()
+    with pytest.warns(omtwarp.OmtwarpWarning, match=r"two.obj: the picture 'stripes.png' is not there"):
+        omtwarp.preview(path, size=(32, 32), backend="warp")
+
+
+def test_a_preview_shows_colours_at_vertices_beside_a_picture(tmp_path):
+    """Of a scene in which one part has a picture and another colours at its vertices."""
+    path, *_ = two_halves(tmp_path, picture=True)
+    mesh = read_painted_mesh(path)
+    green = np.full((len(mesh.vertices), 4), (20, 160, 60, 255), dtype=np.uint8)
+    mixed = replace(mesh, materials=(Material("plain"), mesh.materials[1]), vertex_colors=green)
+    drawn = omtwarp.preview(mixed, size=(120, 120), views="front", up="z", light="flat", backend="warp")
+    assert share(drawn, (20, 160, 60)) > 0.2 and share(drawn, BLUE) > 0.06
+
+
+def test_bytes_in_tiffs_of_32_bits_are_not_black(tmp_path):
+    values = np.arange(256, dtype=np.int32).reshape(16, 16)
+    Image.fromarray(values).save(tmp_path / "small.tif")
+    np.testing.assert_allclose(omtwarp.texturing.read_image(tmp_path / "small.tif")[..., 0], values / 255.0, atol=1e-6)
+    Image.fromarray(257 * values).save(tmp_path / "large.tif")
+    np.testing.assert_allclose(omtwarp.texturing.read_image(tmp_path / "large.tif")[..., 0], values / 255.0, atol=1e-6)
