@@ -41,8 +41,6 @@ from omtwarp.mesh.volumes import MOST_ROUNDS, ROUNDS, VOLUMES, label_surfaces
 from omtwarp.mesh.vtk import read_vtk, read_vtk_xml
 
 if TYPE_CHECKING:
-    import trimesh
-
     from omtwarp.mesh.repair import Repaired
 
 
@@ -319,10 +317,8 @@ def _read_gifti(file: Path) -> Triangles:
 
 
 def _read_freesurfer(data: bytes) -> Triangles:
-    nibabel = nibabel_module()
     with copied(data, "surface") as file:
-        vertices, faces = nibabel.freesurfer.read_geometry(file)[:2]
-    return vertices, faces, []
+        return *nibabel_module().freesurfer.read_geometry(file)[:2], []
 
 
 _OWN: dict[str, Callable[[bytes], Triangles]] = {
@@ -345,18 +341,14 @@ _OWN: dict[str, Callable[[bytes], Triangles]] = {
 
 
 def _read_scene(data: bytes, file: Path, suffix: str, together: bool) -> Triangles:
+    """Read the only mesh of a scene, moved to the place that the scene gives it, or all of them together."""
     known = {*scene_formats(), *VOLUMES, "gii", *(name for name in _OWN if " " not in name)} - {"freesurfer", "mni"}
     if suffix not in known and suffix in WAYS_ROUND:
         raise OmtwarpError(f"'.{suffix}' is not read: {WAYS_ROUND[suffix]}")
     if suffix not in known:
         what = f"unknown format '.{suffix}'" if suffix else "unknown format, as its name has no suffix"
         raise OmtwarpError(f"{what}: known are {', '.join(sorted(known))}")
-    return _single_geometry(load_scene(data, file, suffix, pictures=False), together)
-
-
-def _single_geometry(scene: trimesh.Scene, together: bool) -> tuple[NDArray[np.float64], NDArray[np.int64], list[str]]:
-    """Return the only mesh of a scene, moved to the place that the scene gives it."""
-    meshes = placed_meshes(scene)
+    meshes = placed_meshes(load_scene(data, file, suffix, pictures=False))
     if not meshes:
         raise OmtwarpError("not a triangle mesh: no triangles in it")
     if len(meshes) > 1 and not together:

@@ -105,15 +105,12 @@ def nice_ticks(low: float, high: float, count: int) -> list[float]:
 
 
 def grid(
-    images: list[Image.Image],
-    captions: list[str],
-    *,
-    columns: int | None = None,
-    background: object = "white",
-    transparent: bool = False,
-    title: str = "",
+    images: list[Image.Image], captions: list[str], background: object, transparent: bool, columns: int, title: str
 ) -> Image.Image:
-    """Put pictures of one size side by side, each over its caption; the renderer is that of the last of them."""
+    """Put pictures of one size side by side, each over its caption, in so many columns, 0 for as many as look well.
+
+    The renderer is that of the last of them.
+    """
     count = len(images)
     columns = columns or (count if count <= 3 else int(np.ceil(np.sqrt(count))))
     columns = max(1, min(columns, count))

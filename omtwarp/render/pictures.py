@@ -260,7 +260,7 @@ def preview(
             output.save_film(images, target, chosen["fps"])
         return images
     if several:
-        images = [annotate.grid(images, names, background=chosen["background"], transparent=transparent)]
+        images = [annotate.grid(images, names, chosen["background"], transparent, 0, "")]
     return _written(images[0], target)
 
 
@@ -306,8 +306,7 @@ def sheet(
     for panel in panels:
         images += [panel] if isinstance(panel, Image.Image) else _draw(panel, chosen, cameras, clear=True)
     words = list(captions or (str(getattr(panel, "caption", "")) for panel in panels))
-    background, transparent = chosen["background"], chosen["transparent"]
-    drawn = annotate.grid(images, words, columns=columns, background=background, transparent=transparent, title=title)
+    drawn = annotate.grid(images, words, chosen["background"], chosen["transparent"], columns or 0, title)
     return _written(drawn, target)
 
 

@@ -43,6 +43,7 @@ PADDING = 16
 """Texels by which charts are continued beyond their borders: bilinear samples see them at the fifth mip level yet."""
 
 
+DeviceLike: TypeAlias = "str | wp.Device | None"
 Source: TypeAlias = "ValueSource | Callable[[Floats], ArrayLike] | PictureLike"
 """What can be baked: the name of a pattern, a pattern, a function of directions, or a picture."""
 
@@ -106,7 +107,7 @@ def bake(
     size: int | tuple[int, int] | None = None,
     projection: str = "equirectangular",
     supersample: int = 3,
-    device: str | wp.Device | None = "auto",
+    device: DeviceLike = "auto",
 ) -> Picture:
     """Bake a function on the sphere into the picture of an atlas.
 
@@ -222,11 +223,7 @@ def changing(texels: NDArray[np.generic], most: float | np.generic) -> NDArray[n
 
 
 def sample(
-    picture: PictureLike,
-    directions: ArrayLike,
-    atlas: str | Atlas = "equirectangular",
-    *,
-    device: str | wp.Device | None = "auto",
+    picture: PictureLike, directions: ArrayLike, atlas: str | Atlas = "equirectangular", *, device: DeviceLike = "auto"
 ) -> Floats:
     """Sample the picture of an atlas in directions: the inverse of :func:`bake`, bilinear between texels.
 
@@ -338,7 +335,7 @@ def bake_to_uv(
     rotation: ArrayLike | None = None,
     projection: str = "equirectangular",
     padding: int = 16,
-    device: str | wp.Device | None = "auto",
+    device: DeviceLike = "auto",
 ) -> Picture:
     """Bake a function on the sphere into a picture for a mesh's own texture coordinates.
 
@@ -410,7 +407,7 @@ def bake_vertex_values(
     atlas: str | Atlas = "equirectangular",
     *,
     size: int | tuple[int, int] | None = None,
-    device: str | wp.Device | None = "auto",
+    device: DeviceLike = "auto",
 ) -> Picture:
     """Bake numbers at the vertices of a mesh into the picture of an atlas, through the mesh's map to the sphere.
 

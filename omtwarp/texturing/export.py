@@ -307,36 +307,25 @@ def glb_bytes(model: Model, texture_format: TextureFormat) -> bytes:
         if model.colors is not None:
             rows["COLOR_0"] = linear(model.colors[part.vertex] / 255.0)
         file.add_triangles(part.faces, rows, number)
-        surface, look = _gltf_material(part.material)
+        look = part.material
+        surface: dict[str, object] = {"baseColorFactor": linear(np.array(look.color)).tolist()}
+        surface |= {"metallicFactor": look.metallic, "roughnessFactor": look.roughness}
+        beside: dict[str, object] = {"name": look.name, "alphaMode": "OPAQUE" if look.opaque else "BLEND"}
+        beside |= {"emissiveFactor": [min(light, 1.0) for light in look.emission], "doubleSided": look.two_sided}
         for slot, own, ending, _ in SLOTS:
-            picture, name = getattr(part.material, own), f"{part.material.name}-{ending}"
-            if own == "picture" and part.material.plain:  # so that the coordinates belong to something
+            picture, name = getattr(look, own), f"{look.name}-{ending}"
+            if own == "picture" and look.plain:  # so that the coordinates belong to something
                 picture, name = BLANK, "blank"
             if picture is None or part.uv is None:
                 continue
             if id(picture) not in known:
                 encoded = png_bytes(picture) if texture_format is TextureFormat.PNG else webp_bytes(picture)
                 known[id(picture)] = file.add_picture(encoded, texture_format, name, model.wraps)
-            place = surface if slot in ("baseColorTexture", "metallicRoughnessTexture") else look
+            place = surface if slot in ("baseColorTexture", "metallicRoughnessTexture") else beside
             place[slot] = file.names.TextureInfo(index=known[id(picture)])
         surfaces = file.names.PbrMetallicRoughness(**surface)
-        file.content.materials.append(file.names.Material(pbrMetallicRoughness=surfaces, **look))
+        file.content.materials.append(file.names.Material(pbrMetallicRoughness=surfaces, **beside))
     return file.encoded()
-
-
-def _gltf_material(material: Material) -> tuple[dict[str, object], dict[str, object]]:
-    """Return the numbers of a material in the terms of glTF: those of its surface, and further ones."""
-    surface: dict[str, object] = {
-        "baseColorFactor": linear(np.array(material.color)).tolist(),
-        "metallicFactor": material.metallic,
-        "roughnessFactor": material.roughness,
-    }
-    return surface, {
-        "name": material.name,
-        "emissiveFactor": [min(light, 1.0) for light in material.emission],
-        "alphaMode": "OPAQUE" if material.opaque else "BLEND",
-        "doubleSided": material.two_sided,
-    }
 
 
 def obj_files(model: Model, place: Path, kept: tuple[Path | None, ...]) -> list[tuple[Path, bytes]]:

@@ -179,13 +179,10 @@ class PaintedMesh:
         if len(self.materials) > 1:
             raise OmtwarpError(f"a trimesh.Trimesh has one material, the mesh {len(self.materials)}: export it")
         material, (rows, vertex, uv) = self.materials[0], self.split()
-        look = trimesh.visual.material.PBRMaterial(
-            name=material.name,
-            baseColorTexture=self.pil(),
-            baseColorFactor=np.rint(255 * linear(np.array(material.color))).astype(int).tolist(),
-            metallicFactor=material.metallic,
-            roughnessFactor=material.roughness,
-        )
+        factor = np.rint(255 * linear(np.array(material.color))).astype(int).tolist()
+        factors = {"baseColorFactor": factor, "metallicFactor": material.metallic}
+        factors["roughnessFactor"] = material.roughness
+        look = trimesh.visual.material.PBRMaterial(name=material.name, baseColorTexture=self.pil(), **factors)
         normals, visual = self.unit_normals()[vertex], trimesh.visual.TextureVisuals(uv=uv, material=look)
         return trimesh.Trimesh(self.vertices[vertex], rows, vertex_normals=normals, visual=visual, process=False)
 

@@ -20,6 +20,7 @@ from typing import TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from omtwarp.device.arrays import sent
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, wp
 from omtwarp.device.threads import Each, each, launch_parts
@@ -110,10 +111,8 @@ class Pattern(ValueSource):
         if not hasattr(self, "_uploaded"):
             self._uploaded: dict[str, list[object]] = {}
         if device.alias not in self._uploaded:
-            self._uploaded[device.alias] = [
-                wp.array(np.ascontiguousarray(x[0]), dtype=x[1], device=device) if isinstance(x, tuple) else x
-                for x in self._tables()
-            ]
+            tables = self._tables()
+            self._uploaded[device.alias] = [sent(x[0], x[1], device) if isinstance(x, tuple) else x for x in tables]
         return self._uploaded[device.alias]
 
     @abstractmethod
