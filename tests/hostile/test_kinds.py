@@ -14,6 +14,7 @@ KINDS = {
     "what commands open, start and import": "test_audit",
     "streams, terminals, homes and caches": "test_environments",
     "interruptions, folders, damaged maps and limits": "test_commands",
+    "jobs in the background": "test_background",
     "values and state files of wrong form": "test_state",
     "text that would become a part of a page": "test_reports",
     "files and options made at random": "test_generated",
