@@ -379,7 +379,11 @@ def report_text(report: object) -> str:
 
 
 def make_map(
-    surface: omtwarp.Surface, mapping: MapOptions, quiet: bool, any_surface: dict | None = None, **mass: object
+    surface: omtwarp.Surface,
+    mapping: MapOptions,
+    quiet: bool,
+    any_surface: dict[str, object] | None = None,
+    **mass: object,
 ) -> MapResult:
     """Map a mesh with a progress bar; its warnings are lines on standard error.
 

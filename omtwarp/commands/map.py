@@ -53,7 +53,7 @@ class Topology:
     cut_along: CutAlong | None = None
     torus: bool = False
 
-    def keywords(self) -> dict | None:
+    def keywords(self) -> dict[str, object] | None:
         """Return the options of :func:`omtwarp.map_surface`; None where the surface has to be a sphere.
 
         Raises:
