@@ -43,29 +43,12 @@ def split_chords(vertices: Floats, faces: NDArray, loop: NDArray[np.int64] | Non
     triangles = np.asarray(faces, dtype=np.int64)
     half = boundary_half_edges(triangles, count)
     on_loop = marked(count, half if loop is None else loop)
-    tail, head = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
-    keys = edge_keys(np.stack([tail, head], axis=1), count)
-    chord = on_loop[tail] & on_loop[head] & ~np.isin(keys, edge_keys(half, count))
+    sides = np.stack([triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()], axis=1)
+    keys = edge_keys(sides, count)
+    chord = on_loop[sides].all(axis=1) & ~np.isin(keys, edge_keys(half, count))
     split = np.unique(keys[chord])
-    return split_at(vertices, triangles, np.stack([split // count, split % count], axis=1))
-
-
-def split_at(vertices: Floats, faces: NDArray, edges: NDArray) -> Derived:
-    """Split edges at their midpoints.
-
-    Args:
-        vertices: float64, shape [V, 3].
-        faces: shape [F, 3].
-        edges: pairs of vertices, the lower first and in ascending order, shape [K, 2].
-    """
-    count = len(vertices)
-    triangles, ends = np.asarray(faces, dtype=np.int64), np.asarray(edges, dtype=np.int64)
-    split = edge_keys(ends, count)
-    keys = edge_keys(np.stack([triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()], axis=1), count)
-    number = np.searchsorted(split, keys)
-    number[number == len(split)] = 0
-    known = split[number] == keys if len(split) else np.zeros(len(keys), dtype=bool)
-    midpoint = np.where(known, count + number, -1)
+    ends = np.stack([split // count, split % count], axis=1)
+    midpoint = np.where(chord, count + np.searchsorted(split, keys), -1)
     cut, face_origin = _subdivided(triangles, midpoint.reshape(-1, 3))
     return Derived(
         np.r_[np.arange(count), np.full(len(ends), -1)],
@@ -148,9 +131,7 @@ def quartered_double(whole: Double, quartered: QuarteredSurface) -> Double:
         quartered: the same with every triangle cut into four, the surface's own first.
     """
     count, ends = len(whole.mirror), quartered.split_edges
-    keys, wanted = edge_keys(ends, count), edge_keys(whole.mirror[ends], count)
-    order = np.argsort(keys)
-    image = order[np.searchsorted(keys, wanted, sorter=order)]
+    image = np.searchsorted(edge_keys(ends, count), edge_keys(whole.mirror[ends], count))
     own = marked(len(ends), quartered.middles[: len(quartered.middles) // 2] - count)
     return Double(
         vertices=quartered.surface.vertices,
@@ -281,17 +262,13 @@ def fill_holes(vertices: Floats, faces: NDArray, loops: list[NDArray[np.int64]])
         faces: an oriented manifold mesh, shape [F, 3].
         loops: boundary loops, see :func:`omtwarp.topology.kind.boundary_loops`; others stay open.
     """
-    points, triangles = [vertices], [np.asarray(faces, dtype=np.int64)]
-    marks = [np.full(len(faces), -1, dtype=np.int64)]
-    count = len(vertices)
-    for number, loop in enumerate(loops):
+    points, triangles, count = [vertices], [np.asarray(faces, dtype=np.int64)], len(vertices)
+    for loop in loops:
         patch = fill_loop(vertices[loop])
-        own = np.concatenate([loop, count + np.arange(len(patch.vertices))])
         points.append(patch.vertices)
-        triangles.append(own[patch.faces])
-        marks.append(np.full(len(patch.faces), number, dtype=np.int64))
+        triangles.append(np.concatenate([loop, count + np.arange(len(patch.vertices))])[patch.faces])
         count += len(patch.vertices)
-    patches = np.concatenate(marks)
+    patches = np.repeat(np.arange(-1, len(loops)), [len(rows) for rows in triangles])
     return FilledSurface(
         np.r_[np.arange(len(vertices)), np.full(count - len(vertices), -1)],
         np.where(patches < 0, np.arange(len(patches)), -1),

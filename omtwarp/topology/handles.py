@@ -34,7 +34,7 @@ from omtwarp.mesh.surface import Surface
 from omtwarp.mesh.validate import components_of, spanning_forest
 from omtwarp.options import CutAlong
 from omtwarp.topology.closing import fill_holes
-from omtwarp.topology.kind import boundary_loops
+from omtwarp.topology.kind import boundary_loops, on_boundary
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ def cut_handles(
             raise OmtwarpError(
                 f"no loop around handle {number + 1} of {genus} keeps clear of holes and other cuts: use a finer mesh"
             )
-        triangles, copied = _cut_along(triangles, loop, len(points))
+        triangles, copied = _cut_along(Surface(points, triangles), loop)
         points, origin = np.concatenate([points, points[copied]]), np.concatenate([origin, origin[copied]])
         around = boundary_loops(triangles, len(points))
         parts = set(loop.tolist()), set(range(len(points) - len(copied), len(points)))
@@ -93,22 +93,17 @@ def slit_open(vertices: Floats, faces: NDArray, share: float = 1.0) -> CutSurfac
     Returns:
         The surface with one boundary loop, and no ``sides``.
     """
-    triangles, count = np.asarray(faces, dtype=np.int64), len(vertices)
-    tail, head = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
-    ends = np.stack([tail, head], axis=1)[tail < head]
-    graph = sparse.csr_array((_edge_lengths(vertices, ends), ends.T), shape=(count, count))
-    root = int(tail[0])
+    surface, count, root = Surface(vertices, faces), len(vertices), int(faces[0, 0])
+    edges, lengths = surface.edges, _edge_lengths(vertices, surface.edges)
     # Far sweeps, from the farthest vertex to the one farthest from it
     for _ in range(3):
-        steps, before = csgraph.dijkstra(graph, directed=False, indices=root, return_predecessors=True)
-        far, last = int(np.argmax(np.where(np.isfinite(steps), steps, -1.0))), root
-        root = far
-    path = _path_to(far, before)
+        steps, before = _shortest_paths(edges, lengths, count, root)
+        root = int(np.argmax(np.where(np.isfinite(steps), steps, -1.0)))
+    path = _path_to(root, before)
     if len(path) < 3:  # a path of one edge opens nothing: go on to any neighbour of its end that is not its beginning
-        beside = np.unique(np.concatenate([head[tail == last], tail[head == last]]))
-        path.append(int(beside[~np.isin(beside, path)][0]))
+        path.append(int(np.setdiff1d(edges[(edges == path[-1]).any(axis=1)], path)[0]))
     kept = path[: max(3, round(share * len(path)))]
-    opened, copied = _cut_along(triangles, np.array(kept), count, closed=False)
+    opened, copied = _cut_along(surface, np.array(kept), closed=False)
     origin = np.concatenate([np.arange(count), copied])
     return CutSurface(origin, np.arange(len(faces)), vertices[origin], opened.astype(np.int32), [], given=count)
 
@@ -124,7 +119,7 @@ def shortest_handle_loop(vertices: Floats, faces: NDArray, *, thorough: bool = T
     Returns:
         The vertices of the loop, in order; None where there is no such loop.
     """
-    graph = _LoopGraph(vertices, np.asarray(faces, dtype=np.int64))
+    graph = _LoopGraph(Surface(vertices, faces))
     roots = graph.roots()
     # Roots: vertices through which a short loop is sought where it need not be the shortest
     first = np.unique(roots[:: max(1, len(roots) // 6)])
@@ -138,6 +133,17 @@ def _edge_lengths(vertices: Floats, ends: NDArray) -> Floats:
     """Return the lengths of edges, none of them 0, for graphs."""
     lengths = norms(vertices[ends[:, 0]] - vertices[ends[:, 1]])
     return np.maximum(lengths, np.finfo(float).eps * lengths.max())
+
+
+def _shortest_paths(
+    edges: NDArray, lengths: Floats, count: int, roots: int | NDArray[np.int64], limit: float = np.inf
+) -> tuple[Floats, NDArray]:
+    """Return how far vertices are from roots along edges, none above a limit, and the vertex before each on its way."""
+    graph = sparse.csr_array((lengths, edges.T), shape=(count, count))
+    paths: tuple[Floats, NDArray] = csgraph.dijkstra(
+        graph, directed=False, indices=roots, return_predecessors=True, limit=limit
+    )
+    return paths
 
 
 def _path_to(end: int, before: NDArray) -> list[int]:
@@ -156,27 +162,20 @@ class _LoopGraph:
         loop: its vertices in order.
     """
 
-    def __init__(self, vertices: Floats, faces: NDArray[np.int64]):
+    def __init__(self, surface: Surface):
         self.length = float(np.inf)
         self.loop: NDArray[np.int64] | None = None
-        self.count = len(vertices)
-        tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-        self._keys, edge = np.unique(edge_keys(np.stack([tail, head], axis=1), self.count), return_inverse=True)
-        self.edges = np.stack([self._keys // self.count, self._keys % self.count], axis=1)
-        self.lengths = _edge_lengths(vertices, self.edges)
-        loops = boundary_loops(faces, self.count)
-        order = np.argsort(edge, kind="stable")
-        starts = np.searchsorted(edge[order], np.arange(len(self._keys) + 1))
-        self.dual = np.full((len(self._keys), 2), -1, dtype=np.int64)
-        self.dual[:, 0] = order[starts[:-1]] // 3
-        double = np.diff(starts) == 2
-        self.dual[double, 1] = order[starts[:-1][double] + 1] // 3
+        self.count, self.edges = surface.vertex_count, surface.edges.astype(np.int64)
+        self._keys = edge_keys(self.edges, self.count)
+        self.lengths = _edge_lengths(surface.vertices, self.edges)
+        loops = boundary_loops(surface.faces, self.count)
         around = np.full(self.count, -1)
         for number, loop in enumerate(loops):
-            around[loop] = len(faces) + number
+            around[loop] = surface.face_count + number
         self.forbidden = around >= 0
-        self.dual[~double, 1] = around[self.edges[~double, 0]]
-        self.dual_count = len(faces) + len(loops)
+        self.dual = surface.side_corners.astype(np.int64) // 3  # -1 beyond the boundary
+        self.dual[:, 1] = np.where(self.dual[:, 1] < 0, around[self.edges[:, 0]], self.dual[:, 1])
+        self.dual_count = surface.face_count + len(loops)
         self._before, cotree, self._left = self._tree_and_cotree()
         self._crossed = self._crossings(cotree)
 
@@ -193,15 +192,12 @@ class _LoopGraph:
         """Take the shortest loop through each of the roots, where it is shorter than the one found so far."""
         free = np.flatnonzero(~self.forbidden[self.edges].any(axis=1))
         a, b = self.edges[free].T
-        paths = sparse.csr_array((self.lengths[free], (a, b)), shape=(self.count, self.count))
         # Chunk: edges times roots at once, which bounds the memory
         size = max(1, 4_000_000 // max(len(free), 1))
         for start in range(0, len(roots), size):
             group = roots[start : start + size]
             # A loop through a root lies within half its length of it.
-            steps, before = csgraph.dijkstra(
-                paths, directed=False, indices=group, return_predecessors=True, limit=0.5 * self.length
-            )
+            steps, before = _shortest_paths(self.edges[free], self.lengths[free], self.count, group, 0.5 * self.length)
             place, parity = self._parities(steps, before)
             through = steps[:, a] + steps[:, b] + self.lengths[free]
             # Shorter, of a length: a difference above rounding
@@ -223,8 +219,7 @@ class _LoopGraph:
             The vertex before each on its path, negative at the root, shape [V]; the edges that the dual tree crosses;
             the edges in neither tree.
         """
-        graph = sparse.csr_array((self.lengths, self.edges.T), shape=(self.count, self.count))
-        steps, before = csgraph.dijkstra(graph, directed=False, indices=0, return_predecessors=True)
+        steps, before = _shortest_paths(self.edges, self.lengths, self.count, 0)
         child = np.flatnonzero(before >= 0)
         left = np.ones(len(self.edges), dtype=bool)
         left[self._number(child, before[child])] = False
@@ -289,23 +284,18 @@ class _LoopGraph:
 
 
 def _cut_along(
-    faces: NDArray[np.int64], loop: NDArray[np.int64], count: int, closed: bool = True
+    surface: Surface, loop: NDArray[np.int64], closed: bool = True
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return faces cut open along a loop or a path, and the vertices that were copied, in the order of the copies."""
+    count, sides = surface.vertex_count, surface.side_corners
     ends = np.stack([loop, np.roll(loop, -1)], axis=1)[: None if closed else -1]
-    cut = np.unique(edge_keys(ends, count))
-    tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    corner = np.arange(len(tail))
-    following = corner.reshape(-1, 3)[:, [1, 2, 0]].ravel()
+    whole = (sides[:, 1] >= 0) & ~np.isin(edge_keys(surface.edges, count), edge_keys(ends, count))
     # Corners at one vertex belong together where their faces share an edge at it that is not cut.
-    sorter = np.argsort(tail * count + head)
-    ranked = (tail * count + head)[sorter]
-    place = np.minimum(np.searchsorted(ranked, head * count + tail), len(ranked) - 1)
-    twin = np.where(ranked[place] == head * count + tail, sorter[place], -1)
-    joined = (twin >= 0) & ~np.isin(np.minimum(tail, head) * count + np.maximum(tail, head), cut)
-    _, label = components_of(len(tail), np.stack([corner[joined], following[twin[joined]]], axis=1))
+    after, before = (sides[whole] // 3 * 3 + (sides[whole] + turn) % 3 for turn in (1, 2))
+    joined = np.concatenate([np.stack([after[:, k], before[:, 1 - k]], axis=1) for k in (0, 1)])
+    _, label = components_of(surface.faces.size, joined)
     _, first = np.unique(label, return_index=True)
-    owner = tail[first]
+    owner = surface.faces.ravel()[first].astype(np.int64)
     kept = marked(len(first), np.unique(owner, return_index=True)[1])
     number = np.where(kept, owner, 0)
     number[~kept] = count + np.arange(int((~kept).sum()))
@@ -343,26 +333,18 @@ def cut_open(
     if thickness >= 1.9:
         return cut, kinds
     through = loops_through_holes(cut)
-
-    def choice(taken: list[bool]) -> CutSurface:
-        loops = [around[k] if each is None or not taken[k] else each for k, each in enumerate(through)]
-        return cut_handles(vertices, faces, genus, loops)
-
-    taken = [each is not None for each in through]
-    other = choice(taken)
-    if along == CutAlong.AUTO:
-        best = _thickness(other)
-        if best <= thickness:
-            taken, other, best = [False] * genus, cut, thickness
-        for k in range(genus):  # each handle by itself
-            if through[k] is None or genus == 1:
-                continue
-            turned = [each != (number == k) for number, each in enumerate(taken)]
-            candidate = choice(turned)
-            thick = _thickness(candidate)
-            if thick > best:
-                taken, other, best = turned, candidate, thick
-    return other, [CutAlong.HOLES if each else CutAlong.HANDLES for each in taken]
+    taken, known = np.zeros(genus, dtype=bool), np.array([each is not None for each in through])
+    # All loops through holes first, then each handle by itself.
+    alone = np.eye(genus, dtype=bool)[known] if along == CutAlong.AUTO and genus > 1 else ()
+    for turned in (known, *alone):
+        crossing = taken ^ turned
+        pairs = zip(around, through, crossing, strict=True)
+        loops = [other if across and other is not None else own for own, other, across in pairs]
+        candidate = cut_handles(vertices, faces, genus, loops)
+        thick = _thickness(candidate)
+        if thick > thickness:
+            cut, taken, thickness = candidate, crossing, thick
+    return cut, [CutAlong.HOLES if each else CutAlong.HANDLES for each in taken]
 
 
 def loops_through_holes(cut: CutSurface) -> list[NDArray[np.int64] | None]:
@@ -375,7 +357,7 @@ def loops_through_holes(cut: CutSurface) -> list[NDArray[np.int64] | None]:
         The given vertices of the loops, in order, which touch neither each other, nor other cuts, nor the boundary;
         None for a cut that none such crosses.
     """
-    closed = np.isin(np.arange(len(cut.vertices)), np.concatenate(boundary_loops(cut.faces, len(cut.vertices))))
+    closed = on_boundary(cut.faces, len(cut.vertices))
     loops: list[NDArray[np.int64] | None] = []
     for sides in cut.sides:
         chosen = list(loops_across(cut, sides, closed))
@@ -408,8 +390,7 @@ def loops_across(
         free = ~closed
         free[[start, end]] = True
         kept = free[ends].all(axis=1)
-        graph = sparse.csr_array((lengths[kept], ends[kept].T), shape=(count, count))
-        steps, before = csgraph.dijkstra(graph, directed=False, indices=start, return_predecessors=True, limit=shortest)
+        steps, before = _shortest_paths(ends[kept], lengths[kept], count, start, shortest)
         if steps[end] < shortest:
             shortest = float(steps[end])
             yield origin[np.array(_path_to(end, before)[:-1])]

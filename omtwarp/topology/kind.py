@@ -148,15 +148,6 @@ def described(part: Part) -> str:
     return f"genus {part.genus}, {holes}"
 
 
-def _options_with_rim(several: bool, filled: bool, more: str) -> list[str]:
-    """Describe the options of surfaces with a boundary: of several parts, with other holes, and what they need more."""
-    of_each, others = " of each part" if several else "", ", other holes filled" if filled else ""
-    return [
-        f"domain='hemisphere': the longest boundary loop{of_each} on the equator{others}{more}",
-        f"domain='disk', domain='cap': the same in the unit disk, or on a cap as large as the hole leaves{more}",
-    ]
-
-
 def options_for(parts: list[Part]) -> list[str]:
     """List the arguments of ``map_surface`` that a mesh needs, with one line on what each does."""
     if len(parts) == 1 and parts[0].is_sphere:
@@ -172,7 +163,10 @@ def options_for(parts: list[Part]) -> list[str]:
     needed = ["components=True"] * several + ["cut=True"] * bool(genus)
     more = f" (with {' and '.join(needed)})" if needed else ""
     if doubled and all(part.loops for part in parts):
-        lines += _options_with_rim(several, loops > len(parts), more)
+        of_each, others = " of each part" * several, ", other holes filled" * (loops > len(parts))
+        lines.append(f"domain='hemisphere': the longest boundary loop{of_each} on the equator{others}{more}")
+        places = "the same in the unit disk, or on a cap as large as the hole leaves"
+        lines.append(f"domain='disk', domain='cap': {places}{more}")
     if loops:
         way, holes = "domain='sphere', fill_area='natural' or 'small'", number(loops, "hole")
         lines.append(f"{way}: {holes} filled, the rest of the sphere covered{more}")
