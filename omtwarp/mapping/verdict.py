@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ FEW_FACES, LONG_OF_FEW, SHARE_OF_FEW = 150, 3.0, 0.5
 # of 80 to 132 faces, shapes above both numbers are at 2.05 to 2.14, and those at them at 2.04.
 MEAN_LONG, MEAN_FOLD = 2.3, 60.0
 NEEDLES = "needle"  # kind of the warning about them
+EVENLY = "remesh with more triangles, evenly shaped"
 REFINE = ", or use refine='area'"  # the end of a remedy
 
 
@@ -74,36 +75,28 @@ def foretell(surface: Surface) -> list[Finding]:
     # An equilateral triangle with its corners on the sphere has the largest area, 3 sqrt(3) / 4: this share of 4π. With
     # a share of 0.086 the map of a small sphere is at 2.16.
     if share[worst] > 0.05:
-        number, name = named(surface.origins, "face", worst)
-        text = f"{name} {_place_of_face(surface, worst)} has {share[worst]:.1%} of the area"
-        findings.append(Finding("large-face", number, text, "split large triangles"))
+        text = f"{{}} has {share[worst]:.1%} of the area"
+        findings.append(_finding(surface, "large-face", "face", worst, text, "split large triangles"))
     ring = thinnest_ring(surface)
     if ring is not None:
         # Vertices around a limb for those of an even mesh. Tubes whose edges were flipped at random reach 2.04 at 1.3,
         # 2.12 at 1.2.
         needed = 1.3 * vertices_needed(ring.share, surface.face_count)
         if ring.around < needed:
-            number, name = named(surface.origins, "vertex", ring.vertex)
-            text = (
-                f"about {ring.around:.1f} vertices around a limb with {ring.share:.1%} of the area, at "
-                f"{name} {_place(surface.vertices[ring.vertex])}, where {needed:.1f} are needed"
-            )
+            limb = f"about {ring.around:.1f} vertices around a limb with {ring.share:.1%} of the area"
+            text = f"{limb}, at {{}}, where {needed:.1f} are needed"
             remedy = f"remesh with more vertices around the limb{REFINE}"
-            findings.append(Finding("coarse-limb", number, text, remedy))
+            findings.append(_finding(surface, "coarse-limb", "vertex", ring.vertex, text, remedy))
     long = elongation(surface)
     limits = [(long_triangle, long_share), (LONG_OF_FEW, SHARE_OF_FEW)][: 1 + (surface.face_count <= FEW_FACES)]
     for limit, most in limits:
         share_long = float(share[long > limit].sum())
-        if not share_long > most:
-            continue
-        worst = int(np.argmax(np.where(long > limit, share, 0.0)))
-        number, name = named(surface.origins, "face", worst)
-        text = (
-            f"triangles {limit:.0f} times as long as high have {share_long:.0%} of the area, the largest is "
-            f"{name} {_place_of_face(surface, worst)}"
-        )
-        findings.append(Finding("long-triangles", number, text, "remesh the long triangles into even ones"))
-        break
+        if share_long > most:
+            worst = int(np.argmax(np.where(long > limit, share, 0.0)))
+            remedy = "remesh the long triangles into even ones"
+            text = f"triangles {limit:.0f} times as long as high have {share_long:.0%} of the area, the largest is {{}}"
+            findings.append(_finding(surface, "long-triangles", "face", worst, text, remedy))
+            break
     return findings + _coarse_findings(surface, long)
 
 
@@ -122,20 +115,16 @@ def _coarse_findings(surface: Surface, long: Floats) -> list[Finding]:
     folded = bend < np.cos(np.radians(fold))
     if share[folded].sum() > folded_share:
         worst = int(np.argmax(np.where(folded, share, 0.0)))
-        number, name = named(surface.origins, "face", worst)
-        text = (
-            f"triangles folded by more than {fold:.0f} degrees against a neighbour have {share[folded].sum():.0%} of "
-            f"the area, the largest is {name} {_place_of_face(surface, worst)}"
-        )
-        findings.append(Finding("folded-triangles", number, text, "remesh with more triangles where the surface bends"))
+        remedy = "remesh with more triangles where the surface bends"
+        bent = f"triangles folded by more than {fold:.0f} degrees against a neighbour"
+        text = f"{bent} have {share[folded].sum():.0%} of the area, the largest is {{}}"
+        findings.append(_finding(surface, "folded-triangles", "face", worst, text, remedy))
     # Among so few triangles one that is so many times as long as high may keep the solver from converging: spheres of
     # 82 faces with a needle of 3,800 to 8.5e8 did not in 9 cases of 16, those with 280 or less and those of 320 faces
     # did.
     if surface.face_count <= FEW_FACES and long.max() > 1e3:
-        worst = int(np.argmax(long))
-        number, name = named(surface.origins, "face", worst)
-        text = f"{name} {_place_of_face(surface, worst)} is {long[worst]:.0e} times as long as high"
-        findings.append(Finding(NEEDLES, number, text, "flip an edge of the needle, or collapse it"))
+        text, remedy = f"{{}} is {long.max():.0e} times as long as high", "flip an edge of the needle, or collapse it"
+        findings.append(_finding(surface, NEEDLES, "face", int(np.argmax(long)), text, remedy))
     mean_long = float(share @ long)
     mean_fold = float(np.degrees(np.arccos(min(share @ bend, 1.0))))
     if surface.face_count <= FEW_FACES and mean_long > MEAN_LONG and mean_fold > MEAN_FOLD:
@@ -143,7 +132,7 @@ def _coarse_findings(surface: Surface, long: Floats) -> list[Finding]:
             f"{surface.face_count} triangles are on average {mean_long:.2g} times as long as high and folded by "
             f"{mean_fold:.0f} degrees against a neighbour"
         )
-        findings.append(Finding("few-triangles", -1, text, "remesh with more triangles, evenly shaped"))
+        findings.append(Finding("few-triangles", -1, text, EVENLY))
     thickness = 2.0 * abs(float((corners[:, 0] * across).sum())) / 6.0 / SPHERE_AREA
     side = float(np.sqrt(4.0 / np.sqrt(3.0) * SPHERE_AREA / surface.face_count))
     # Mean side of triangles over the mean thickness, twice the volume by the area. Plates are at 2.01 where it is 1.5,
@@ -200,7 +189,7 @@ def judge(
         findings = around + [distorted] * (not mean < MAX_AREA_DISTORTION)
     findings += _unfinished(records)
     remedy = _remedy(goal, options.refine is None and not options.exact and uniform) if findings else ""
-    return [Finding(each.kind, each.where, each.message, remedy) for each in findings] + unmatched
+    return [replace(each, remedy=remedy) for each in findings] + unmatched
 
 
 def _unfinished(records: list[StageReport]) -> list[Finding]:
@@ -219,7 +208,7 @@ def _unfinished(records: list[StageReport]) -> list[Finding]:
 def _remedy(goal: Surface, refinable: bool) -> str:
     """Return what would help a map that is not as good as it should be; a refinement where that was not made."""
     causes = foretell(goal)
-    remedy = causes[0].remedy if causes else f"remesh with more triangles, evenly shaped{REFINE}"
+    remedy = causes[0].remedy if causes else EVENLY + REFINE
     remedy = remedy if refinable else remedy.removesuffix(REFINE)
     return f"{remedy} ({causes[0].message})" if causes else remedy
 
@@ -238,12 +227,9 @@ def _area_distortion(goal: Surface, image: Floats, parts: int) -> tuple[float, F
     ratio, distortion = area_distortions(image.reshape(-1, parts).sum(axis=1), wanted)
     mean = float(wanted @ distortion / wanted.sum())
     worst = int(np.argmax(wanted * (distortion - 2.0)))
-    number, name = named(goal.origins, "face", parts * worst)
-    text = (
-        f"area distortion {mean:.4g}, where 2 is perfect, most of it in {name} {_place_of_face(goal, parts * worst)}, "
-        f"whose image has {ratio[worst]:.3g} times its area"
-    )
-    return mean, Finding("area-distortion", number, text, "")
+    compared = f"whose image has {ratio[worst]:.3g} times its area"
+    text = f"area distortion {mean:.4g}, where 2 is perfect, most of it in {{}}, {compared}"
+    return mean, _finding(goal, "area-distortion", "face", parts * worst, text)
 
 
 def _areas_around(goal: Surface, sphere: Floats, own: NDArray[np.integer]) -> list[Finding]:
@@ -256,17 +242,14 @@ def _areas_around(goal: Surface, sphere: Floats, own: NDArray[np.integer]) -> li
     if not off:
         return []
     worst = int(own[np.argmax(error)])
-    number, name = named(goal.origins, "vertex", worst)
-    text = (
-        f"areas around vertices are off by up to {error.max():.0%}, the most at {name} "
-        f"{_place(goal.vertices[worst])}, and by more than {max_vertex_area_error:.0%} at {off} of {len(error)}"
-    )
-    return [Finding("vertex-areas", number, text, "")]
+    several = f"by more than {max_vertex_area_error:.0%} at {off} of {len(error)}"
+    text = f"areas around vertices are off by up to {error.max():.0%}, the most at {{}}, and {several}"
+    return [_finding(goal, "vertex-areas", "vertex", worst, text)]
 
 
-def _place_of_face(surface: Surface, face: int) -> str:
-    return _place(surface.vertices[surface.faces[face]].mean(axis=0))
-
-
-def _place(point: Floats) -> str:
-    return f"at ({', '.join(f'{coordinate:.4g}' for coordinate in point)})"
+def _finding(surface: Surface, kind: str, what: str, number: int, message: str, remedy: str = "") -> Finding:
+    """Make a finding about a ``face`` or ``vertex``, whose name and place replace the braces in the message."""
+    where, name = named(surface.origins, what, number)
+    place = surface.vertices[surface.faces[number]].mean(axis=0) if what == "face" else surface.vertices[number]
+    shown = f"{name} at ({', '.join(f'{coordinate:.4g}' for coordinate in place)})"
+    return Finding(kind, where, message.format(shown), remedy)
