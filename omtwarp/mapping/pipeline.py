@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Unpack, cast
@@ -194,7 +194,7 @@ class MapComputation:
         given_map: a map of them without flips, where one is known.
         own: which faces are the surface's own, where others only close it, shape [F]: the caller judges the map of it.
         source: the points that transport starts from, once they are known.
-        given_up: what the current stage could not do.
+        given_up: what the current stage could not do; for the report each is said once.
         repair_given_up: whether a repair was given up after the work that it may take.
         origin: of the first map: the route that led to it, and why that one.
         measured: how far the map by Newton's method is from optimal.
@@ -211,7 +211,7 @@ class MapComputation:
     given_map: Floats | None = None
     own: NDArray[np.bool_] | None = None
     source: Floats = field(init=False)
-    given_up: str = ""
+    given_up: list[str] = field(default_factory=list)
     repair_given_up: bool = False
     measured: Optimality | None = None
     known: tuple[Floats, Examined] | None = None
@@ -241,17 +241,13 @@ class MapComputation:
         """Return the surface with the areas that its triangles should cover at their present places on the sphere."""
         return self.surface if self.target is None else self.target.goal(self.surface, sphere)
 
-    def area_error(self, sphere: Floats) -> float:
-        """Return the area error of a map: how far areas on the sphere are from those of the goal."""
-        return area_loss(self.goal(sphere), sphere)
-
     def finish(self, name: str, sphere: Floats, iterations: int, **details: str | float | None) -> None:
         """End a stage: keep its map, and record its time and the quality of the map."""
         seconds = time.perf_counter() - self.stage_begun
         self.maps[name] = sphere
         if self.given_up:
-            details["gave_up"] = self.given_up
-            self.given_up = ""
+            details["gave_up"] = "; ".join(dict.fromkeys(self.given_up))
+            self.given_up.clear()
         mesh = self.surface.on(self.device)
         measured = measure_triangles(mesh.vertices, mesh.faces, sphere, device=self.device).to_dict()
         cost = transport_cost(self.surface, sphere, start=self.source, device=self.device)
@@ -274,16 +270,16 @@ class MapComputation:
                 Stage.OMT: self.transport,
                 Stage.REFINE: self.refine,
             }
+            # The optimal map of the uniform sphere, by Newton's method, needs no Moser map.
+            direct = options.scheme is Scheme.DEFAULT and self.target is None and Stage.OMT in options.stages
             for stage in options.stages:
-                if stage is Stage.MOSER and self.skips_moser:
-                    continue  # the optimal map begins elsewhere
-                stages[stage]()
+                if stage is not Stage.MOSER or not direct:
+                    stages[stage]()
             if options.exact:
                 self.keep_every_area()
         surface = self.surface
         optimality = self.optimality() if options.optimality and len(self.maps) > 1 else None
         first = next(iter(self.maps.values()))
-        transported = self.maps.get(Stage.OMT)
         face_density, vertex_density = density(surface, first)
         certificate = self.certificate()
         report = self.report() | {"certificate": certificate.to_dict()}
@@ -302,7 +298,7 @@ class MapComputation:
             face_density=face_density,
             source=self.source,
             moser=self.maps.get(Stage.MOSER),
-            transported=transported,
+            transported=self.maps.get(Stage.OMT),
             history=self.history,
             report=report,
             measure=surface.face_areas if surface.weighted else None,
@@ -327,7 +323,9 @@ class MapComputation:
         if self.given is None:
             sphere = self.orient(sphere)
         if self.mirror is not None:
-            sphere = self.lay_symmetric(self.mirror, sphere)
+            frame = mirror_frame(self.mirror, self.source, self.surface.vertex_areas)
+            self.source = symmetrised(self.mirror, self.source @ frame)
+            sphere = self.symmetric(sphere @ frame)
             if start.route == "hierarchical" and not is_symmetric(self.mirror, sphere):
                 coarse = self.coarse_start(self.mirror)
                 sphere = sphere if coarse is None else coarse
@@ -351,12 +349,6 @@ class MapComputation:
         self.source = turned if self.source is sphere else normalised(self.source @ rotation.T)
         return turned
 
-    def lay_symmetric(self, mirror: Double, sphere: Floats) -> Floats:
-        """Turn the first map, and the points that transport starts from, to be symmetric about the equator."""
-        frame = mirror_frame(mirror, self.source, self.surface.vertex_areas)
-        self.source = symmetrised(mirror, self.source @ frame)
-        return self.symmetric(sphere @ frame)
-
     def coarse_start(self, mirror: Double) -> Floats | None:
         """Return a symmetric map without flips that was made from coarse to fine; None where there is none."""
         return symmetric_start(mirror, self.surface, self.source, device=self.device, progress=self.progress)
@@ -376,7 +368,7 @@ class MapComputation:
         from omtwarp.moser import moser_map  # its kernels are read for maps with this stage alone
 
         sphere = self.sphere
-        least = self.area_error(sphere)
+        least = area_loss(self.goal(sphere), sphere)
         steps = repaired = 0
         fewest = self.surface.face_count  # flips of a pass so far
         for k in range(moser_passes):
@@ -392,7 +384,7 @@ class MapComputation:
             fewest = flipped
             untangled, flips = self.untangle(sphere, flowed.sphere)
             repaired += flips
-            error = self.area_error(untangled)
+            error = area_loss(self.goal(untangled), untangled)
             if error >= least:
                 break  # where the image is badly stretched, repairs can lose more than the flow gains
             sphere, least = self.symmetric(untangled), error
@@ -403,7 +395,7 @@ class MapComputation:
         if self.options.scheme is Scheme.PAPER:
             self.transport_as_published()
             return
-        if self.uses_newton:
+        if self.options.scheme is Scheme.DEFAULT:
             if self.mirror is None and not solves_with_scipy():
                 saddle_order(self.surface)  # takes room of its own, before the largest matrices do
             if self.target is None:
@@ -427,16 +419,6 @@ class MapComputation:
         self.history = moved.history
         self.finish_transport(moved.sphere, converged=moved.converged, ended=moved.ended)
 
-    @property
-    def uses_newton(self) -> bool:
-        """Whether the optimal map is the discrete one, found by Newton's method."""
-        return self.options.scheme is Scheme.DEFAULT
-
-    @property
-    def skips_moser(self) -> bool:
-        """Whether the optimal map follows that needs no Moser map: of the uniform sphere, by Newton's method."""
-        return self.uses_newton and self.target is None and Stage.OMT in self.options.stages
-
     def minimise_transport(self) -> None:
         """Compute the discrete optimal map: areas around vertices kept, and the cost at its minimum."""
         solve: Callable[..., OptimalMap]
@@ -448,18 +430,16 @@ class MapComputation:
             if optimal.converged:
                 break
             if road == NESTED:
-                self.give_up(f"the minimisation from the nested map: {optimal.ended}")
+                self.given_up.append(f"the minimisation from the nested map: {optimal.ended}")
         road, solve, optimal, term = min(found, key=lambda one: (not one[2].converged, one[2].history[-1]["ring_rms"]))
-        self.remember(optimal.history)
-        weight = term.weight
+        self.history, weight = continued(self.history, optimal.history), term.weight
         if self.options.cost is Cost.GEODESIC:
             weight *= DISTANCE_SHAPE
             optimal = solve(optimal.sphere, shape_weight=weight, area_weight=term.area, cost=Cost.GEODESIC)
-            self.remember(optimal.history)
+            self.history = continued(self.history, optimal.history)
         elif self.options.optimality:
             self.measured = self.bounded(optimal.sphere)
-        converged, ended = self.termination(optimal)
-        self.finish_transport(optimal.sphere, road=road, converged=converged, ended=ended, shape_weight=weight)
+        self.finish_transport(optimal.sphere, road=road, shape_weight=weight, **self.termination(optimal))
 
     def finish_transport(self, moved: Floats, **details: str | float | None) -> None:
         """End the stage of the optimal map with one whose flips are still to be repaired."""
@@ -484,8 +464,7 @@ class MapComputation:
         for cost in dict.fromkeys((Cost.SQUARED, self.options.cost)):
             share = DISTANCE_SHAPE if cost is Cost.GEODESIC else 1.0
             optimal = at(sphere, target, solve, shape_share=share, cost=cost)
-            self.remember(optimal.history)
-            sphere = optimal.sphere
+            self.history, sphere = continued(self.history, optimal.history), optimal.sphere
         self.finish_transport(sphere, converged=optimal.converged, ended=optimal.ended)
 
     def nearby_maps(self) -> Iterator[tuple[Floats, str]]:
@@ -505,9 +484,9 @@ class MapComputation:
                 sphere = self.symmetric(sphere, repair=True)
                 known = self.mirror is None or is_symmetric(self.mirror, sphere)
                 if not known:
-                    self.give_up("the nested map could not be made symmetric")
+                    self.given_up.append("the nested map could not be made symmetric")
             except OmtwarpError as error:
-                self.give_up(str(error))
+                self.given_up.append(str(error))
             if known:
                 yield sphere, NESTED
         if self.mirror is not None and (embedding is None or not is_symmetric(self.mirror, embedding)):
@@ -525,25 +504,15 @@ class MapComputation:
             sphere = embedding
         yield sphere, EMBEDDED
 
-    def termination(self, optimal: OptimalMap) -> tuple[bool, str]:
-        """Return whether a minimisation reached an optimal map, and how it ended; ``measured`` is of its map."""
-        if optimal.converged and self.is_far(self.measured):
-            assert self.measured is not None
-            gap = self.measured.gap
-            where = f"{100 * gap:.3g} % above the bound" if gap <= NO_BOUND else "without a bound on its cost"
-            return False, f"a minimum with the shape term, {where}"
-        return optimal.converged, optimal.ended
-
-    @staticmethod
-    def is_far(measured: Optimality | None) -> bool:
-        """Return whether a map is known to be no optimal one, whatever the minimisation reached."""
-        if measured is None or measured.cost <= FAR_COST * SPHERE_AREA:
-            return False
-        return measured.gap > FAR_GAP and measured.relative_curl > FAR_CURL
-
-    def remember(self, records: Sequence[Record]) -> None:
-        """Append the steps of a minimisation to the history, and count iterations on."""
-        self.history = continued(self.history, records)
+    def termination(self, optimal: OptimalMap) -> dict[str, str | float | None]:
+        """Record whether a minimisation reached an optimal map, and how it ended; ``measured`` is of its map."""
+        found = self.measured
+        if optimal.converged and found is not None and found.cost > FAR_COST * SPHERE_AREA:
+            if found.gap > FAR_GAP and found.relative_curl > FAR_CURL:
+                above = f"{100 * found.gap:.3g} % above the bound"
+                where = above if found.gap <= NO_BOUND else "without a bound on its cost"
+                return {"converged": False, "ended": f"a minimum with the shape term, {where}"}
+        return {"converged": optimal.converged, "ended": optimal.ended}
 
     def bounded(self, sphere: Floats, improve: bool = True) -> Optimality:
         """Measure how far a map is from optimal, and improve the bound of an optimal one where the gap is too large."""
@@ -582,22 +551,12 @@ class MapComputation:
             device=self.device,
             progress=lambda _stage, done, total, details: self.notify(EXACT, done, total, details),
         )
-        self.remember(exact.history)
-        largest = largest_error(exact)
+        self.history = continued(self.history, exact.history)
         if self.options.optimality and self.options.cost is Cost.SQUARED:
             self.measured = self.bounded(exact.sphere)
         sphere, repaired = self.untangle(before, exact.sphere)
-        converged, ended = self.termination(exact)
-        self.finish(
-            EXACT,
-            sphere,
-            len(exact.history) - 1,
-            shape_weight=weight,
-            repaired=crowded + repaired,
-            converged=converged,
-            ended=ended,
-            largest_area_error=largest,
-        )
+        record = {"shape_weight": weight, "repaired": crowded + repaired, "largest_area_error": largest_error(exact)}
+        self.finish(EXACT, sphere, len(exact.history) - 1, **record, **self.termination(exact))
 
     def transport_as_published(self) -> None:
         """Compute the optimal map by Algorithms 1 and 2 as the paper prints them."""
@@ -648,52 +607,39 @@ class MapComputation:
         return self.maps[best["name"]]
 
     def optimality(self) -> dict[str, float | int | None]:
-        """Measure how far the final map is from optimal, and what refinement added to the transport cost."""
+        """Measure how far the final map is from optimal, and what refinement added to the transport cost.
+
+        The time that this takes is recorded as a stage.
+        """
         give_back()
         self.notify(OPTIMALITY, 0, 1, {})
-        if self.options.cost is Cost.GEODESIC:
-            return self.timed_optimality(self.geodesic_optimality(), 1)
-        measured = self.measured
-        if measured is None or self.records[-1]["name"] not in (Stage.OMT, EXACT):
-            measured = self.bounded(self.sphere, improve=self.sphere is self.maps.get(Stage.OMT))
-        figures: dict[str, float | int | None] = measured.to_dict()
-        if measured.gap > NO_BOUND:
-            figures |= dict.fromkeys(("lower_bound", "gap"))
-        transported = self.record_of(Stage.OMT)
-        if transported is not None and self.sphere is not self.maps[Stage.OMT]:
-            last = self.records[-1]["transport_cost"]
-            figures["added_by_refinement"] = last / max(transported["transport_cost"], TINY) - 1.0
-        return self.timed_optimality(figures, measured.ascent_steps)
-
-    def geodesic_optimality(self) -> dict[str, float | int | None]:
-        """Measure curl and cost of the final map by the geodesic distance, for which there is no lower bound."""
-        measure = partial(transport_cost, self.surface, start=self.source, cost=Cost.GEODESIC, device=self.device)
-        curl = relative_curl(self.surface, self.sphere, start=self.source, cost=Cost.GEODESIC, device=self.device)
-        cost = measure(self.sphere)
-        figures: dict[str, float | int | None] = {"relative_curl": curl, "cost": cost}
-        if self.record_of(Stage.OMT) is not None and self.sphere is not self.maps[Stage.OMT]:
-            figures["added_by_refinement"] = cost / max(measure(self.maps[Stage.OMT]), TINY) - 1.0
-        return figures
-
-    def timed_optimality(self, figures: dict[str, float | int | None], steps: int) -> dict[str, float | int | None]:
-        """Record the time of the measurement as a stage, and return what was found."""
+        last, steps = self.records[-1], 1
+        figures: dict[str, float | int | None]
+        if self.options.cost is Cost.GEODESIC:  # there is no lower bound
+            costs = {
+                name: transport_cost(self.surface, sphere, start=self.source, cost=Cost.GEODESIC, device=self.device)
+                for name, sphere in self.maps.items()
+            }
+            curl = relative_curl(self.surface, self.sphere, start=self.source, cost=Cost.GEODESIC, device=self.device)
+            figures = {"relative_curl": curl, "cost": costs[last["name"]]}
+        else:
+            costs = {record["name"]: record["transport_cost"] for record in self.records}
+            measured = self.measured
+            if measured is None or last["name"] not in (Stage.OMT, EXACT):
+                measured = self.bounded(self.sphere, improve=self.sphere is self.maps.get(Stage.OMT))
+            figures, steps = measured.to_dict(), measured.ascent_steps
+            if measured.gap > NO_BOUND:
+                figures |= dict.fromkeys(("lower_bound", "gap"))
+        if Stage.OMT in costs and self.sphere is not self.maps[Stage.OMT]:
+            figures["added_by_refinement"] = costs[last["name"]] / max(costs[Stage.OMT], TINY) - 1.0
         seconds = time.perf_counter() - self.stage_begun
-        last = self.records[-1]
         own = {"name": OPTIMALITY, "seconds": seconds, "iterations": steps}
         of_map = {name: last.get(name) for name in ("flips", "degree", "finite", "area", "angle", "transport_cost")}
         self.records.append(cast(StageReport, own | of_map))
-        details: Record = {"flips": last["flips"]}
-        for name in ("cost", "gap"):
-            value = figures.get(name)
-            if value is not None:
-                details[name] = value
-        self.notify(OPTIMALITY, 1, 1, details)
+        found = {name: value for name in ("cost", "gap") if (value := figures.get(name)) is not None}
+        self.notify(OPTIMALITY, 1, 1, {"flips": last["flips"]} | found)
         self.stage_begun = time.perf_counter()
         return figures
-
-    def record_of(self, stage: Stage) -> StageReport | None:
-        """Return the record of a stage, or None where it was not run."""
-        return next((record for record in self.records if record["name"] == stage), None)
 
     def barycentric(self) -> None:
         """Compute the whole map by one of the spherical barycentric systems that the paper compares with."""
@@ -704,11 +650,6 @@ class MapComputation:
         solved = barycentric_map(self.surface, weights=weights, device=self.device)
         self.origin, self.source = {"route": str(method)}, solved.sphere
         self.finish(method, self.orient(solved.sphere), solved.iterations, converged=solved.converged)
-
-    def give_up(self, what: str) -> None:
-        """Note for the report what the current stage could not do, once."""
-        if what and what not in self.given_up.split("; "):
-            self.given_up = "; ".join([*filter(None, [self.given_up]), what])
 
     def untangle(self, before: Floats, after: Floats) -> tuple[Floats, int]:
         """Make a stage's map one to one by repair, or by holding it back towards the map before it.
@@ -729,7 +670,7 @@ class MapComputation:
             return repaired.sphere, flips
         self.repair_given_up |= budget.exhausted
         why = "what repair may take was spent" if budget.exhausted else "repair failed"
-        self.give_up(f"{flips} flipped triangles were held back towards the map before: {why}")
+        self.given_up.append(f"{flips} flipped triangles were held back towards the map before: {why}")
         return hold_back(self.surface, before, after, device=self.device), flips
 
     def report(self) -> MapReport:
@@ -760,9 +701,8 @@ class MapComputation:
         examined = self.examine(self.sphere)
         certificate = certify_triangles(self.surface.faces, self.sphere, examined=examined, device=self.device)
         if not certificate.bijective:
-            raise OmtwarpError(
-                f"no map that is one to one was found: {certificate}; repair or remesh the surface and try again"
-            )
+            remedy = "repair or remesh the surface and try again"
+            raise OmtwarpError(f"no map that is one to one was found: {certificate}; {remedy}")
         return certificate
 
 
