@@ -274,12 +274,16 @@ def _side_by_side(
         areas = triangle_areas(parts[k].vertices, parts[k].faces)
         masses.append(float(areas.sum() if weights is None else areas @ weights[parts[k].face_origin]))
     # A cap holds the fillings of the part's other holes, too.
-    own = [triangle_areas(each.sphere, each.faces).sum() / triangle_areas(*_whole(each)).sum() for each in maps]
+    own = [triangle_areas(each.sphere, each.faces).sum() / triangle_areas(*_whole(each)[:2]).sum() for each in maps]
     wanted = np.array(masses) / np.array(own)
+    goals = [_wanted_areas(each) if exact else None for each in maps]
     centres, covered = pack_caps(wanted / wanted.sum())
     for _ in range(rounds_apart):
         shares = covered * wanted / wanted.sum()
-        capped, shares = _on_caps(maps, shares, wanted, exact)
+        if exact:
+            rims = [points[boundary_loops(faces, len(points))[0]] for points, faces, _ in map(_whole, maps)]
+            shares = shares_of_polygons([hemisphere_to_disk(rim) for rim in rims], shares, wanted)
+        capped = [_on_cap(each, share, wanted=goal)[0] for each, share, goal in zip(maps, shares, goals, strict=True)]
         placed = [_placed(each, centre, share) for each, share, centre in zip(capped, shares, centres, strict=True)]
         reach = np.array([_reach(each, centre) for each, centre in zip(placed, centres, strict=True)])
         apart = np.arccos(np.clip(centres @ centres.T, -1.0, 1.0)) - reach[:, None] - reach
@@ -289,71 +293,25 @@ def _side_by_side(
     raise OmtwarpError("triangles at the rims of parts reach into other parts: use finer meshes, or map each by itself")
 
 
-def _on_caps(maps: list[MapResult], shares: Floats, wanted: Floats, exact: bool) -> tuple[list[MapResult], Floats]:
-    """Carry maps to the hemisphere to caps with these shares of the sphere, a little smaller with exact areas."""
-    if not exact:
-        return [_on_cap(each, share) for each, share in zip(maps, shares, strict=True)], shares
-    rims = []
-    for each in maps:
-        whole, faces = _whole(each)
-        (rim,) = boundary_loops(faces, len(whole))
-        rims.append(hemisphere_to_disk(whole[rim]))
-    shares = shares_of_polygons(rims, shares, wanted)
-    return [
-        _exact_on_cap(each, share, _wanted_areas(each))[0] for each, share in zip(maps, shares, strict=True)
-    ], shares
-
-
 def _wanted_areas(each: MapResult) -> Floats:
     """Return the areas that the original triangles of a quartered map are to have up to a factor, fillings included."""
-    points, faces = _whole(each)
+    points, faces, _ = _whole(each)
     image = triangle_areas(points, faces)
     own = triangle_areas(each.vertices, each.faces) if each.measure is None else each.measure
     image[: len(own)] = own * (image[: len(own)].sum() / own.sum())
     return image.reshape(-1, PARTS).sum(axis=1)
 
 
-def _exact_on_cap(each: MapResult, share: float, wanted: Floats) -> tuple[MapResult, float]:
-    """Carry a quartered map of the hemisphere to a cap with exact areas of the original triangles.
-
-    Args:
-        each: the map to the hemisphere.
-        share: of the sphere, the cap's.
-        wanted: the areas up to a factor, fillings included.
-
-    Returns:
-        The map, and the largest relative error of an area.
-    """
-    points, error = exact_on_cap(_whole(_on_cap(each, share))[0], _quartered_mesh(each, wanted))
-    return _with_points(each, points), error
+def _whole(each: MapResult) -> tuple[Floats, NDArray, Floats]:
+    """Return the points on the sphere, the faces and the vertices of a map, with what fills its holes."""
+    names = ("sphere", "faces", "vertices")
+    points, faces, places = (each.arrays.get(f"filled_{name}", each.arrays[name]) for name in names)
+    return points, faces, places
 
 
-def _quartered_mesh(each: MapResult, wanted: Floats) -> Quartered:
-    """Return the mesh of a quartered map, fillings included, with the areas that original triangles are to have."""
-    whole, faces = _whole(each)
-    return Quartered(faces, on_boundary(faces, len(whole)), _places(each), wanted)
-
-
-def _with_points(each: MapResult, points: Floats) -> MapResult:
-    """Return a map with other points on the sphere, those of what fills its holes at the end."""
-    filled = None if each.filled_sphere is None else points
-    return each.with_arrays({"sphere": points[: len(each.vertices)], "filled_sphere": filled})
-
-
-def _whole(each: MapResult) -> tuple[Floats, NDArray]:
-    """Return the points on the sphere and faces of a map, with what fills its holes."""
-    points = each.sphere if each.filled_sphere is None else each.filled_sphere
-    return points, each.faces if each.filled_faces is None else each.filled_faces
-
-
-def _places(each: MapResult) -> Floats:
-    """Return the vertices of a map on the surface, with those of what fills its holes."""
-    return each.vertices if each.filled_vertices is None else each.filled_vertices
-
-
-def _solid_angles(points: Floats, faces: NDArray) -> Floats:
-    """Return the areas of triangles of the sphere."""
-    return triangle_solid_angles(*(points[faces[:, k]] for k in range(3)))
+def _by_image(points: Floats, faces: NDArray, places: Floats) -> Surface:
+    """Return a mapped surface whose triangles have the areas of their images on the sphere."""
+    return Surface(places, faces, triangle_solid_angles(*points[faces].transpose(1, 0, 2)))
 
 
 def _placed(each: MapResult, centre: Floats, share: float) -> MapResult:
@@ -369,7 +327,7 @@ def _placed(each: MapResult, centre: Floats, share: float) -> MapResult:
 
 def _reach(each: MapResult, centre: Floats) -> float:
     """Return the largest angle from a cap's centre to a point of its triangles, whose sides at the rim are curved."""
-    points, faces = _whole(each)
+    points, faces, _ = _whole(each)
     rim = points[boundary_half_edges(faces, len(points))]
     middle = normalised(rim.sum(axis=1))
     return float(np.arccos(np.clip(np.concatenate([rim[:, 0], middle]) @ centre, -1.0, 1.0)).max())
@@ -399,14 +357,12 @@ class _Opened(Derived):
     Attributes:
         loops: those that are filled.
         small: index of the first loop with a small filling; those of all later ones are small too.
-        pairs: the two sides of each cut.
         filled: the surface with its loops filled.
         cut_along: the kind of each cut, see :func:`omtwarp.topology.handles.cut_open`.
     """
 
     loops: list[NDArray[np.int64]]
     small: int
-    pairs: NDArray[np.int64]
     filled: FilledSurface
     cut_along: list[str]
 
@@ -461,19 +417,16 @@ def _quartered(opened: _Opened, closed: MapResult, surface: Surface) -> tuple[_O
     used = np.unique(closed.faces[:own])
     middles = used[used >= whole]
     order = np.concatenate([used, np.setdiff1d(np.arange(len(closed.vertices)), used)])
-    place = np.empty(len(order), dtype=np.int64)
-    place[order] = np.arange(len(order))
+    place = np.argsort(order)
     ends = surface.edges.astype(np.int64)
     given = opened.filled.vertices
     points = np.concatenate([given, 0.5 * given[ends[:, 0]] + 0.5 * given[ends[:, 1]]])[order]
     faces = place[closed.faces].astype(np.int32)
-    keys = edge_keys(ends, whole)
-    sorted_keys = np.argsort(keys)
     loops = []
     for loop in opened.loops:
-        after = np.roll(loop, -1)
-        edge = np.searchsorted(keys, np.minimum(loop, after) * whole + np.maximum(loop, after), sorter=sorted_keys)
-        loops.append(np.stack([loop, place[whole + sorted_keys[edge]]], axis=1).ravel())
+        sides = edge_keys(np.stack([loop, np.roll(loop, -1)], axis=1), whole)
+        edge = np.searchsorted(edge_keys(ends, whole), sides)
+        loops.append(np.stack([loop, place[whole + edge]], axis=1).ravel())
     number, parents = np.where(used < whole, used, -1), np.arange(own) // PARTS
     of_parts = Origins(number, parents, split_edges=ends[middles - whole], given=len(opened.vertices))
     cut = replace(
@@ -508,8 +461,7 @@ def _opened(part: Part, fill_area: str, along: CutAlong, to_rim: bool) -> _Opene
         made = split_chords(cut.vertices, cut.faces, loops.pop(longest))
         origins = origins.compose(made)
     small = len(loops) if fill_area == FillArea.NATURAL else 0  # the sides of cuts always
-    pairs = len(loops) + np.arange(2 * part.genus).reshape(-1, 2)
-    loops += [side for pair in cut.sides for side in pair]
+    loops += [side for pair in cut.sides for side in pair]  # the last ones
     filled = fill_holes(made.vertices, made.faces, loops)
     return _Opened(
         **vars(origins),
@@ -517,7 +469,6 @@ def _opened(part: Part, fill_area: str, along: CutAlong, to_rim: bool) -> _Opene
         faces=made.faces,
         loops=loops,
         small=small,
-        pairs=pairs,
         filled=filled,
         cut_along=kinds,
     )
@@ -594,7 +545,7 @@ def _restricted(part: Part, opened: _Opened, closed: MapResult, sphere: Floats, 
         arrays |= {
             "loops": np.concatenate(opened.loops),
             "loop_ends": np.cumsum([len(loop) for loop in opened.loops], dtype=np.int64),
-            "loop_pairs": opened.pairs if len(opened.pairs) else None,
+            "loop_pairs": np.arange(len(opened.loops))[-2 * part.genus :].reshape(-1, 2) if part.genus else None,
             "filled_vertices": opened.filled.vertices,
             "filled_faces": opened.filled.faces,
             "filled_sphere": sphere[whole],
@@ -648,7 +599,7 @@ def _projected(part: Part, half: Surface, result: MapResult, domain: str, option
         options: of the map: with ``exact`` its triangles are parts of those of ``half``, whose areas are kept.
     """
     begun, error = perf_counter(), None
-    whole, faces = _whole(result)
+    whole, faces, places = _whole(result)
     wanted = half.face_areas if options.exact else None
     # Angles are kept on the way where the map is not one that keeps areas.
     share, conformal = 0.5, options.stages == (Stage.CONFORMAL,)
@@ -657,15 +608,12 @@ def _projected(part: Part, half: Surface, result: MapResult, domain: str, option
         hole = fill_holes(part.vertices, part.faces, [longest])
         areas = triangle_areas(hole.vertices, hole.faces)
         share = float(areas[hole.patch < 0].sum() / areas.sum())
-        if wanted is None:
-            result = _on_cap(result, share, conformal)
-        else:
-            result, error = _exact_on_cap(result, share, wanted)
+        result, error = _on_cap(result, share, conformal, wanted)
     else:
         rim = on_boundary(faces, len(whole))
         laid = hemisphere_to_disk(whole, conformal)
         refinement = options.refine if Stage.REFINE in options.stages else None
-        goal = half if wanted is None else Surface(_places(result), faces, _solid_angles(whole, faces))
+        goal = half if wanted is None else _by_image(whole, faces, places)
         if isinstance(refinement, AreaMatch):
             disk, flips = match_in_plane(laid, faces, rim, goal, len(result.faces), refinement.area)
         else:
@@ -676,7 +624,7 @@ def _projected(part: Part, half: Surface, result: MapResult, domain: str, option
                 f"{flips} triangles at the rim turn over where the hemisphere is laid flat: use a finer mesh"
             )
         if wanted is not None:
-            disk, error = exact_in_plane(disk, _quartered_mesh(result, wanted))
+            disk, error = exact_in_plane(disk, Quartered(faces, rim, places, wanted))
         result = result.with_arrays({"disk": disk[: len(result.vertices)]})
     about = result.report["surface"] | ({"share_of_sphere": share} if domain == "cap" else {})
     measured = result.distortion("disk" if domain == "disk" else "sphere").to_dict()
@@ -687,12 +635,27 @@ def _projected(part: Part, half: Surface, result: MapResult, domain: str, option
     return result.with_arrays({"report": result.report | {"surface": about, "stages": stages}})
 
 
-def _on_cap(result: MapResult, share: float, conformal: bool = False) -> MapResult:
+def _on_cap(
+    result: MapResult, share: float, conformal: bool = False, wanted: Floats | None = None
+) -> tuple[MapResult, float | None]:
     """Carry a map of the hemisphere to the cap with a share of the sphere around the north pole; angles or areas stay.
 
     Triangles that have other sides there and turn over are untangled, with the areas that they had on the hemisphere.
+
+    Args:
+        result: the map to the hemisphere.
+        share: of the sphere, the cap's.
+        conformal: whether angles stay.
+        wanted: the areas up to a factor that the original triangles of a quartered map are to have, fillings included.
+
+    Returns:
+        The map, and the largest relative error of a wanted area.
     """
-    whole, faces = _whole(result)
-    surface = Surface(_places(result), faces, _solid_angles(whole, faces))
+    whole, faces, places = _whole(result)
+    rim, error = on_boundary(faces, len(whole)), None
     cap = disk_to_cap(hemisphere_to_disk(whole, conformal), share, conformal)
-    return _with_points(result, untangle_on_cap(cap, on_boundary(faces, len(whole)), surface))
+    points = untangle_on_cap(cap, rim, _by_image(whole, faces, places))
+    if wanted is not None:
+        points, error = exact_on_cap(points, Quartered(faces, rim, places, wanted))
+    filled = None if result.filled_sphere is None else points
+    return result.with_arrays({"sphere": points[: len(result.vertices)], "filled_sphere": filled}), error

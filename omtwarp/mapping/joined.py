@@ -14,6 +14,8 @@ from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.quarter import PARTS
 from omtwarp.topology.kind import Part
 
+PLACED = ("vertices", "sphere", "conformal")  # arrays at vertices that a filled surface has, too
+
 
 def joined(maps: list[MapResult], vertex_count: int, caps: tuple[Floats, Floats] | None = None) -> MapResult:
     """Join the maps of all parts, each on a sphere of its own; ``part`` says which part a face belongs to.
@@ -27,7 +29,7 @@ def joined(maps: list[MapResult], vertex_count: int, caps: tuple[Floats, Floats]
     """
     numbers, count = _numbers(maps, vertex_count)
     place = np.concatenate(numbers)
-    order = np.argsort(np.concatenate([_known(part.face_origin) for part in maps]), kind="stable")
+    order = np.argsort(np.concatenate([part.arrays["face_origin"] for part in maps]), kind="stable")
 
     def at_vertices(values: list[NDArray]) -> NDArray:
         stacked = np.concatenate(values)
@@ -41,13 +43,13 @@ def joined(maps: list[MapResult], vertex_count: int, caps: tuple[Floats, Floats]
         if letter in ("V", "F") and all(value is not None for value in values):
             arrays[name] = at_vertices(values) if letter == "V" else np.concatenate(values)[order]
     vertex_origin = np.full(count, -1, dtype=np.int64)
-    vertex_origin[place] = np.concatenate([_known(part.vertex_origin) for part in maps])
+    vertex_origin[place] = np.concatenate([part.arrays["vertex_origin"] for part in maps])
     domains = sorted({part.domain for part in maps})
     report = _report(maps)
     arrays |= {
         "faces": np.concatenate([number[part.faces] for number, part in zip(numbers, maps, strict=True)])[order],
         "vertex_origin": vertex_origin,
-        "split_edges": np.concatenate([n[_known(part.split_edges)] for n, part in zip(numbers, maps, strict=True)]),
+        "split_edges": np.concatenate([n[part.arrays["split_edges"]] for n, part in zip(numbers, maps, strict=True)]),
         "part": np.repeat(np.arange(len(maps)), [len(part.faces) for part in maps])[order],
         "cap_centres": None if caps is None else caps[0],
         "cap_shares": None if caps is None else caps[1],
@@ -79,51 +81,35 @@ def _numbers(maps: list[MapResult], count: int) -> tuple[list[NDArray], int]:
     return numbers, count
 
 
-def _known(values: NDArray | None) -> NDArray:
-    assert values is not None
-    return values
-
-
 def _filling(
     maps: list[MapResult], numbers: list[NDArray], count: int, at_vertices: Callable[[list[NDArray]], NDArray]
-) -> dict[str, NDArray | None]:
+) -> dict[str, NDArray]:
     """Join the arrays about filled loops; there are none where no loop was filled."""
     if all(part.loops is None for part in maps):
         return {}
-    loops, ends, pairs, faces, marks = [], [], [], [], []
-    added: dict[str, list[NDArray]] = {"vertices": [], "sphere": [], "conformal": []}
+    joint: dict[str, list[NDArray]] = {}
+    none = np.zeros(0, dtype=np.int64)
     entries = numbered = 0
     for part, number in zip(maps, numbers, strict=True):
-        if part.loops is None or part.filled_faces is None:
-            faces.append(number[part.faces])
-            marks.append(np.full(len(part.faces), -1))
-            continue
-        for name, rows in added.items():
-            rows.append(_known(getattr(part, f"filled_{name}"))[len(number) :])
-        new = len(added["vertices"][-1])
-        place = np.concatenate([number, count + np.arange(new)])
-        count += new
-        faces.append(place[part.filled_faces])
-        marks.append(np.where(_known(part.filled_loop) >= 0, _known(part.filled_loop) + numbered, -1))
-        loops.append(number[part.loops])
-        ends.append(_known(part.loop_ends) + entries)
-        if part.loop_pairs is not None:
-            pairs.append(part.loop_pairs + numbered)
-        entries += len(part.loops)
-        numbered += len(_known(part.loop_ends))
-    filled = np.concatenate(marks)
-    order = np.argsort(filled >= 0, kind="stable")
-    arrays: dict[str, NDArray | None] = {
-        f"filled_{name}": np.concatenate([at_vertices([getattr(part, name) for part in maps]), *rows])
-        for name, rows in added.items()
-    }
-    return arrays | {
-        "loops": np.concatenate(loops),
-        "loop_ends": np.concatenate(ends),
-        "loop_pairs": np.concatenate(pairs) if pairs else None,
-        "filled_faces": np.concatenate(faces)[order],
-        "filled_loop": filled[order],
-    }
+        whole: dict[str, NDArray] = {f"filled_{name}": part.arrays[name] for name in (*PLACED, "faces")}
+        whole |= {"filled_loop": np.full(len(part.faces), -1), "loops": none, "loop_ends": none}
+        whole |= {"loop_pairs": none.reshape(0, 2), **part.arrays}
+        new = len(whole["filled_vertices"]) - len(number)
+        rows = {f"filled_{name}": whole[f"filled_{name}"][len(number) :] for name in PLACED} | {
+            "filled_faces": np.concatenate([number, count + np.arange(new)])[whole["filled_faces"]],
+            "filled_loop": np.where(whole["filled_loop"] >= 0, whole["filled_loop"] + numbered, -1),
+            "loops": number[whole["loops"]],
+            "loop_ends": whole["loop_ends"] + entries,
+            "loop_pairs": whole["loop_pairs"] + numbered,
+        }
+        for name, values in rows.items():
+            joint.setdefault(name, []).append(values)
+        count, entries, numbered = count + new, entries + len(whole["loops"]), numbered + len(whole["loop_ends"])
+    for name in PLACED:
+        joint[f"filled_{name}"].insert(0, at_vertices([part.arrays[name] for part in maps]))
+    arrays = {name: np.concatenate(several) for name, several in joint.items() if any(map(len, several))}
+    order = np.argsort(arrays["filled_loop"] >= 0, kind="stable")
+    return arrays | {name: arrays[name][order] for name in ("filled_faces", "filled_loop")}
 
 
 def _report(maps: list[MapResult]) -> MapReport:
@@ -161,13 +147,10 @@ def in_input_order(result: MapResult, given: Part, *, exact: bool) -> MapResult:
         arrays["split_edges"] = np.sort(place[result.split_edges], axis=1)
     if result.loops is not None:
         arrays["loops"] = place[result.loops]
-    for name in ("filled_vertices", "filled_sphere", "filled_conformal"):
-        values = getattr(result, name)
-        if values is not None:
-            arrays[name] = np.concatenate([values[order], values[count:]])
-    if result.filled_faces is not None and result.filled_vertices is not None:
-        whole = np.concatenate([place, np.arange(count, len(result.filled_vertices))])
-        arrays["filled_faces"] = np.concatenate([arrays["faces"], whole[result.filled_faces[own:]]])
+        for name in (f"filled_{name}" for name in PLACED):
+            arrays[name] = np.concatenate([result.arrays[name][order], result.arrays[name][count:]])
+        whole = np.concatenate([place, np.arange(count, len(arrays["filled_vertices"]))])
+        arrays["filled_faces"] = np.concatenate([arrays["faces"], whole[result.arrays["filled_faces"][own:]]])
     return result.with_arrays(arrays)
 
 

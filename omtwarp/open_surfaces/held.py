@@ -169,7 +169,10 @@ def untangle_in_plane(
         moved = _convex(moved, faces, held, flipped)
     if surface is not None and not flipped.any():
         surface = Surface(surface.vertices, faces, surface.face_areas)
-        moved = _least_distorted(moved, held, surface, AREA_WEIGHT if refinement is None else refinement)
+        cells, weight = MeasuredRings(surface, resolve_device("cpu")), AREA_WEIGHT if refinement is None else refinement
+        energy, scale = _energy_in_plane(moved, surface, held, cells, weight)
+        least = minimise(energy, scale * moved, gain=GAIN, iterations=STEPS, progress=None, penalty=0.0)
+        moved = np.where(held[:, None], moved, least.points / scale)
         flipped = flipped_in_plane(moved, faces)
     return moved, int(flipped.sum())
 
@@ -185,13 +188,6 @@ def _energy_in_plane(
     scale = float(np.sqrt(SPHERE_AREA / plane_areas(points[surface.faces]).sum()))
     plane = Plane(surface, np.zeros((surface.face_count, 3, 2)), resolve_device("cpu"))
     return HeldEnergy(plane, held, cells, PlaneCost(plane, scale * points), PlaneShape(plane), area_weight), scale
-
-
-def _least_distorted(points: Floats, held: NDArray[np.bool_], surface: Surface, weight: float) -> Floats:
-    """Minimise the distortion of a map without flips with the boundary fixed."""
-    energy, scale = _energy_in_plane(points, surface, held, MeasuredRings(surface, resolve_device("cpu")), weight)
-    flattened = minimise(energy, scale * points, gain=GAIN, iterations=STEPS, progress=None, penalty=0.0)
-    return np.where(held[:, None], points, flattened.points / scale)
 
 
 def match_in_plane(
@@ -295,17 +291,14 @@ class Quartered:
     surface: Floats
     wanted: Floats
 
-    def as_surface(self) -> Surface:
-        """Return the quartered mesh, whose triangles count by the wanted areas."""
-        return Surface(self.surface, self.faces, np.repeat(self.wanted / PARTS, PARTS))
-
-    def cells(self, surface: Surface, total: float) -> TriangleCells:
-        """Return the original triangles of the mesh as a surface, whose areas are to add up to a total."""
+    def cells(self, total: float) -> tuple[Surface, TriangleCells]:
+        """Return the mesh with the wanted areas, and its original triangles, whose areas are to add up to a total."""
+        surface = Surface(self.surface, self.faces, np.repeat(self.wanted / PARTS, PARTS))
         parents, middles = np.arange(len(self.faces)) // PARTS, self.faces.reshape(-1, PARTS, 3)[:, 3].astype(np.int32)
         quartered = QuarteredSurface(np.arange(len(self.surface)), parents, surface, middles)
         cells = TriangleCells(quartered, resolve_device("cpu"))
         cells.wanted = cells.wanted * (total / cells.wanted.sum())
-        return cells
+        return surface, cells
 
 
 def exact_in_plane(points: Floats, mesh: Quartered) -> tuple[Floats, float]:
@@ -321,19 +314,18 @@ def exact_in_plane(points: Floats, mesh: Quartered) -> tuple[Floats, float]:
     Raises:
         OmtwarpError: no such map without flips was found.
     """
-    surface = mesh.as_surface()
-    energy, scale = _energy_in_plane(points, surface, mesh.held, mesh.cells(surface, SPHERE_AREA))
+    surface, cells = mesh.cells(SPHERE_AREA)
+    energy, scale = _energy_in_plane(points, surface, mesh.held, cells)
     moved, error = _exact(energy, scale * points)
     return np.where(mesh.held[:, None], points, moved / scale), error
 
 
 def exact_on_cap(points: Floats, mesh: Quartered) -> tuple[Floats, float]:
     """Give the triangles of a map to a cap their areas, as :func:`exact_in_plane` does; sides are great circles."""
-    surface, device = mesh.as_surface(), resolve_device("cpu")
-    area = float(triangle_solid_angles(*(points[mesh.faces[:, k]] for k in range(3))).sum())
-    cost = NoCost(surface, vectors(points, device), device)
-    shape = DistortionEnergy(surface, device)
-    energy = HeldEnergy(Sphere(surface, device), mesh.held, mesh.cells(surface, area), cost, shape)
+    device = resolve_device("cpu")
+    surface, cells = mesh.cells(float(triangle_solid_angles(*points[mesh.faces].transpose(1, 0, 2)).sum()))
+    cost, shape = NoCost(surface, vectors(points, device), device), DistortionEnergy(surface, device)
+    energy = HeldEnergy(Sphere(surface, device), mesh.held, cells, cost, shape)
     moved, error = _exact(energy, points)
     return np.where(mesh.held[:, None], points, moved), error
 
@@ -371,24 +363,19 @@ def _less_distorted(energy: HeldEnergy, points: Floats, penalty: float | None = 
     return minimise(energy, points, gain=EXACT_GAIN, iterations=EXACT_STEPS, progress=None, penalty=penalty).points
 
 
-def _largest_error(energy: HeldEnergy, points: Floats) -> float:
-    """Return the largest relative error of an area."""
-    return energy.terms(energy.domain.sent(points)).largest
-
-
 def _exact(energy: HeldEnergy, points: Floats) -> tuple[Floats, float]:
     """Return a map with exact areas, and its largest error: the nearest, or where that is far the least distorted."""
     if not energy.domain.flipped(points).any():
         moved, right = restore_areas(energy, points, rounds=FEW)
-        if right:
-            return moved, _largest_error(energy, moved)
-        moved, right = restore_areas(energy, points)
         if not right:
-            moved, right = restore_areas(energy, _less_distorted(energy, points, PENALTY))
+            moved, right = restore_areas(energy, points)
+            if not right:
+                moved, right = restore_areas(energy, _less_distorted(energy, points, PENALTY))
+            if right:
+                least, still = restore_areas(energy, _less_distorted(energy, moved))
+                moved = least if still else moved
         if right:
-            least, still = restore_areas(energy, _less_distorted(energy, moved))
-            moved = least if still else moved
-            return moved, _largest_error(energy, moved)
+            return moved, energy.terms(energy.domain.sent(moved)).largest
     raise OmtwarpError(
         "no map with straight sides was found that keeps the areas of triangles: use a finer mesh, map to the "
         "hemisphere, or leave exact out"
