@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.device.sums import RowSums, partial_count
+from omtwarp.device.sums import DeviceSum, RowSums
 from omtwarp.device.threads import Each, Graph, blas_threads, each, launch_parts
 from omtwarp.errors import choose
 from omtwarp.flips.exact import flipped_faces
@@ -34,7 +34,6 @@ from omtwarp.transport.kernels import (
     advect_points,
     begin_iteration,
     cost_and_force,
-    inner_products,
     judge_step,
     keep_accepted,
     turn_direction,
@@ -180,7 +179,6 @@ class _StreamGrid:
         preconditioner: the wavelets, each damped where vertices cannot follow it.
         filter: fades the same wavelets out; None but for plain steepest descent.
         inverse_areas: one over the nodes' areas, float64 [N].
-        triangles: nodes, triangles of all levels and where each level starts, as kernels take them.
         node_shares: 1/ρ at the nodes, float64 [N]; empty for the uniform density.
     """
 
@@ -197,13 +195,6 @@ class _StreamGrid:
         self.preconditioner = WaveletPreconditioner(hierarchy, butterfly=True, damping=damping, device=str(device))
         self.filter = WaveletFilter(hierarchy, damping, butterfly=True, device=str(device)) if plain else None
         self.inverse_areas = wp.array(1.0 / hierarchy.node_areas, dtype=wp.float64, device=device)
-        levels = hierarchy.level_faces
-        starts = np.concatenate([[0], np.cumsum([len(faces) for faces in levels])]).astype(np.int32)
-        self.triangles = [
-            wp.array(hierarchy.vertices, dtype=wp.vec3d, device=device),
-            wp.array(np.concatenate(levels), dtype=wp.int32, device=device),
-            wp.array(starts, dtype=wp.int32, device=device),
-        ]
 
 
 class _Flow:
@@ -247,8 +238,10 @@ class _Flow:
         self.gradient, self.image, self.steepest, self.direction, self.previous = (
             wp.zeros(nodes, dtype=wp.float64, device=device) for _ in range(5)
         )
-        self.products = wp.empty((partial_count(nodes), 4), dtype=wp.float64, device=device)
-        self.product_sums = RowSums(partial_count(nodes), 4, device)
+        self.products: wp.array = wp.empty(4, dtype=wp.float64, device=device)
+        self.product = [self.products[k : k + 1] for k in range(4)]
+        self.sums = DeviceSum(device)
+        self.sums.dot(self.gradient, self.image, self.product[0])  # makes room, for which iterations must not ask
         self.state = wp.empty(1, dtype=FlowState, device=device)
         self.running, self.searching = (wp.zeros(1, dtype=wp.int32, device=device) for _ in range(2))
 
@@ -258,7 +251,7 @@ class _Flow:
     def measure(self, points: wp.array) -> wp.array:
         """Compute partial sums of the cost and the area error, and what :meth:`set_gradient` needs."""
         if self.targeted:
-            inputs = [points, self.hints, *self.grid.triangles, self.grid.node_shares]
+            inputs = [points, self.hints, *self.grid.sampler.triangles, self.grid.node_shares]
             self.launch(values_at_points, self.count, inputs, [self.shares])
         options = [self.shares, int(self.geodesic), wp.float64(self.grid.spacing), wp.float64(LARGEST_ERROR)]
         inputs = [Each(self.start_centres), points, *each(self.faces, self.masses), *options]
@@ -292,9 +285,10 @@ class _Flow:
         if self.plain:
             self.set_steepest()
             ascent = self.steepest
-        inputs = [self.gradient, self.image, ascent, self.previous, self.direction]
-        self.launch(inner_products, len(self.products), inputs, [self.products])
-        inputs = [self.product_sums(self.products), self.guard.held, self.state]
+        pairs = [(self.gradient, other) for other in (self.image, ascent, self.direction)]
+        for (one, other), out in zip([*pairs, (self.previous, ascent)], self.product, strict=True):
+            self.sums.dot(one, other, out)
+        inputs = [self.products, self.guard.held, self.state]
         self.launch(begin_iteration, 1, inputs, [self.records, self.running, self.searching])
         inputs = [self.gradient, ascent, self.state, self.direction]
         self.launch(turn_direction, len(ascent), inputs, [self.previous])
@@ -304,7 +298,7 @@ class _Flow:
 
     def search(self, velocity: wp.array) -> None:
         """Try a step along the direction."""
-        inputs = [Each(self.points), self.state, *self.grid.triangles, velocity]
+        inputs = [Each(self.points), self.state, *self.grid.sampler.triangles, velocity]
         launch_parts(advect_points, self.count, inputs, each(self.hints, self.trial), self.device)
         if self.guarded:
             # A step that flips triangles whose repair takes more rounds than this, each a ring further, is too long.
@@ -345,9 +339,7 @@ class _Flow:
             "area_price": AREA_PRICE,
             "cost": cost,
             "area_error": area_error,
-            "last_gain": np.inf,
-            "last_gains": np.inf,
-            "gains": np.inf,
+            **dict.fromkeys(("last_gain", "last_gains", "gains"), np.inf),
             "step": first_step / scale if not self.plain else first_plain_step * self.grid.spacing**2,
         }
         for name, value in values.items():
@@ -373,7 +365,7 @@ class _Flow:
                 record = {"iteration": iteration} | numbers | {"held": int(numbers["held"])}
                 self.history.append(record)
                 tell(progress, "omt", iteration, most, record)
-            if state["finished"]:
+            if state["ended"]:
                 return ENDINGS[Ending(int(state["ended"]))]
 
 

@@ -6,7 +6,7 @@ The descent decides on the device: inner products, directions, and acceptance of
 from enum import IntEnum
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
-from omtwarp.device.sums import GROUP, LANES, column_sum, first_row
+from omtwarp.device.sums import column_sum
 from omtwarp.geometry.spherical import TINY, logarithm
 from omtwarp.wavelets.kernels import triangle_near
 
@@ -52,47 +52,12 @@ class FlowState:
     trials: wp.int32
     shortened: wp.int32  # trials refused for their areas
     accepted: wp.int32
-    finished: wp.int32
     ended: wp.int32  # an Ending
 
 
 @wp.kernel
-def inner_products(
-    gradient: wp.array[wp.float64],
-    preconditioned: wp.array[wp.float64],
-    ascent: wp.array[wp.float64],
-    previous: wp.array[wp.float64],
-    direction: wp.array[wp.float64],
-    # Data out:
-    sums: wp.array2d[wp.float64],
-):
-    """Compute the products of the gradient with preconditioned gradient, ascent and last direction.
-
-    The fourth product is that of the previous gradient and ascent.
-    """
-    thread = wp.tid()
-    with_preconditioned = wp.float64(0.0)
-    with_ascent = wp.float64(0.0)
-    with_direction = wp.float64(0.0)
-    across = wp.float64(0.0)
-    i = first_row(thread)
-    for _ in range(GROUP):
-        if i < gradient.shape[0]:
-            g, a = gradient[i], ascent[i]
-            with_preconditioned += g * preconditioned[i]
-            with_ascent += g * a
-            with_direction += g * direction[i]
-            across += previous[i] * a
-        i += LANES
-    sums[thread, 0] = with_preconditioned
-    sums[thread, 1] = with_ascent
-    sums[thread, 2] = with_direction
-    sums[thread, 3] = across
-
-
-@wp.kernel
 def begin_iteration(
-    products: wp.array2d[wp.float64],
+    products: wp.array[wp.float64],
     held: wp.array[wp.int32],
     # Data in and out:
     state: wp.array[FlowState],
@@ -103,11 +68,11 @@ def begin_iteration(
 ):
     """Write the record, test for the end, and choose the direction.
 
-    Polak and Ribière's conjugate directions, restarted when they stop pointing downhill.
+    Polak and Ribière's conjugate directions, restarted when they stop pointing downhill. The products are those of the
+    gradient with preconditioned gradient, ascent and last direction, and of the previous gradient with ascent.
     """
     s = state[0]
-    size = column_sum(products, 0)
-    square = column_sum(products, 1)
+    size, square = products[0], products[1]
     curl = wp.sqrt(wp.max(size / s.scale, ZERO) / wp.max(s.scale * s.cost, TINY))
     row = s.iteration % records.shape[0]
     records[row, 0] = s.cost
@@ -121,29 +86,24 @@ def begin_iteration(
     s.shortened = 0
     # A cost below fifty times the round-off of float64 is none.
     if curl <= s.tolerance or s.cost <= wp.float64(1e-14) or size <= ZERO:
-        s.finished = 1
         s.ended = Ending.SMALL_CURL
     elif s.gains <= s.cost_tolerance * s.cost:
-        s.finished = 1
         s.ended = Ending.SETTLED
     elif s.iteration == s.most:
-        s.finished = 1
         s.ended = Ending.ITERATIONS
-    searching[0] = 1 - s.finished
+    searching[0] = wp.where(s.ended == 0, 1, 0)
 
     s.factor = ZERO
     if s.iteration > 0 and s.conjugate == 1:
-        s.factor = wp.max(ZERO, (square - column_sum(products, 3)) / s.square)
-    s.slope = s.factor * column_sum(products, 2) - square
+        s.factor = wp.max(ZERO, (square - products[3]) / s.square)
+    s.slope = s.factor * products[2] - square
     if s.slope > -wp.float64(0.1) * square:
         s.factor = ZERO
         s.slope = -square
     s.square = square
     s.iteration = s.iteration + 1
-    # The records are full: let the host read them.
-    running[0] = 1 - s.finished
-    if s.iteration % records.shape[0] == 0:
-        running[0] = 0
+    # Where the records are full, let the host read them.
+    running[0] = wp.where(s.ended == 0 and s.iteration % records.shape[0] != 0, 1, 0)
     state[0] = s
 
 
@@ -213,7 +173,6 @@ def judge_step(
             s.step = wp.min(wp.min(wp.max(best, HALF * s.step), TWO * s.step), s.longest)
         else:
             # Either the area error is too large, or no step along the best direction lowers the cost.
-            s.finished = 1
             running[0] = 0
             s.ended = Ending.AREAS
             if s.shortened == 0:

@@ -40,6 +40,7 @@ class SphereSampler:
 
     Attributes:
         point_faces: triangle of each point, Warp int32 [P].
+        triangles: nodes, triangles of all levels and where each level starts, as kernels take them.
         coordinates: barycentric coordinates where the ray through the point meets that triangle, Warp vec3d [P].
     """
 
@@ -68,7 +69,7 @@ class SphereSampler:
 
         nodes = hierarchy.vertices[: self.node_count]
         self._nodes = send(nodes, wp.vec3d)
-        self._all_faces, self._starts = send(np.concatenate(levels)), send(starts)
+        self.triangles = [self._nodes, send(np.concatenate(levels)), send(starts)]
         self._faces = send(levels[-1])
         rows = transposed_rows(levels[-1], self.node_count)
         self._corner_rows = [Each(send(rows[0]), more=1), send(rows[1])]
@@ -115,7 +116,7 @@ class SphereSampler:
             raise OmtwarpError(f"expected {self.point_count} points, got {len(points)}")
         self.points, _ = self._take(points, wp.vec3d)
         count = self.point_count
-        inputs = [Each(self.points), self._nodes, self._all_faces, self._starts]
+        inputs = [Each(self.points), *self.triangles]
         launch_parts(kernels.locate_points, count, inputs, each(self.point_faces, self.coordinates), self.device)
         self._launch(kernels.sort_keys, count, [self.point_faces], [self._keys, self._order])
         bits = int(self.face_count - 1).bit_length()
