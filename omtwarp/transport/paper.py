@@ -47,7 +47,7 @@ from omtwarp.errors import OmtwarpError, choose
 from omtwarp.flips.exact import flipped_faces
 from omtwarp.geometry import DifferentialOperators, circumcentric_coordinates
 from omtwarp.geometry.spherical import TINY, geodesic_distance, hat_gradient
-from omtwarp.mesh.arrays import Floats, Ints, cross, dots, marked, norms, real_number, whole_number, whole_numbers
+from omtwarp.mesh.arrays import Floats, Ints, cross, marked, normalised, norms, real_number, whole_number, whole_numbers
 from omtwarp.mesh.patches import touching
 from omtwarp.mesh.surface import MeshLike, Surface, as_sphere, as_surface, triangle_areas
 from omtwarp.options import Cost, CostLike, Progress, Record, tell
@@ -81,20 +81,6 @@ def rotated_cost_gradients(
         field[f] = -TWO * ratio * turned
     else:
         field[f] = -turned / wp.max(wp.sqrt(sine * sine + smallest * smallest), TINY)
-
-
-@wp.kernel
-def average_to_dual(
-    faces: wp.array2d[wp.int32],
-    weights: wp.array[wp.vec3d],
-    at_vertices: wp.array[wp.vec3d],
-    # Data out:
-    at_dual: wp.array[wp.vec3d],
-):
-    f = wp.tid()
-    w = weights[f]
-    mean = w[0] * at_vertices[faces[f, 0]] + w[1] * at_vertices[faces[f, 1]] + w[2] * at_vertices[faces[f, 2]]
-    at_dual[f] = wp.normalize(mean)
 
 
 @wp.kernel
@@ -242,7 +228,6 @@ class PaperFlow:
         self.sampler.set_masses(surface.sum_to_vertices(areas) / 3)
         self.hamiltonian = wp.empty(hierarchy.node_count, dtype=wp.float64, device=self.device)
 
-        self._weights = sent(_dual_weights(surface), wp.vec3d, self.device)
         self._areas, self._masses = (sent(sizes, wp.float64, self.device) for sizes in (areas, masses))
         count, vertex_count = surface.face_count, surface.vertex_count
         self.advanced, self._field, self._velocity = (self._empty(count, wp.vec3d) for _ in range(3))
@@ -250,8 +235,11 @@ class PaperFlow:
         self._flux, self._at_vertices = (self._empty(vertex_count, wp.float64) for _ in range(2))
         self.advanced_map = self._empty(vertex_count, wp.vec3d)
 
-        self._points = self._at_dual(self.operators.vertices)
-        self.dual_map = self._at_dual(sent(initial_map, wp.vec3d, self.device))
+        weights = _dual_weights(surface)[..., None]
+        self._points, self.dual_map = (
+            sent(normalised((weights * places[surface.faces]).sum(axis=1)), wp.vec3d, self.device)
+            for places in (surface.vertices, initial_map)
+        )
         self.map = self._empty(vertex_count, wp.vec3d)
         self.operators.interpolate_dual(self.dual_map, out=self.map)
         self._correction = sent(initial_map - self.map.numpy(), wp.vec3d, self.device)
@@ -267,19 +255,13 @@ class PaperFlow:
     def _empty(self, size: int, dtype: type) -> wp.array:
         return wp.empty(size, dtype=dtype, device=self.device)
 
-    def _at_dual(self, points: wp.array[wp.vec3d]) -> wp.array[wp.vec3d]:
-        """Return the points at the dual vertices: means of the corners' points, weighted by barycentric coordinates."""
-        dual = self._empty(len(self._weights), wp.vec3d)
-        self._launch(average_to_dual, len(dual), [self.operators.faces, self._weights, points], [dual])
-        return dual
-
     def _launch(self, kernel: wp.Kernel, size: int, inputs: list[object], outputs: list[object]) -> None:
         wp.launch(kernel, dim=size, inputs=inputs, outputs=outputs, device=self.device)
 
     def cost_of(self, dual_map: wp.array) -> float:
         """Return M(g), equation (6): the sum over triangles of surface area times Phi at the dual vertex."""
         x, g = self._points.numpy(), dual_map.numpy()
-        distance = np.arctan2(norms(cross(x, g)), dots(x, g))
+        distance = np.arctan2(norms(cross(x, g)), (x * g).sum(axis=1))
         return float((self.masses * (distance * distance if self.squared else distance)).sum())
 
     def area_of(self, image: wp.array) -> float:
