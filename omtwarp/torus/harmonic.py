@@ -28,6 +28,7 @@ from omtwarp.solvers.cholesky import dissect
 from omtwarp.solvers.factor import MeshFactor, MeshMatrix, NotPositiveDefinite
 from omtwarp.solvers.mesh_factor import mesh_factor, surface_factor
 from omtwarp.topology.handles import cut_handles, loops_across
+from omtwarp.topology.kind import on_boundary
 
 # Coordinates are whole multiples of 2^-40, so that adding whole numbers to them is exact.
 QUANTUM = 2.0**-40
@@ -75,7 +76,7 @@ def conformal_torus(surface: Surface) -> FlatTorus:
     Raises:
         OmtwarpError: the mesh is too coarse for two loops that cross once.
     """
-    jumps = np.stack(_two_loops(surface.scaled_vertices, surface.faces.astype(np.int64)), axis=2)
+    jumps = _two_loops(surface.scaled_vertices, surface.faces)
     edges = delaunay_edges(surface, jumps)
     values = _harmonic(surface.vertex_count, surface.scaled_vertices, edges)
     forms = values[edges.ends[:, 1]] - values[edges.ends[:, 0]] + edges.steps
@@ -101,15 +102,17 @@ def embedded_torus(surface: Surface, torus: FlatTorus) -> FlatTorus:
     Raises:
         OmtwarpError: triangles are turned over, by floating point.
     """
-    edges = _mesh_edges(surface, torus.wraps)
+    cotangents = corner_cotangents(surface.scaled_vertices, surface.faces).ravel()
+    own = np.clip(0.5 * cotangents[surface.edge_corners].sum(axis=1), LEAST_WEIGHT, MOST_WEIGHT)
+    ends, steps = surface.edges.astype(np.int64), edge_steps(surface, torus.wraps)
     masses = surface.vertex_areas
     factor = surface_factor(surface)
     softness = np.zeros(surface.vertex_count)  # logarithms of what weights are divided by
     best: tuple[float, Floats] | None = None
     worse = 0
     for _ in range(RELAXATIONS):
-        weights = edges.weights * np.exp(-0.5 * softness[edges.ends].sum(axis=1))
-        values = _solved(factor, edges.ends, weights, edges.steps, surface.vertex_count)
+        weights = own * np.exp(-0.5 * softness[ends].sum(axis=1))
+        values = _solved(factor, ends, weights, steps, surface.vertex_count)
         corner = (values[surface.faces] + torus.wraps) @ torus.lattice
         areas = plane_areas(corner)
         around = np.maximum(surface.sum_to_vertices(areas) / 3.0, TINY)
@@ -127,13 +130,6 @@ def embedded_torus(surface: Surface, torus: FlatTorus) -> FlatTorus:
     if best is None:
         raise OmtwarpError("parts of the surface are so narrow that no map to the torus without flips was found")
     return FlatTorus(best[1], torus.wraps, torus.lattice)
-
-
-def _mesh_edges(surface: Surface, jumps: NDArray[np.int64]) -> WeightedEdges:
-    """Return the edges of the mesh itself with weights kept within bounds."""
-    cotangents = corner_cotangents(surface.scaled_vertices, surface.faces).ravel()
-    weights = np.clip(0.5 * cotangents[surface.edge_corners].sum(axis=1), LEAST_WEIGHT, MOST_WEIGHT)
-    return WeightedEdges(surface.edges.astype(np.int64), weights, edge_steps(surface, jumps), 0)
 
 
 def _harmonic(count: int, points: Floats, edges: WeightedEdges) -> Floats:
@@ -192,16 +188,11 @@ def quantised(values: Floats) -> Floats:
     return np.round(values / QUANTUM) * QUANTUM
 
 
-def _two_loops(points: Floats, faces: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the integers at corners, shape [F, 3] each, that jump by one across two loops that cross once."""
+def _two_loops(points: Floats, faces: NDArray) -> NDArray[np.int64]:
+    """Return the integers at corners, shape [F, 3, 2], that jump by one across two loops that cross once."""
     cut = cut_handles(points, faces, 1, thorough=False)  # any two loops will do
-    rims = np.isin(np.arange(len(cut.vertices)), cut.sides[0])
-    crossing = next(loops_across(cut, cut.sides[0], rims), None)
+    crossing = next(loops_across(cut, cut.sides[0], on_boundary(cut.faces, len(cut.vertices))), None)
     if crossing is None:
         raise OmtwarpError("the mesh is too coarse for two loops that cross once: use a finer one")
     again = cut_handles(points, faces, 1, loops=[crossing])
-    return _jumps(cut.faces, cut.sides[0][1]), _jumps(again.faces, again.sides[0][1])
-
-
-def _jumps(faces: NDArray, side: NDArray[np.int64]) -> NDArray[np.int64]:
-    return np.isin(faces, side).astype(np.int64)
+    return np.stack([np.isin(each.faces, each.sides[0][1]).astype(np.int64) for each in (cut, again)], axis=2)

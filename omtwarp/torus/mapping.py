@@ -197,19 +197,16 @@ def quartered_torus(
     Returns:
         The wraps at the corners of the parts, shape [4 F, 3, 2], and the coordinates of all vertices.
     """
-    count, ends = len(maps[0]), quartered.split_edges
     # A middle has the wraps of the first end of its edge.
-    first = ends[quartered.middles - count, 0]
+    first = quartered.split_edges[quartered.middles - len(maps[0]), 0]
     own = np.where((faces == first)[..., None], wraps, np.roll(wraps, -1, axis=1))
-    step = np.zeros((len(ends), 2), dtype=np.int64)
-    after = np.roll(wraps, -1, axis=1) - wraps
-    step[quartered.middles - count] = np.where((faces == first)[..., None], after, -after)
     parts = np.empty((len(faces), PARTS, 3, 2), dtype=np.int64)
     for k in range(3):
         parts[:, k] = np.stack([wraps[:, k], own[:, k], own[:, k - 1]], axis=1)
     parts[:, 3] = own
     points = []
     for places in maps:
-        one, other = places[ends[:, 0]], places[ends[:, 1]]
-        points.append(np.concatenate([places, quantised(0.5 * (one + other + step))]))
+        corners = places[faces] + wraps
+        points.append(np.pad(places, ((0, len(quartered.split_edges)), (0, 0))))
+        points[-1][quartered.middles] = quantised(0.5 * (corners + np.roll(corners, -1, axis=1)) - own)
     return parts.reshape(-1, 3, 2), points

@@ -140,17 +140,14 @@ def refine_on_torus(
         The minimum, and λ.
     """
 
-    def energy_of(value: float) -> TransportEnergy:
-        start, weight = torus.coordinates @ torus.lattice, min(value, AREA_WEIGHT)
-        cells = None if value > AREA_WEIGHT else MeasuredRings(surface, resolve_device(device))
-        weights = {"cost_weight": 0.0, "area_weight": weight}
-        return energy_on_torus(surface, torus, start, 1.0, cells=cells, **weights, device=device)
-
     def run(at: Floats, value: float) -> OptimalMap:
+        cells = None if value > AREA_WEIGHT else MeasuredRings(surface, resolve_device(device))
+        weights = {"cost_weight": 0.0, "area_weight": min(value, AREA_WEIGHT)}
+        energy = energy_on_torus(surface, torus, start, 1.0, cells=cells, **weights, device=device)
         penalty = 2.0 * max(value - AREA_WEIGHT, 0.0)
-        return minimise(energy_of(value), at, gain=REFINED, iterations=STEPS, penalty=penalty, progress=progress)
+        return minimise(energy, at, gain=REFINED, iterations=STEPS, penalty=penalty, progress=progress)
 
-    parsed = parse_refinement(weight)
+    start, parsed = torus.coordinates @ torus.lattice, parse_refinement(weight)
     if not isinstance(parsed, AreaMatch):
         value = refinement_weight(weight)
         return run(points, value), value
