@@ -22,7 +22,7 @@ from scipy import sparse
 from omtwarp.device.start import KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.spherical import TINY
-from omtwarp.mesh.arrays import Floats, Ints, marked
+from omtwarp.mesh.arrays import Floats, Ints, edge_keys, marked
 from omtwarp.mesh.patches import touching
 from omtwarp.mesh.surface import Surface
 
@@ -392,8 +392,7 @@ def _without_repeated_diagonals(rings: Ints, valences: Ints, count: int) -> NDAr
     """Return the rows of ``rings`` such that no two fans add the same edge; of two that would, the first stays."""
     slots = np.arange(2, MAX_VALENCE - 1)
     row, column = np.nonzero(slots[None, :] < (valences - 1)[:, None])
-    ends = np.sort(np.stack([rings[row, 0], rings[row, slots[column]]], axis=1), axis=1).astype(np.int64)
-    keys = ends[:, 0] * count + ends[:, 1]
+    keys = edge_keys(np.stack([rings[row, 0], rings[row, slots[column]]], axis=1), count)
     _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
     clashing = np.unique(row[first[inverse] != np.arange(len(keys))])
     return np.delete(np.arange(len(rings)), clashing)

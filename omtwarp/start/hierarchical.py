@@ -96,14 +96,13 @@ def hierarchical_embedding(
     area_weight = real_number(area_weight, "the weight of area", above=0.0)
     given = as_surface(surface)
     kinds = np.full(given.vertex_count, Vertex.INSIDE, dtype=np.int32)
-    sphere, history = _embedded(given, kinds, area_weight, device, progress)
-    return HierarchicalEmbedding(sphere, history)
+    return _embedded(given, kinds, area_weight, device, progress)
 
 
 def _embedded(
     given: Surface, kinds: Ints, area_weight: float, device: str | None, progress: Progress | None
-) -> tuple[Floats, list[dict[str, int]]]:
-    """Return an embedding of a closed surface, whose vertices are of these kinds, and a record per level.
+) -> HierarchicalEmbedding:
+    """Embed a closed surface, whose vertices are of these kinds.
 
     Raises:
         OmtwarpError: float64 cannot separate its vertices on the sphere.
@@ -111,9 +110,8 @@ def _embedded(
     order, where = order_by_place(given), resolve_device(device)
     surface, kinds = renumbered(given, order), kinds[order]
     history: list[dict[str, int]] = []
-    hierarchy = simplify(surface, where, kinds=kinds)
-    embedding = Embedding(surface, hierarchy, kinds, area_weight, where)
-    for placed in embedding.refined(hierarchy):
+    embedding = Embedding(surface, simplify(surface, where, kinds=kinds), kinds, area_weight, where)
+    for placed in embedding.refined():
         history.append({"iteration": len(history), "vertices": placed})
         tell(progress, "start", placed, surface.vertex_count, {})
     sphere = np.empty((surface.vertex_count, 3))
@@ -121,7 +119,7 @@ def _embedded(
     flips = count_flips(sphere, given.faces)
     if flips:
         raise OmtwarpError(f"the coarse-to-fine embedding has {flips} triangle(s) that float64 cannot keep positive")
-    return sphere, history
+    return HierarchicalEmbedding(sphere, history)
 
 
 def renumbered(surface: Surface, order: NDArray[np.intp]) -> Surface:
@@ -156,7 +154,7 @@ class Embedding:
     """
 
     def __init__(self, surface: Surface, hierarchy: Hierarchy, kinds: Ints, area_weight: float, device: wp.Device):
-        self.kinds, self.area_weight, self.device = kinds, area_weight, device
+        self.hierarchy, self.kinds, self.area_weight, self.device = hierarchy, kinds, area_weight, device
         self.points = surface.scaled_vertices
         closed = Vertex.POLE not in kinds
         self.pole = -1 if closed else int(np.flatnonzero(kinds == Vertex.POLE)[0])
@@ -186,12 +184,14 @@ class Embedding:
         angles = 2.0 * np.pi / 3.0 * np.arange(3)
         sphere[[first, second, third], 0], sphere[[first, second, third], 1] = np.cos(angles), np.sin(angles)
 
-    def refined(self, hierarchy: Hierarchy) -> Iterator[int]:
-        """Put all vertices of a hierarchy back, and yield how many are placed after each level."""
-        for level, removal in zip(hierarchy.levels[-2::-1], hierarchy.removals[::-1], strict=True):
+    def refined(self) -> Iterator[int]:
+        """Put all vertices of the hierarchy back, and yield how many are placed after each level."""
+        for level, removal in zip(self.hierarchy.levels[-2::-1], self.hierarchy.removals[::-1], strict=True):
             self.insert(removal)
             self.enter(level)
-            self.relax(removal.vertices)
+            # The new vertices first, no two of which are neighbours
+            for move in self.moves_of(np.searchsorted(level.vertices, removal.vertices)):
+                move.launch()
             self.sweep()
             yield len(level.vertices)
         self.sweep()
@@ -257,11 +257,6 @@ class Embedding:
         cotangents = (squares.sum(axis=0) - 2.0 * squares) / np.sqrt(np.maximum(heron, TINY))
         return np.column_stack([cotangents.T, level.face_masses[level.half_edge_faces]])
 
-    def relax(self, vertices: Ints) -> None:
-        """Move these vertices, no two of which are neighbours."""
-        for move in self.moves_of(np.searchsorted(self.level.vertices, vertices)):
-            move.launch()
-
     def sweep(self) -> None:
         """Move every vertex ``sweeps`` times, colour by colour."""
         for _ in range(self.sweeps):
@@ -324,5 +319,4 @@ def hemispherical_embedding(
         own[len(faces) :] *= areas.sum() / own[: len(faces)].sum()
         own[: len(faces)] = areas
     kinds = np.append(np.where(on_rim, Vertex.RIM, Vertex.INSIDE), Vertex.POLE).astype(np.int32)
-    sphere, _ = _embedded(Surface(points, closed, own), kinds, AREA_WEIGHT, device, progress)
-    return sphere[:count]
+    return _embedded(Surface(points, closed, own), kinds, AREA_WEIGHT, device, progress).sphere[:count]
