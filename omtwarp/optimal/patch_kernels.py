@@ -17,7 +17,7 @@ from omtwarp.solvers import newton
 from omtwarp.solvers.cholesky.envelope import Envelope, add_block, clear_row, factorise_envelope, meet, solve_envelope
 from omtwarp.solvers.motion_kernels import keeps_volume
 from omtwarp.solvers.newton import packed
-from omtwarp.solvers.triangle import first_tangent, in_tangent
+from omtwarp.solvers.triangle import first_tangent, first_tangents, in_tangent
 from omtwarp.untangling.kernels import solid_angle
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -177,7 +177,7 @@ def differentiate(
         frame = patches.frames[t]
         share = given.shape_weight * patches.areas[t] / SPHERE_AREA
         rows = distortion_gradient(frame, share, a, b, c, given.pressures)
-        distortion_hessian(t, frame, share, a, b, c, given.pressures, scratch.blocks)
+        distortion_hessian(t, frame, share, a, b, c, first_tangents(a, b, c), given.pressures, scratch.blocks)
         potential = ZERO
         for k in range(3):
             potential += multipliers[face[k]] + given.cost_factor * scratch.cost[face[k]]

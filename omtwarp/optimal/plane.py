@@ -10,7 +10,6 @@ The corner k of face f lies at ``points[faces[f][k]] + shift[f, k]`` in the plan
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +21,9 @@ from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.energy import Domain, ShapeTerms
 from omtwarp.optimal.kernels import Fit, raised_fit, weighted_fit
-from omtwarp.optimal.shape_kernels import distortion_gradient, distortion_modes, distortion_terms, write_squares
+from omtwarp.optimal.shape_kernels import distortion_gradient, distortion_hessian, distortion_terms
 from omtwarp.solvers.motion_kernels import keeps_volume
-from omtwarp.solvers.triangle import first_column, second_column, triangle_frames
+from omtwarp.solvers.triangle import triangle_frames
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -116,14 +115,8 @@ def plane_hessians(
     """
     f = wp.tid()
     a, b, c = corners_above(points, shift, faces, f)
-    c1, c2 = first_column(frames[f], a, b), second_column(frames[f], a, b, c)
-    axis, other = wp.vec3d(ONE, ZERO, ZERO), wp.vec3d(ZERO, ONE, ZERO)
-    axes, others = wp.matrix_from_rows(axis, axis, axis), wp.matrix_from_rows(other, other, other)
-    pressures = wp.vec3d(area_weight, area_weight, ZERO)
-    modes = distortion_modes(frames[f], c1, c2, axes, others, pressures)
-    for k in range(6):
-        modes[k, 4] = ZERO
-    write_squares(f, modes, weights[f], hessians)
+    axis, pressures = wp.vec3d(ONE, ZERO, ZERO), wp.vec3d(area_weight, area_weight, ZERO)
+    distortion_hessian(f, frames[f], weights[f], a, b, c, wp.matrix_from_rows(axis, axis, axis), pressures, hessians)
 
 
 @wp.kernel
@@ -384,24 +377,6 @@ class PlaneCost:
         return metric
 
 
-@dataclass(frozen=True)
-class PlaneTerms:
-    """The distortion of one map.
-
-    Attributes:
-        angle, area: mean distortions of the triangles, less 2; infinite where one is turned over.
-        d_volume: signed areas of the triangles, float64, shape [F].
-    """
-
-    angle: float
-    area: float
-    d_volume: wp.array
-
-    def total(self, weight: float) -> float:
-        """Return angle plus ``weight`` times area distortion."""
-        return self.angle + weight * self.area
-
-
 class PlaneShape:
     """The distortion of the triangles, angle plus a weight times area, averaged over the surface.
 
@@ -414,12 +389,12 @@ class PlaneShape:
         self._frames = plane.copied(triangle_frames(surface), wp.vec3d)
         self._weights = plane.copied(surface.face_areas / SPHERE_AREA, wp.float64)
 
-    def begin(self, points: wp.array, reading: Reading) -> Callable[[Floats], PlaneTerms]:
-        """Begin to measure the distortion of a map."""
+    def begin(self, points: wp.array, reading: Reading) -> Callable[[Floats], ShapeTerms]:
+        """Begin to measure the distortion of a map, whose ``d_volume`` are the signed areas of triangles."""
         areas, angle, area = (self._plane.empty(wp.float64, self._plane.surface.face_count) for _ in range(3))
         self._plane.launch(plane_triangles, points, [self._frames], [areas, angle, area])
         mean_angle, mean_area = (reading.dot(self._weights, distortion) for distortion in (angle, area))
-        return lambda numbers: PlaneTerms(float(numbers[mean_angle]), float(numbers[mean_area]), areas)
+        return lambda numbers: ShapeTerms(float(numbers[mean_angle]), float(numbers[mean_area]), areas)
 
     def gradient(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
         """Return the gradient by the vertices, vec2d, shape [V]."""

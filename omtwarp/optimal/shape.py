@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,58 +24,44 @@ from omtwarp.optimal.shape_kernels import (
 from omtwarp.solvers.triangle import triangle_frames
 
 
-class ShapeTerms(Protocol):
+@dataclass(frozen=True)
+class ShapeTerms:
     """The distortion of one map.
 
     Attributes:
-        angle, area: mean distortions of the triangles, less 2.
+        angle, area: mean distortions of the triangles, weighted by original area, less 2.
         d_volume: what steps keep positive of every triangle, float64, shape [F], on the device.
-    """
-
-    @property
-    def angle(self) -> float: ...
-
-    @property
-    def area(self) -> float: ...
-
-    @property
-    def d_volume(self) -> wp.array: ...
-
-    def total(self, weight: float) -> float:
-        """Return angle plus ``weight`` times area distortion, and what keeps triangles from turning over."""
-
-
-@dataclass(frozen=True)
-class Terms:
-    """The terms of a map's energy, triangle by triangle, and its two distortions.
-
-    Attributes:
-        angle: mean angle distortion weighted by original area, less 2.
-        area: mean area distortion weighted by original area, less 2.
-        scale: what brings the total flat area of the image to 4π.
-        inverse_sum: sum of original area over area ratio, before scaling.
-        d_ratio: flat area of the image over original area of every triangle, before scaling, float64, shape [F], on
-            the device.
-        d_volume: det[s0, s1, s2] of every triangle, float64, shape [F], on the device.
-        needle: mean of the needle barrier weighted by original area; 0 for all but needles standing upright.
     """
 
     angle: float
     area: float
+    d_volume: wp.array
+
+    def total(self, weight: float) -> float:
+        """Return angle plus ``weight`` times area distortion, and what keeps triangles from turning over."""
+        return self.angle + weight * self.area
+
+
+@dataclass(frozen=True)
+class Terms(ShapeTerms):
+    """The distortion of a map to the sphere, of which ``d_volume`` is det[s0, s1, s2].
+
+    Attributes:
+        scale: what brings the total flat area of the image to 4π.
+        inverse_sum: sum of original area over area ratio, before scaling.
+        ratio: flat area of the image over original area of every triangle, before scaling, float64, shape [F], on the
+            device.
+        needle: mean of the needle barrier weighted by original area; 0 for all but needles standing upright.
+    """
+
     scale: float
     inverse_sum: float
-    d_ratio: wp.array
-    d_volume: wp.array
+    ratio: wp.array
     needle: float
-
-    @property
-    def ratio(self) -> NDArray[np.float64]:
-        """``d_ratio`` on the host."""
-        return self.d_ratio.numpy()
 
     def total(self, weight: float) -> float:
         """Return angle + λ area less the value of a perfect map, plus the needle barrier."""
-        return self.angle + weight * self.area + needle_weight(weight) * self.needle
+        return super().total(weight) + needle_weight(weight) * self.needle
 
 
 # Relative to the weights of angle and area together. The barrier is zero except on triangles that stand steeply on the
@@ -142,15 +127,8 @@ class DistortionEnergy:
 
         def finish(numbers: NDArray[np.float64]) -> Terms:
             whole, angle, area, needle, inverse_sum = (float(x) for x in numbers[places])
-            return Terms(
-                angle / SPHERE_AREA,
-                area / SPHERE_AREA,
-                scale=SPHERE_AREA / whole,
-                inverse_sum=inverse_sum,
-                d_ratio=ratio,
-                d_volume=volume,
-                needle=needle / SPHERE_AREA,
-            )
+            angle, area, needle = (total / SPHERE_AREA for total in (angle, area, needle))
+            return Terms(angle, area, volume, SPHERE_AREA / whole, inverse_sum, ratio, needle)
 
         return finish
 

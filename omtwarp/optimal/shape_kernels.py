@@ -8,7 +8,7 @@ from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, THREE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import corners_of, oriented_volume
 from omtwarp.mesh import surface
 from omtwarp.solvers.newton import packed
-from omtwarp.solvers.triangle import first_column, first_tangent, first_weights, second_column, second_weights
+from omtwarp.solvers.triangle import first_column, first_tangents, first_weights, second_column, second_weights
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -89,8 +89,8 @@ def triangle_terms(
 ):
     """Compute the angle distortion less 2, D, det[s0, s1, s2] and needle barrier of every triangle, shape [F] each."""
     t = wp.tid()
-    face = faces[t]
-    angle, d, solid, steep = distortion_terms(frames[t], sphere[face[0]], sphere[face[1]], sphere[face[2]])
+    a, b, c = corners_of(sphere, faces[t])
+    angle, d, solid, steep = distortion_terms(frames[t], a, b, c)
     angle_excess[t] = angle
     ratio[t] = d
     volume[t] = solid
@@ -164,21 +164,34 @@ def gather_tangent(
 
 
 @wp.func
-def distortion_modes(
-    frame: wp.vec3d, c1: wp.vec3d, c2: wp.vec3d, axes: wp.mat33d, others: wp.mat33d, pressures: wp.vec3d
-) -> wp.spatial_matrixd:
-    """Return the modes m of which Σ m mᵀ is the Hessian of fro / D + p0 D + p1 / D, as :func:`triangle_hessian` has it.
+def distortion_hessian(
+    t: int,
+    frame: wp.vec3d,
+    share: wp.float64,
+    a: wp.vec3d,
+    b: wp.vec3d,
+    c: wp.vec3d,
+    axes: wp.mat33d,
+    pressures: wp.vec3d,
+    # Data out:
+    hessian: wp.array2d[wp.float64],
+):
+    """Compute row t of the Hessian as :func:`triangle_hessian` describes it, as a share of Σ m mᵀ over modes m.
 
     Args:
+        t: the row.
         frame: of the triangle.
-        c1, c2: columns of its Jacobian.
-        axes, others: what the first and the second coordinate of each corner moves it along, as rows.
+        share: area over divisor.
+        a, b, c: its corners.
+        axes: what the first coordinate of each corner moves it along, as rows; the second one moves it across.
         pressures: as of :func:`triangle_hessian`.
-
-    Returns:
-        A row for every coordinate: four modes and what s1 s2 gains by the coordinate.
+        hessian: its entries on and above the diagonal.
     """
-    normal = wp.normalize(wp.cross(c1, c2))
+    c1 = first_column(frame, a, b)
+    c2 = second_column(frame, a, b, c)
+    normal = wp.cross(c1, c2)
+    ratio = wp.length(normal)
+    normal = wp.normalize(normal)
     # Right singular vectors from the angle that diagonalises JᵀJ, left ones from J and the normal.
     p = wp.dot(c1, c1)
     q = wp.dot(c2, c2)
@@ -202,15 +215,18 @@ def distortion_modes(
     h12 = TWO * pressures[1] / (d * d) + by_det
     half_sum = HALF * (h11 + h22)
     half_gap = wp.sqrt(HALF * HALF * (h11 - h22) * (h11 - h22) + h12 * h12)
-    stiff = half_sum + half_gap
-    soft = wp.max(half_sum - half_gap, ZERO)
     lean = half_angle(h11 - h22, TWO * h12)
-    of_stiff = wp.sqrt(stiff) * lean
-    of_soft = wp.sqrt(soft) * lean
+    of_stiff = wp.sqrt(half_sum + half_gap) * lean
+    of_soft = wp.sqrt(wp.max(half_sum - half_gap, ZERO)) * lean
 
+    scale = frame[0] * frame[2]
+    tilt = oriented_volume(a, b, c) * scale / ratio
+    upright = wp.sqrt(pressures[2] * needle_curvature(tilt)) / ratio
+    normals = wp.matrix_from_rows(scale * wp.cross(b, c), scale * wp.cross(c, a), scale * wp.cross(a, b))
+    others = wp.matrix_from_rows(wp.cross(a, axes[0]), wp.cross(b, axes[1]), wp.cross(c, axes[2]))
     first = first_weights(frame)
     second = second_weights(frame)
-    modes = wp.spatial_matrixd()
+    modes = wp.spatial_matrixd()  # a row for every coordinate
     for i in range(3):
         along = cosine * first[i] + sine * second[i]
         across = cosine * second[i] - sine * first[i]
@@ -227,48 +243,13 @@ def distortion_modes(
             modes[k, 1] = of_flip * (m21 + m12)
             modes[k, 2] = of_stiff[0] * m11 + of_stiff[1] * m22
             modes[k, 3] = of_soft[0] * m22 - of_soft[1] * m11
-            modes[k, 4] = s2 * m11 + s1 * m22
-    return modes
-
-
-@wp.func
-def write_squares(t: int, modes: wp.spatial_matrixd, share: wp.float64, hessian: wp.array2d[wp.float64]):
-    """Write a share of Σ m mᵀ, the entries on and above the diagonal, to row t."""
+            modes[k, 4] = upright * (wp.dot(axis, normals[i]) - tilt * (s2 * m11 + s1 * m22))
     for i in range(6):
         for j in range(i, 6):
             entry = ZERO
             for k in range(5):
                 entry += modes[i, k] * modes[j, k]
             hessian[t, packed(i, j)] = share * entry
-
-
-@wp.func
-def distortion_hessian(
-    t: int,
-    frame: wp.vec3d,
-    share: wp.float64,
-    a: wp.vec3d,
-    b: wp.vec3d,
-    c: wp.vec3d,
-    pressures: wp.vec3d,
-    # Data out:
-    hessian: wp.array2d[wp.float64],
-):
-    """Compute row t of the Hessian as :func:`triangle_hessian` describes it; ``share`` is area over divisor."""
-    c1 = first_column(frame, a, b)
-    c2 = second_column(frame, a, b, c)
-    axes = wp.matrix_from_rows(first_tangent(a), first_tangent(b), first_tangent(c))
-    others = wp.matrix_from_rows(wp.cross(a, axes[0]), wp.cross(b, axes[1]), wp.cross(c, axes[2]))
-    modes = distortion_modes(frame, c1, c2, axes, others, pressures)
-    scale = frame[0] * frame[2]
-    d = wp.length(wp.cross(c1, c2))
-    tilt = oriented_volume(a, b, c) * scale / d
-    upright = wp.sqrt(pressures[2] * needle_curvature(tilt)) / d
-    normals = wp.matrix_from_rows(scale * wp.cross(b, c), scale * wp.cross(c, a), scale * wp.cross(a, b))
-    for i in range(3):
-        modes[2 * i, 4] = upright * (wp.dot(axes[i], normals[i]) - tilt * modes[2 * i, 4])
-        modes[2 * i + 1, 4] = upright * (wp.dot(others[i], normals[i]) - tilt * modes[2 * i + 1, 4])
-    write_squares(t, modes, share, hessian)
 
 
 @wp.kernel
@@ -290,8 +271,7 @@ def triangle_hessian(
     """
     t, _compiled_once = wp.tid()
     a, b, c = corners_of(sphere, faces[t])
-    share = areas[t] / divisor
-    distortion_hessian(t, frames[t], share, a, b, c, pressures, hessian)
+    distortion_hessian(t, frames[t], areas[t] / divisor, a, b, c, first_tangents(a, b, c), pressures, hessian)
 
 
 SPHERE_AREA = wp.constant(wp.float64(surface.SPHERE_AREA))  # of the unit sphere, 4π

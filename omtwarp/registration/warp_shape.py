@@ -24,7 +24,7 @@ from omtwarp.optimal.shape import DistortionEnergy
 from omtwarp.optimal.shape_kernels import distortion_gradient, distortion_hessian, distortion_terms, gather_tangent
 from omtwarp.solvers.motion_kernels import from_tangent
 from omtwarp.solvers.newton import packed
-from omtwarp.solvers.triangle import first_tangent
+from omtwarp.solvers.triangle import first_tangents
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -64,8 +64,8 @@ def strain_terms(
 ):
     """Compute the strain w of every triangle, shape [F]; flipped ones have a very large one."""
     t = wp.tid()
-    face = faces[t]
-    strains[t] = strain(frames[t], sphere[face[0]], sphere[face[1]], sphere[face[2]])
+    a, b, c = corners_of(sphere, faces[t])
+    strains[t] = strain(frames[t], a, b, c)
 
 
 @wp.kernel
@@ -104,19 +104,18 @@ def barrier_hessian(
     gradient of w.
     """
     t, _compiled_once = wp.tid()
-    face = faces[t]
     frame = frames[t]
-    points = wp.matrix_from_rows(sphere[face[0]], sphere[face[1]], sphere[face[2]])
-    w = strain(frame, points[0], points[1], points[2])
+    a, b, c = corners_of(sphere, faces[t])
+    points, axes = wp.matrix_from_rows(a, b, c), first_tangents(a, b, c)
+    w = strain(frame, a, b, c)
     share = areas[t] / divisor
     slope = share * barrier_slope(w, limit)
-    distortion_hessian(t, frame, slope, points[0], points[1], points[2], wp.vec3d(ONE, ONE, ZERO), hessian)
-    rows = distortion_gradient(frame, ONE, points[0], points[1], points[2], wp.vec3d(ONE, ONE, ZERO))
+    distortion_hessian(t, frame, slope, a, b, c, axes, wp.vec3d(ONE, ONE, ZERO), hessian)
+    rows = distortion_gradient(frame, ONE, a, b, c, wp.vec3d(ONE, ONE, ZERO))
     along = wp.vector(dtype=wp.float64, length=6)
     for k in range(3):
-        tangent = first_tangent(points[k])
-        along[2 * k] = wp.dot(tangent, rows[k])
-        along[2 * k + 1] = wp.dot(wp.cross(points[k], tangent), rows[k])
+        along[2 * k] = wp.dot(axes[k], rows[k])
+        along[2 * k + 1] = wp.dot(wp.cross(points[k], axes[k]), rows[k])
     bend = share * barrier_curvature(w, limit)
     for i in range(6):
         for j in range(i, 6):
@@ -209,7 +208,7 @@ class VertexTerm(Protocol):
 
 
 @dataclass(frozen=True)
-class WarpTerms:
+class WarpTerms(ShapeTerms):
     """The terms of a warp's energy.
 
     Attributes:
@@ -221,21 +220,6 @@ class WarpTerms:
     own: ShapeTerms
     strain: float
     at_vertices: VertexDerivatives | None
-
-    @property
-    def angle(self) -> float:
-        """Mean angle distortion of the triangles, less 2."""
-        return self.own.angle
-
-    @property
-    def area(self) -> float:
-        """Mean area distortion of the triangles, less 2."""
-        return self.own.area
-
-    @property
-    def d_volume(self) -> wp.array:
-        """What steps keep positive of every triangle."""
-        return self.own.d_volume
 
     def total(self, weight: float) -> float:
         """Return angle plus ``weight`` times area distortion, plus barrier and term at vertices."""
@@ -277,7 +261,12 @@ class WarpShape:
         further = None
         if self._vertex_term is not None and np.isfinite(strain):
             further = self._vertex_term.at(points.numpy())
-        return lambda numbers: WarpTerms(finish(numbers), strain, further)
+
+        def terms(numbers: Floats) -> WarpTerms:
+            own = finish(numbers)
+            return WarpTerms(own.angle, own.area, own.d_volume, own, strain, further)
+
+        return terms
 
     def gradient(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
         """Return the gradient of the energy by the vertices, tangent to the sphere, vec3d, shape [V]."""

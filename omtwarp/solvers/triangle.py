@@ -117,6 +117,12 @@ def second_weights(frame: wp.vec3d) -> wp.vec3d:
 
 
 @wp.func
+def first_tangents(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.mat33d:
+    """Return the first directions of the tangent bases at three points, as rows."""
+    return wp.matrix_from_rows(first_tangent(a), first_tangent(b), first_tangent(c))
+
+
+@wp.func
 def in_tangent(y: wp.vec3d, x0: wp.float64, x1: wp.float64) -> wp.vec3d:
     """Move a point by coordinates in its tangent basis, and project it to the sphere."""
     t = first_tangent(y)
