@@ -128,6 +128,18 @@ def launch_parts(
     run_all(launch, parts)
 
 
+def computed(kernel: wp.Kernel, inputs: Sequence[object], out: wp.array) -> wp.array:
+    """Launch a kernel in parts whose every thread writes one element, or row, of an array, and return the array.
+
+    Args:
+        kernel, inputs: as of :func:`launch_parts`.
+        out: as many elements or rows as threads; a part gets its own, or with :data:`FIRST_THREAD` all.
+    """
+    whole = any(given is FIRST_THREAD for given in inputs)
+    launch_parts(kernel, len(out), inputs, [out] if whole else each(out), out.device)
+    return out
+
+
 def parts_of(count: int, device: wp.Device, least: int = SMALLEST_SHARED_LAUNCH) -> list[slice]:
     """Return the parts of a launch with so many threads, one for every core of a CPU; see :func:`launch_parts`."""
     parts = launch_parts_of(wp.get_device(device), count, core_count(), least)

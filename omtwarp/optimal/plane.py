@@ -14,8 +14,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.device.arrays import sent
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.device.sums import Reading
+from omtwarp.device.threads import computed, each
 from omtwarp.geometry.spherical import TINY, oriented_volume
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
@@ -26,18 +28,6 @@ from omtwarp.solvers.motion_kernels import keeps_volume
 from omtwarp.solvers.triangle import triangle_frames
 
 wp.set_module_options(KERNEL_OPTIONS)
-
-
-@wp.func
-def turned(v: wp.vec2d) -> wp.vec2d:
-    """Return a vector turned by +90 degrees."""
-    return wp.vec2d(-v[1], v[0])
-
-
-@wp.func
-def area_by_corner(p: wp.vec2d, q: wp.vec2d) -> wp.vec2d:
-    """Return the gradient of the area of the triangle (own, p, q) by its first corner."""
-    return HALF * turned(q - p)
 
 
 @wp.func
@@ -56,24 +46,19 @@ def corners_above(points: wp.array[wp.vec2d], shift: wp.array2d[wp.vec2d], faces
 
 
 @wp.kernel
-def plane_triangles(
+def plane_distortions(
     points: wp.array[wp.vec2d],
     shift: wp.array2d[wp.vec2d],
     faces: wp.array[wp.vec3i],
     frames: wp.array[wp.vec3d],
     # Data out:
-    areas: wp.array[wp.float64],
     angle: wp.array[wp.float64],
     area: wp.array[wp.float64],
 ):
-    """Compute every triangle's signed area, and its distortions of angle and of area, each less 2.
-
-    Distortion is infinite where the triangle is turned over.
-    """
+    """Compute every triangle's distortions of angle and of area, each less 2; infinite where it is turned over."""
     f = wp.tid()
     a, b, c = corners_above(points, shift, faces, f)
     of_angle, d, volume, _upright = distortion_terms(frames[f], a, b, c)
-    areas[f] = HALF * volume
     angle[f] = wp.where(volume > ZERO, of_angle, wp.float64(wp.inf))
     area[f] = wp.where(volume > ZERO, (d - ONE) * (d - ONE) / d, wp.float64(wp.inf))
 
@@ -160,18 +145,17 @@ def plane_area_slopes(
     """Compute the derivatives of every area by its corners, shape [F, 3]."""
     f = wp.tid()
     for k in range(3):
-        after = corner_place(points, shift, faces, f, (k + 1) % 3)
-        slopes[f, k] = area_by_corner(after, corner_place(points, shift, faces, f, (k + 2) % 3))
+        side = corner_place(points, shift, faces, f, (k + 2) % 3) - corner_place(points, shift, faces, f, (k + 1) % 3)
+        slopes[f, k] = HALF * wp.vec2d(-side[1], side[0])
 
 
 @wp.kernel
 def plane_transport_gradient(
     start: wp.array[wp.vec2d],
     points: wp.array[wp.vec2d],
-    shift: wp.array2d[wp.vec2d],
-    faces: wp.array[wp.vec3i],
     masses: wp.array[wp.float64],
     potential: wp.array[wp.float64],
+    slopes: wp.array[wp.vec2d],
     offsets: wp.array[wp.int32],
     corners: wp.array[wp.int32],
     further: wp.array[wp.vec2d],
@@ -181,15 +165,12 @@ def plane_transport_gradient(
 ):
     """Compute the gradient of Σ masses_v |y_v - x_v|² + Σ P_f area_f by the vertices, shape [V].
 
-    ``weight`` times a further gradient is added.
+    ``slopes`` are those of the areas by the corners; ``weight`` times a further gradient is added.
     """
     v = wp.tid()
     total = TWO * masses[v] * (points[v] - start[v])
     for c in range(offsets[v], offsets[v + 1]):
-        f = corners[c] // 3
-        k = corners[c] - 3 * f
-        after = corner_place(points, shift, faces, f, (k + 1) % 3)
-        total += potential[f] * area_by_corner(after, corner_place(points, shift, faces, f, (k + 2) % 3))
+        total += potential[corners[c] // 3] * slopes[corners[c]]
     gradient[v] = total + weight * further[v]
 
 
@@ -280,28 +261,24 @@ class Plane(Domain):
     def __init__(self, surface: Surface, shift: Floats, device: wp.Device):
         self.surface, self.device = surface, device
         self.mesh = surface.on(device)
-        self.shift = self.copied(shift, wp.vec2d)
+        self.shift = self.sent(shift)
 
-    def copied(self, values: Floats, dtype: type) -> wp.array:
-        """Return a copy of numbers on the device."""
-        return wp.array(np.ascontiguousarray(values, dtype=np.float64), dtype=dtype, device=self.device)
+    def at_vertices(self, kernel: wp.Kernel, inputs: list[object], dtype: type, *more: int) -> wp.array:
+        """Return what a kernel computes at every vertex, shape [V, ...]."""
+        out = wp.empty((self.surface.vertex_count, *more), dtype=dtype, device=self.device)
+        wp.launch(kernel, dim=len(out), inputs=inputs, outputs=[out], device=self.device)
+        return out
 
-    def empty(self, dtype: type, *shape: int) -> wp.array:
-        """Return an array on the device with anything in it."""
-        return wp.empty(shape, dtype=dtype, device=self.device)
-
-    def at_vertices(self, kernel: wp.Kernel, inputs: list[object], outputs: list[wp.array]) -> None:
-        """Launch a kernel over all vertices."""
-        wp.launch(kernel, dim=self.surface.vertex_count, inputs=inputs, outputs=outputs, device=self.device)
-
-    def launch(self, kernel: wp.Kernel, points: wp.array, inputs: list[object], outputs: list[wp.array]) -> None:
-        """Launch a kernel over all triangles of a map."""
-        given = [points, self.shift, self.mesh.faces, *inputs]
-        wp.launch(kernel, dim=self.surface.face_count, inputs=given, outputs=outputs, device=self.device)
+    def of_triangles(
+        self, kernel: wp.Kernel, points: wp.array, inputs: list[object], dtype: type, *more: int
+    ) -> wp.array:
+        """Return what a kernel computes of every triangle of a map, shape [F, ...]."""
+        out = wp.empty((self.surface.face_count, *more), dtype=dtype, device=self.device)
+        return computed(kernel, [points, *each(self.shift, self.mesh.faces), *inputs], out)
 
     def sent(self, values: Floats) -> wp.array:
         """Return points or vectors, shape [V, 2], as vec2d."""
-        return self.copied(values, wp.vec2d)
+        return wp.array(np.ascontiguousarray(values), dtype=wp.vec2d, device=self.device)
 
     def flipped(self, points: Floats) -> NDArray[np.bool_]:
         """Return a mask of the triangles that are turned over, shape [F]."""
@@ -309,15 +286,11 @@ class Plane(Domain):
 
     def areas(self, points: wp.array) -> wp.array:
         """Return the signed area of every triangle, float64, shape [F]."""
-        areas = self.empty(wp.float64, self.surface.face_count)
-        self.launch(plane_areas, points, [], [areas])
-        return areas
+        return self.of_triangles(plane_areas, points, [], wp.float64)
 
     def area_slopes(self, points: wp.array) -> wp.array:
         """Return the derivatives of every area by its corners, vec2d, shape [F, 3]."""
-        slopes = self.empty(wp.vec2d, self.surface.face_count, 3)
-        self.launch(plane_area_slopes, points, [], [slopes])
-        return slopes
+        return self.of_triangles(plane_area_slopes, points, [], wp.vec2d, 3)
 
     def coordinates(self, points: wp.array, vectors: wp.array) -> wp.array:
         """Return the vectors, float64, shape [V, 2]: in the plane all frames are the axes."""
@@ -329,16 +302,11 @@ class Plane(Domain):
 
     def moved(self, points: wp.array, direction: wp.array, share: wp.array, length: float) -> wp.array:
         """Return the points after a step along vectors, vec2d, shape [V]."""
-        moved = self.empty(wp.vec2d, len(points))
-        self.at_vertices(move_in_plane, [points, direction, share, wp.float64(length)], [moved])
-        return moved
+        return self.at_vertices(move_in_plane, [points, direction, share, wp.float64(length)], wp.vec2d)
 
     def spoilt(self, moved: wp.array, volume: wp.array) -> wp.array:
         """Return 1 for every triangle that a step turns over or nearly flattens, 0 for others, float64, shape [F]."""
-        marks = self.empty(wp.float64, len(volume))
-        inputs = [self.areas(moved), volume]
-        wp.launch(plane_trouble, dim=len(volume), inputs=inputs, outputs=[marks], device=self.device)
-        return marks
+        return computed(plane_trouble, each(self.areas(moved), volume), wp.empty_like(volume))
 
 
 class PlaneCost:
@@ -350,31 +318,26 @@ class PlaneCost:
     """
 
     def __init__(self, plane: Plane, start: Floats):
-        self._plane, self._start = plane, plane.copied(start, wp.vec2d)
+        self._plane, self._start = plane, plane.sent(start)
 
     def values(self, points: wp.array) -> wp.array:
         """Return |y_v - x_v|², shape [V]."""
-        costs = self._plane.empty(wp.float64, len(points))
-        self._plane.at_vertices(plane_costs, [self._start, points], [costs])
-        return costs
+        return self._plane.at_vertices(plane_costs, [self._start, points], wp.float64)
 
     def gradient(
         self, points: wp.array, masses: wp.array, potential: wp.array, further: wp.array, weight: float
     ) -> wp.array:
         """Return the gradient of Σ masses_v cost_v + Σ potential_f area_f and a further one, vec2d, shape [V]."""
         plane = self._plane
-        gradient = plane.empty(wp.vec2d, len(points))
-        mesh = [self._start, points, plane.shift, plane.mesh.faces, masses, potential, *plane.mesh.vertex_corners]
-        plane.at_vertices(plane_transport_gradient, [*mesh, further, wp.float64(weight)], [gradient])
-        return gradient
+        slopes = [plane.area_slopes(points).flatten(), *plane.mesh.vertex_corners]
+        inputs = [self._start, points, masses, potential, *slopes, further, wp.float64(weight)]
+        return plane.at_vertices(plane_transport_gradient, inputs, wp.vec2d)
 
     def hessian(self, points: wp.array, masses: wp.array, least: float) -> wp.array:
         """Return the second derivative at the optimum, with raised eigenvalues, float64, shape [V, 4]."""
-        metric, mesh = self._plane.empty(wp.float64, len(points), 4), self._plane.mesh
-        weights = [masses, *mesh.vertex_corners, wp.float64(least)]
-        inputs = [self._start, points, self._plane.shift, mesh.faces, *weights]
-        self._plane.at_vertices(plane_cost_metric, inputs, [metric])
-        return metric
+        plane, mesh = self._plane, self._plane.mesh
+        inputs = [self._start, points, plane.shift, mesh.faces, masses, *mesh.vertex_corners, wp.float64(least)]
+        return plane.at_vertices(plane_cost_metric, inputs, wp.float64, 4)
 
 
 class PlaneShape:
@@ -386,27 +349,25 @@ class PlaneShape:
 
     def __init__(self, plane: Plane):
         self._plane, surface = plane, plane.surface
-        self._frames = plane.copied(triangle_frames(surface), wp.vec3d)
-        self._weights = plane.copied(surface.face_areas / SPHERE_AREA, wp.float64)
+        self._frames = sent(triangle_frames(surface), wp.vec3d, plane.device)
+        self._weights = sent(surface.face_areas / SPHERE_AREA, wp.float64, plane.device)
 
     def begin(self, points: wp.array, reading: Reading) -> Callable[[Floats], ShapeTerms]:
         """Begin to measure the distortion of a map, whose ``d_volume`` are the signed areas of triangles."""
-        areas, angle, area = (self._plane.empty(wp.float64, self._plane.surface.face_count) for _ in range(3))
-        self._plane.launch(plane_triangles, points, [self._frames], [areas, angle, area])
-        mean_angle, mean_area = (reading.dot(self._weights, distortion) for distortion in (angle, area))
+        plane, areas = self._plane, self._plane.areas(points)
+        distortions = [wp.empty_like(areas) for _ in range(2)]
+        inputs = [points, plane.shift, plane.mesh.faces, self._frames]
+        wp.launch(plane_distortions, dim=len(areas), inputs=inputs, outputs=distortions, device=plane.device)
+        mean_angle, mean_area = (reading.dot(self._weights, distortion) for distortion in distortions)
         return lambda numbers: ShapeTerms(float(numbers[mean_angle]), float(numbers[mean_area]), areas)
 
     def gradient(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
         """Return the gradient by the vertices, vec2d, shape [V]."""
-        plane, weights = self._plane, [self._frames, self._weights, wp.float64(weight)]
-        out, sums = plane.empty(wp.vec2d, plane.surface.face_count, 3), plane.empty(wp.vec2d, len(points))
-        plane.launch(plane_gradients, points, weights, [out])
-        plane.at_vertices(sum_at_vertices, [*plane.mesh.vertex_corners, out.flatten()], [sums])
-        return sums
+        plane, weights = self._plane, [*each(self._frames, self._weights), wp.float64(weight)]
+        gradients = plane.of_triangles(plane_gradients, points, weights, wp.vec2d, 3)
+        return plane.at_vertices(sum_at_vertices, [*plane.mesh.vertex_corners, gradients.flatten()], wp.vec2d)
 
     def hessian(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
         """Return every triangle's Hessian, as :meth:`omtwarp.optimal.energy.Shape.hessian` describes it."""
-        hessians = self._plane.empty(wp.float64, self._plane.surface.face_count, 21)
-        weights = [self._frames, self._weights, wp.float64(weight)]
-        self._plane.launch(plane_hessians, points, weights, [hessians])
-        return hessians
+        weights = [*each(self._frames, self._weights), wp.float64(weight)]
+        return self._plane.of_triangles(plane_hessians, points, weights, wp.float64, 21)

@@ -12,7 +12,7 @@ from omtwarp.device.arrays import Workspace, empty
 from omtwarp.device.policy import shares_host_memory
 from omtwarp.device.start import wp
 from omtwarp.device.sums import Reading
-from omtwarp.device.threads import FIRST_THREAD, Each, each, launch_parts
+from omtwarp.device.threads import FIRST_THREAD, Each, computed, each, launch_parts
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.shape_kernels import (
     distortion_summands,
@@ -138,10 +138,8 @@ class DistortionEnergy:
         corners = self._scratch(3 * self._count, 3)
         inputs = [points, *each(*self._mesh), self.pressures(terms, weight)]
         launch_parts(triangle_gradient, self._count, inputs, [Each(corners, 3)], self.device)
-        gradient = empty(self.surface.vertex_count, wp.vec3d, self.device)
         inputs = [points, *self._rows, corners, wp.float64(SPHERE_AREA), FIRST_THREAD]
-        launch_parts(gather_tangent, gradient.size, inputs, [gradient], self.device)
-        return gradient
+        return computed(gather_tangent, inputs, empty(self.surface.vertex_count, wp.vec3d, self.device))
 
     def hessian(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
         """Return the Hessian of every triangle in its corners' tangent bases, positive semidefinite, shape [F, 21].
@@ -149,11 +147,8 @@ class DistortionEnergy:
         Of each 6x6 matrix the entries on and above the diagonal, row by row. Valid until the workspace is taken again.
         """
         assert isinstance(terms, Terms)
-        blocks = self._scratch(self._count, 21)
-        numbers = [self.pressures(terms, weight), wp.float64(SPHERE_AREA)]
-        inputs = [points, *each(*self._mesh), *numbers]
-        launch_parts(triangle_hessian, self._count, inputs, each(blocks), self.device)
-        return blocks
+        inputs = [points, *each(*self._mesh), self.pressures(terms, weight), wp.float64(SPHERE_AREA)]
+        return computed(triangle_hessian, inputs, self._scratch(self._count, 21))
 
     def pressures(self, terms: Terms, weight: float) -> wp.vec3d:
         """Return the factors of D, 1 / D and the needle barrier in the energy linearised by the image's total area."""

@@ -19,11 +19,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from omtwarp.device.arrays import vectors
+from omtwarp.device.arrays import empty, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.sums import combine, scaled
-from omtwarp.device.threads import blas_threads
+from omtwarp.device.threads import blas_threads, computed, each
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.mesh.arrays import Floats, norms, real_number, real_numbers, whole_number
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, as_surface, as_unit_vectors
@@ -302,16 +302,9 @@ class _Newton:
         if not energy.has_local_steps:
             return points, terms, 0
         gradient = self.domain.coordinates(matrix.points, energy.gradient(points, terms, self.multipliers))
-        inputs = [
-            terms.relative,
-            terms.missing,
-            wp.float64(self.stiffness),
-            gradient,
-            matrix.diagonal.reshape((-1, COORDINATES)),
-            matrix.inner,
-        ]
-        gains = wp.empty(count, dtype=wp.float64, device=self.device)
-        wp.launch(single_gains, dim=count, inputs=inputs, outputs=[gains], device=self.device)
+        blocks = each(gradient, matrix.diagonal.reshape((-1, COORDINATES)), matrix.inner)
+        inputs = [*each(terms.relative, terms.missing), wp.float64(self.stiffness), *blocks]
+        gains = computed(single_gains, inputs, empty(count, wp.float64, self.device))
         stiffness = self.stiffness / energy.wanted
         chosen = local_steps(energy, gains.numpy(), expected, stiffness, constrained=self.constrained)
         if chosen is None:

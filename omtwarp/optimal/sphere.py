@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.device.arrays import empty, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.device.threads import FIRST_THREAD, Each, each, launch_parts
+from omtwarp.device.threads import FIRST_THREAD, Each, computed, each
 from omtwarp.flips.exact import flipped_faces
 from omtwarp.mesh.arrays import Floats, dots, normalised, real_number, real_numbers
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_surface, as_unit_vectors
@@ -45,40 +45,31 @@ class Sphere(Domain):
 
     def areas(self, points: wp.array) -> wp.array:
         """Return the solid angle of every triangle, float64, shape [F]; valid until the next call."""
-        inputs = [points, Each(self._faces)]
-        launch_parts(solid_angles, self.surface.face_count, inputs, each(self._areas), self.device)
-        return self._areas
+        return computed(solid_angles, [points, Each(self._faces)], self._areas)
 
     def area_slopes(self, points: wp.array) -> wp.array:
         """Return the derivatives of every solid angle by its corners, in their frames, vec2d, shape [F, 3]."""
         slopes = wp.empty((self.surface.face_count, 3), dtype=wp.vec2d, device=self.device)
-        launch_parts(area_slopes, len(slopes), [points, self._faces, FIRST_THREAD], [slopes], self.device)
-        return slopes
+        return computed(area_slopes, [points, self._faces, FIRST_THREAD], slopes)
 
     def coordinates(self, points: wp.array, vectors: wp.array) -> wp.array:
         """Return vectors, vec3d, shape [V], in the tangent bases at ``points``, float64, shape [V, 2]."""
         out = wp.empty((len(vectors), 2), dtype=wp.float64, device=self.device)
-        wp.launch(to_tangent, dim=len(vectors), inputs=[points, vectors], outputs=[out], device=self.device)
-        return out
+        return computed(to_tangent, each(points, vectors), out)
 
     def vectors(self, points: wp.array, coordinates: wp.array) -> wp.array:
         """Return the vectors with these coordinates in the tangent bases at ``points``, vec3d, shape [V]."""
-        out = empty(len(points), wp.vec3d, self.device)
-        wp.launch(from_tangent, dim=len(points), inputs=[points, coordinates], outputs=[out], device=self.device)
-        return out
+        return computed(from_tangent, each(points, coordinates), empty(len(points), wp.vec3d, self.device))
 
     def moved(self, points: wp.array, direction: wp.array, share: wp.array, length: float) -> wp.array:
         """Return the points after a step along tangent vectors, projected to the sphere, vec3d, shape [V]."""
-        moved = empty(len(points), wp.vec3d, self.device)
-        inputs = [points, direction, share, wp.float64(length)]
-        wp.launch(retract_to_sphere, dim=len(points), inputs=inputs, outputs=[moved], device=self.device)
-        return moved
+        inputs = [*each(points, direction, share), wp.float64(length)]
+        return computed(retract_to_sphere, inputs, empty(len(points), wp.vec3d, self.device))
 
     def spoilt(self, moved: wp.array, volume: wp.array) -> wp.array:
         """Return 1 for every triangle that a step flips or nearly flattens, 0 for others, float64, shape [F]."""
         marks = wp.zeros(self.surface.face_count, dtype=wp.float64, device=self.device)
-        inputs = [moved, self._faces, volume]
-        wp.launch(triangle_trouble, dim=self._examined, inputs=inputs, outputs=[marks], device=self.device)
+        computed(triangle_trouble, [moved, *each(self._faces, volume)], marks[: self._examined])
         return marks
 
     def joined(self, freed: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -112,27 +103,22 @@ class GeodesicCost:
 
     def values(self, points: wp.array) -> wp.array:
         """Return the cost of every vertex, shape [V]."""
-        cost = empty(self._count, wp.float64, self._device)
         inputs = [*each(self._start, points), self.softness]
-        launch_parts(vertex_costs, self._count, inputs, each(cost), self._device)
-        return cost
+        return computed(vertex_costs, inputs, empty(self._count, wp.float64, self._device))
 
     def gradient(
         self, points: wp.array, masses: wp.array, potential: wp.array, further: wp.array, weight: float
     ) -> wp.array:
         """Return the gradient of Σ masses_v cost_v + Σ potential_f area_f and a further one, vec3d, shape [V]."""
-        gradient = empty(self._count, wp.vec3d, self._device)
         mesh = [self._start, points, self._mesh.faces, masses, potential, *self._mesh.vertex_corners]
         inputs = [*mesh, self.softness, further, wp.float64(weight), FIRST_THREAD]
-        launch_parts(transport_gradient, self._count, inputs, [gradient], self._device)
-        return gradient
+        return computed(transport_gradient, inputs, empty(self._count, wp.vec3d, self._device))
 
     def hessian(self, points: wp.array, masses: wp.array, least: float) -> wp.array:
         """Return the second derivative at the optimum, with raised eigenvalues, float64, shape [V, 4]."""
         mesh = [self._start, points, self._mesh.faces, masses, *self._mesh.vertex_corners]
         inputs = [*mesh, wp.float64(least), self.softness, FIRST_THREAD]
-        launch_parts(cost_metric, self._count, inputs, [self._metric], self._device)
-        return self._metric
+        return computed(cost_metric, inputs, self._metric)
 
 
 class NoCost(GeodesicCost):

@@ -16,7 +16,7 @@ import numpy as np
 from omtwarp.device.arrays import empty, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import KERNEL_OPTIONS, ONE, ZERO, wp
-from omtwarp.device.threads import FIRST_THREAD, launch_parts
+from omtwarp.device.threads import FIRST_THREAD, Each, computed, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.spherical import corners_of, first_tangent
 from omtwarp.mesh.arrays import Floats, cross, normalised
@@ -96,10 +96,8 @@ def turns_against(surface: Surface, sphere: Floats, start: Floats, *, device: st
     Arguments are as of :func:`turned_back`.
     """
     where = resolve_device(device)
-    turns = empty(surface.face_count, wp.float64, where)
-    inputs = [vectors(start, where), vectors(sphere, where), surface.on(where).faces]
-    wp.launch(triangle_turns, dim=surface.face_count, inputs=inputs, outputs=[turns], device=where)
-    return np.array(turns.numpy())
+    inputs = [vectors(start, where), vectors(sphere, where), Each(surface.on(where).faces)]
+    return np.array(computed(triangle_turns, inputs, empty(surface.face_count, wp.float64, where)).numpy())
 
 
 def size(surface: Surface, turns: Floats) -> float:
