@@ -250,23 +250,9 @@ class TransportEnergy:
         cost, shape, reading = self.vertex_cost.values(points), self.shape.begin(points, self.reading), self.reading
         moved, charged = reading.dot(self._masses, cost), reading.dot(areas, self.cells.means(cost))
         squares, largest = reading.dot(missing, relative), reading.largest(relative)
-        pressed = None if multipliers is None else reading.dot(multipliers, missing)
-
-        def finish(numbers: Floats) -> MapTerms:
-            return MapTerms(
-                areas,
-                missing,
-                relative,
-                cost,
-                shape(numbers),
-                moved=float(numbers[moved]),
-                charged=float(numbers[charged]),
-                squares=float(numbers[squares]),
-                largest=float(numbers[largest]),
-                pressed=0.0 if pressed is None else float(numbers[pressed]),
-            )
-
-        return finish
+        pressed = reading.place()[0] if multipliers is None else reading.dot(multipliers, missing)
+        places = [moved, charged, squares, largest, pressed]
+        return lambda numbers: MapTerms(areas, missing, relative, cost, shape(numbers), *numbers[places].tolist())
 
     def potential(self, terms: MapTerms, multipliers: wp.array) -> wp.array:
         """Return P_c, p_c plus the mean cost of a cell over Σ A: the potential at its image, shape [N]."""

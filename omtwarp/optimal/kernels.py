@@ -7,7 +7,7 @@ to be 3 m_v; P_v is the potential of the target at y_v. See :mod:`omtwarp.optima
 # mypy: ignore-errors
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import TINY, logarithm, oriented_volume
-from omtwarp.solvers.newton import vertex_block
+from omtwarp.solvers.newton import ends_in, vertex_block
 from omtwarp.solvers.triangle import first_tangent
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -143,15 +143,9 @@ def edge_slopes(
     for k in range(2):
         corner = edge_corners[e][k]
         if corner >= 0:
-            f = corner // 3
-            # The corner after the apex is an end of the edge, and the next one the other.
-            one, other = (corner + 1) % 3, (corner + 2) % 3
-            if faces[f][one] == edges[e][0]:
-                by_first += slopes[f, one]
-                by_second += slopes[f, other]
-            else:
-                by_first += slopes[f, other]
-                by_second += slopes[f, one]
+            one, other = ends_in(corner, edges[e][0], faces)
+            by_first += slopes[corner // 3, one]
+            by_second += slopes[corner // 3, other]
     for axis in range(2):
         of_edges[0, e, axis] = by_second[axis]
         of_edges[1, e, axis] = by_first[axis]

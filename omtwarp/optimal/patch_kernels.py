@@ -16,7 +16,7 @@ from omtwarp.optimal.shape_kernels import distortion_gradient, distortion_hessia
 from omtwarp.solvers import newton
 from omtwarp.solvers.cholesky.envelope import Envelope, add_block, clear_row, factorise_envelope, meet, solve_envelope
 from omtwarp.solvers.motion_kernels import keeps_volume
-from omtwarp.solvers.newton import packed
+from omtwarp.solvers.newton import corner_block
 from omtwarp.solvers.triangle import first_tangent, first_tangents, in_tangent
 from omtwarp.untangling.kernels import solid_angle
 
@@ -192,21 +192,14 @@ def differentiate(
 
 
 @wp.func
-def corner_block(t: int, m: int, n: int, patches: SaddlePatches, scratch: LocalScratch) -> wp.mat33d:
+def saddle_block(t: int, m: int, n: int, patches: SaddlePatches, scratch: LocalScratch) -> wp.mat33d:
     """Return what triangle t adds to the matrix, rows of its corner m and columns of its corner n, m <= n."""
     block = wp.mat33d()
-    face = patches.faces[t]
-    one = patches.free[face[m]]
-    other = patches.free[face[n]]
+    one, other = patches.free[patches.faces[t][m]], patches.free[patches.faces[t][n]]
     if one and other:
-        upper = packed(2 * m, 2 * n)
-        lower = packed(2 * m + 1, 2 * n + 1)
-        block[0, 0] = scratch.blocks[t, upper]
-        block[0, 1] = scratch.blocks[t, upper + 1]
-        block[1, 0] = scratch.blocks[t, upper + 1]
-        if m < n:
-            block[1, 0] = scratch.blocks[t, lower - 1]
-        block[1, 1] = scratch.blocks[t, lower]
+        own = corner_block(t, m, n, scratch.blocks)
+        for k in range(4):
+            block[k // 2, k % 2] = own[k]
     if m < n:
         if one:
             block[0, 2] = scratch.bends[t, 2 * m]
@@ -232,11 +225,11 @@ def assemble_row(i: int, patches: SaddlePatches, given: LocalEnergy, points: wp.
         t = patches.corners[k] // 3
         m = patches.corners[k] - 3 * t
         face = patches.faces[t]
-        block = block + corner_block(t, m, m, patches, scratch)
+        block = block + saddle_block(t, m, m, patches, scratch)
         for turn in range(1, 3):
             n = (m + turn) % 3
             if face[n] < i and (patches.free[i] or patches.free[face[n]]):
-                beside = corner_block(t, wp.min(m, n), wp.max(m, n), patches, scratch)
+                beside = saddle_block(t, wp.min(m, n), wp.max(m, n), patches, scratch)
                 if n < m:
                     beside = wp.transpose(beside)
                 add_block(i, face[n], beside, patches.matrix)

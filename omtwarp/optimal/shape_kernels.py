@@ -8,7 +8,7 @@ from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, THREE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import corners_of, oriented_volume
 from omtwarp.mesh import surface
 from omtwarp.solvers.newton import packed
-from omtwarp.solvers.triangle import first_column, first_tangents, first_weights, second_column, second_weights
+from omtwarp.solvers.triangle import column_weights, columns, first_tangents
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -64,8 +64,7 @@ def half_angle(x: wp.float64, y: wp.float64) -> wp.vec2d:
 @wp.func
 def distortion_terms(frame: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
     """Return the angle distortion less 2, D, det[s0, s1, s2] and needle barrier of a triangle."""
-    c1 = first_column(frame, a, b)
-    c2 = second_column(frame, a, b, c)
+    c1, c2 = columns(frame, a, b, c)
     d = wp.length(wp.cross(c1, c2))
     # (s1 - s2)² / (s1 s2): no digits are lost where the map is nearly conformal.
     square = wp.dot(c1, c1) - wp.dot(c2, c2)
@@ -100,8 +99,7 @@ def triangle_terms(
 @wp.func
 def distortion_gradient(frame: wp.vec3d, area: wp.float64, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, pressures: wp.vec3d):
     """Return the gradient of A [fro / D + p0 D + p1 / D + p2 needle], p the pressures, by the corners, one per row."""
-    c1 = first_column(frame, a, b)
-    c2 = second_column(frame, a, b, c)
+    c1, c2 = columns(frame, a, b, c)
     normal = wp.cross(c1, c2)
     d = wp.length(normal)
     normal = normal / d
@@ -115,8 +113,7 @@ def distortion_gradient(frame: wp.vec3d, area: wp.float64, a: wp.vec3d, b: wp.ve
     by_det -= upright * cosine
     g1 = by_fro * c1 + by_det * wp.cross(c2, normal)
     g2 = by_fro * c2 + by_det * wp.cross(normal, c1)
-    first = first_weights(frame)
-    second = second_weights(frame)
+    first, second = column_weights(frame)
     upright *= scale
     return wp.matrix_from_rows(
         first[0] * g1 + second[0] * g2 + upright * wp.cross(b, c),
@@ -187,8 +184,7 @@ def distortion_hessian(
         pressures: as of :func:`triangle_hessian`.
         hessian: its entries on and above the diagonal.
     """
-    c1 = first_column(frame, a, b)
-    c2 = second_column(frame, a, b, c)
+    c1, c2 = columns(frame, a, b, c)
     normal = wp.cross(c1, c2)
     ratio = wp.length(normal)
     normal = wp.normalize(normal)
@@ -224,8 +220,7 @@ def distortion_hessian(
     upright = wp.sqrt(pressures[2] * needle_curvature(tilt)) / ratio
     normals = wp.matrix_from_rows(scale * wp.cross(b, c), scale * wp.cross(c, a), scale * wp.cross(a, b))
     others = wp.matrix_from_rows(wp.cross(a, axes[0]), wp.cross(b, axes[1]), wp.cross(c, axes[2]))
-    first = first_weights(frame)
-    second = second_weights(frame)
+    first, second = column_weights(frame)
     modes = wp.spatial_matrixd()  # a row for every coordinate
     for i in range(3):
         along = cosine * first[i] + sine * second[i]

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from omtwarp.device.arrays import Workspace, sent
 from omtwarp.device.start import KERNEL_OPTIONS, wp
-from omtwarp.device.threads import Each, each, launch_parts
+from omtwarp.device.threads import Each, computed
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.patches import Patches
-from omtwarp.mesh.surface import Surface
+from omtwarp.mesh.surface import Surface, transposed_rows
 from omtwarp.solvers.cholesky import part_dissection
 from omtwarp.solvers.factor import MeshMatrix, NotPositiveDefinite
 from omtwarp.solvers.mesh_factor import mesh_factor
@@ -27,19 +27,36 @@ def packed(row: int, column: int) -> int:
 
 
 @wp.func
+def corner_block(t: int, i: int, j: int, blocks: wp.array2d[wp.float64]) -> wp.vec4d:
+    """Return a triangle's 2x2 block with rows of its corner i and columns of its corner j, row by row."""
+    low, high = wp.min(i, j), wp.max(i, j)
+    upper, lower = packed(2 * low, 2 * high), packed(2 * low + 1, 2 * high)
+    below = blocks[t, lower]
+    if i == j:
+        below = blocks[t, upper + 1]  # only what is above the diagonal is stored
+    if i > j:
+        return wp.vec4d(blocks[t, upper], below, blocks[t, upper + 1], blocks[t, lower + 1])
+    return wp.vec4d(blocks[t, upper], blocks[t, upper + 1], below, blocks[t, lower + 1])
+
+
+@wp.func
 def vertex_block(
     v: int, offsets: wp.array[wp.int32], corners: wp.array[wp.int32], blocks: wp.array2d[wp.float64]
 ) -> wp.vec4d:
     """Sum the 2x2 block of a vertex over the triangles around it."""
-    s0, s1, s2 = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
+    total = wp.vec4d()
     for k in range(offsets[v], offsets[v + 1]):
-        face = corners[k] // 3
-        row = 2 * (corners[k] - 3 * face)
-        at = packed(row, row)
-        s0 += blocks[face, at]
-        s1 += blocks[face, at + 1]
-        s2 += blocks[face, packed(row + 1, row + 1)]
-    return wp.vec4d(s0, s1, s1, s2)
+        total += corner_block(corners[k] // 3, corners[k] % 3, corners[k] % 3, blocks)
+    return total
+
+
+@wp.func
+def ends_in(corner: int, end: int, faces: wp.array[wp.vec3i]):
+    """Return the two corners of a triangle beside one of its corners, that at a given vertex first."""
+    one, other = (corner + 1) % 3, (corner + 2) % 3
+    if faces[corner // 3][one] == end:
+        return one, other
+    return other, one
 
 
 @wp.func
@@ -47,27 +64,13 @@ def edge_block(
     end: int, opposite_corners: wp.vec2i, faces: wp.array[wp.vec3i], blocks: wp.array2d[wp.float64]
 ) -> wp.vec4d:
     """Sum the 2x2 block of an edge, rows of one end and columns of the other, over its two triangles."""
-    s0, s1, s2, s3 = wp.float64(0.0), wp.float64(0.0), wp.float64(0.0), wp.float64(0.0)
+    total = wp.vec4d()
     for k in range(2):
-        if opposite_corners[k] >= 0:
-            face = opposite_corners[k] // 3
-            opposite = opposite_corners[k] - 3 * face
-            i = (opposite + 1) % 3
-            j = (opposite + 2) % 3
-            if faces[face][i] != end:
-                i = (opposite + 2) % 3
-                j = (opposite + 1) % 3
-            upper = packed(2 * wp.min(i, j), 2 * wp.max(i, j))
-            lower = packed(2 * wp.min(i, j) + 1, 2 * wp.max(i, j))
-            s0 += blocks[face, upper]
-            s3 += blocks[face, lower + 1]
-            if i < j:
-                s1 += blocks[face, upper + 1]
-                s2 += blocks[face, lower]
-            else:
-                s1 += blocks[face, lower]
-                s2 += blocks[face, upper + 1]
-    return wp.vec4d(s0, s1, s2, s3)
+        corner = opposite_corners[k]
+        if corner >= 0:
+            i, j = ends_in(corner, end, faces)
+            total += corner_block(corner // 3, i, j, blocks)
+    return total
 
 
 @wp.kernel
@@ -117,20 +120,17 @@ class PatchMatrix:
 
     def __init__(self, patches: Patches, surface: Surface, growth: float):
         count = patches.free
-        own = np.where(patches.faces < count, patches.faces, -1)
-        flat = own.ravel()
-        corners = np.argsort(flat, kind="stable").astype(np.int32)[int((flat < 0).sum()) :]
-        offsets = np.zeros(count + 1, dtype=np.int32)
-        np.cumsum(np.bincount(flat[flat >= 0], minlength=count), out=offsets[1:])
+        own = np.minimum(patches.faces, count)  # vertices that stay are one
+        offsets, corners = transposed_rows(own, count + 1)
         one, other = np.roll(own, -1, axis=1).ravel(), np.roll(own, -2, axis=1).ravel()
-        inner = np.flatnonzero((one >= 0) & (other >= 0))
+        inner = np.flatnonzero(np.maximum(one, other) < count)
         low, high = np.minimum(one, other)[inner], np.maximum(one, other)[inner]
         order = np.argsort(low.astype(np.int64) * count + high, kind="stable")
         edges = np.stack([low[order[0::2]], high[order[0::2]]], axis=1)
         edge_corners = inner[order].astype(np.int32).reshape(-1, 2)
 
         self._sides = [Each(sent(edges, wp.vec2i)), sent(own, wp.vec3i), Each(sent(edge_corners, wp.vec2i))]
-        self._rows = [Each(sent(offsets, wp.int32), more=1), sent(corners, wp.int32)]
+        self._rows = [Each(sent(offsets[:-1], wp.int32), more=1), sent(corners, wp.int32)]
         self._blocks = [wp.empty((n, 4), dtype=wp.float64, device="cpu") for n in (count, len(edges))]
         factor = mesh_factor(
             count, edges, lambda: part_dissection(surface, patches.vertices[:count], edges), 2, Workspace()
@@ -161,10 +161,8 @@ class PatchMatrix:
     def _assembled(self, blocks: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Sum blocks of triangles, [F, 21], to those of vertices, [V, 2, 2], and of edges, [E, 2, 2]."""
         source = sent(blocks, wp.float64)
-        of_vertices, of_edges = self._blocks
-        launch_parts(gather_vertex_blocks, len(of_vertices), [*self._rows, source], each(of_vertices), "cpu")
-        inputs = [*self._sides, source, wp.float64(1.0)]
-        launch_parts(gather_edge_blocks, len(of_edges), inputs, each(of_edges), "cpu")
+        of_vertices = computed(gather_vertex_blocks, [*self._rows, source], self._blocks[0])
+        of_edges = computed(gather_edge_blocks, [*self._sides, source, wp.float64(1.0)], self._blocks[1])
         return of_vertices.numpy().reshape(-1, 2, 2), of_edges.numpy().reshape(-1, 2, 2)
 
     def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -95,25 +95,15 @@ def _thickened(
 
 
 @wp.func
-def first_column(frame: wp.vec3d, a: wp.vec3d, b: wp.vec3d) -> wp.vec3d:
-    return frame[0] * (b - a)
+def columns(frame: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
+    """Return the two columns of the Jacobian."""
+    return frame[0] * (b - a), frame[1] * (b - a) + frame[2] * (c - a)
 
 
 @wp.func
-def second_column(frame: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
-    return frame[1] * (b - a) + frame[2] * (c - a)
-
-
-@wp.func
-def first_weights(frame: wp.vec3d) -> wp.vec3d:
-    """Return the derivative of the first column by the three corners."""
-    return wp.vec3d(-frame[0], frame[0], ZERO)
-
-
-@wp.func
-def second_weights(frame: wp.vec3d) -> wp.vec3d:
-    """Return the derivative of the second column by the three corners."""
-    return wp.vec3d(-frame[1] - frame[2], frame[1], frame[2])
+def column_weights(frame: wp.vec3d):
+    """Return the derivatives of the two columns by the three corners."""
+    return wp.vec3d(-frame[0], frame[0], ZERO), wp.vec3d(-frame[1] - frame[2], frame[1], frame[2])
 
 
 @wp.func

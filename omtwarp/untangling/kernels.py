@@ -19,26 +19,13 @@ from omtwarp.solvers.triangle import (
     barrier,
     barrier_curvature,
     barrier_slope,
-    first_column,
+    column_weights,
+    columns,
     first_tangent,
-    first_weights,
     in_tangent,
-    second_column,
-    second_weights,
 )
 
 wp.set_module_options(KERNEL_OPTIONS)
-
-
-@wp.func
-def untangle_energy(
-    frame: wp.vec3d, area: wp.float64, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, eps: wp.float64, weight: wp.float64
-) -> wp.float64:
-    c1 = first_column(frame, a, b)
-    c2 = second_column(frame, a, b, c)
-    d = oriented_volume(a, b, c) * frame[0] * frame[2]
-    fro = wp.dot(c1, c1) + wp.dot(c2, c2)
-    return area * (fro + weight * (d * d + ONE)) / barrier(d, eps)
 
 
 @wp.kernel
@@ -56,7 +43,10 @@ def untangle_value(
     """Compute the energy of every triangle and its signed solid angle."""
     t = wp.tid()
     a, b, c = corners_of(sphere, faces[t])
-    value[t] = untangle_energy(frames[t], areas[t], a, b, c, epsilon[t], weight)
+    c1, c2 = columns(frames[t], a, b, c)
+    d = oriented_volume(a, b, c) * frames[t][0] * frames[t][2]
+    fro = wp.dot(c1, c1) + wp.dot(c2, c2)
+    value[t] = areas[t] * (fro + weight * (d * d + ONE)) / barrier(d, epsilon[t])
     solid[t] = solid_angle(a, b, c)
 
 
@@ -69,7 +59,8 @@ def solid_angles(
 ):
     """Compute the signed solid angle of every triangle."""
     t = wp.tid()
-    solid[t] = solid_angle(sphere[faces[t][0]], sphere[faces[t][1]], sphere[faces[t][2]])
+    a, b, c = corners_of(sphere, faces[t])
+    solid[t] = solid_angle(a, b, c)
 
 
 # Unlike in triangle_hessian of refinement, which is built from eigenvectors, the area ratio is signed and the barrier a
@@ -92,8 +83,7 @@ def untangle_newton(
     frame = frames[t]
     area = areas[t]
     eps = epsilon[t]
-    c1 = first_column(frame, a, b)
-    c2 = second_column(frame, a, b, c)
+    c1, c2 = columns(frame, a, b, c)
     scale = frame[0] * frame[2]
     d = oriented_volume(a, b, c) * scale
     fro = wp.dot(c1, c1) + wp.dot(c2, c2)
@@ -111,8 +101,7 @@ def untangle_newton(
     bowl += (d * d + ONE) * (TWO * slope * slope / (chi * chi * chi) - curve / (chi * chi))
     by_det_twice = TWO * fro * slope * slope / (chi * chi * chi) + weight * wp.max(bowl, ZERO)
 
-    first = first_weights(frame)
-    second = second_weights(frame)
+    first, second = column_weights(frame)
     points = wp.matrix_from_rows(a, b, c)
     normals = wp.matrix_from_rows(scale * wp.cross(b, c), scale * wp.cross(c, a), scale * wp.cross(a, b))
     bases = wp.matrix(dtype=wp.float64, shape=(6, 3))
