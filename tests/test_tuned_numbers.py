@@ -49,7 +49,8 @@ OTHERS = {
     "bound of work": {
         "conformal/centring.py": "MAXIMUM_STEPS",
         "conformal/maps.py": "STEPS",
-        "optimal/local.py": "MAX_OPERATIONS MAX_STEPS MAX_HALVINGS",
+        "optimal/local.py": "MAX_OPERATIONS MAX_STEPS",
+        "optimal/patch_kernels.py": "MAX_HALVINGS",
         "optimal/nested.py": "STEPS SMOOTHING_STEPS",
         "optimal/solver.py": "MAX_HALVINGS",
         "solvers/newton.py": "MAX_HALVINGS",
@@ -67,7 +68,7 @@ OTHERS = {
         "geometry/intrinsic.py": "ROUND_OFF least most",
         "optimal/energy.py": "LEAST_EIGENVALUE REGULARISATION STIFFER",
         "optimal/kernels.py": "LINE",
-        "optimal/local.py": "REGULARISATION",
+        "optimal/patch_kernels.py": "REGULARISATION",
         "optimal/nested.py": "APART LEAST_COST LEAST_BEND",
         "optimal/solver.py": "LEAST_PENALTY MIN_COST",
         "optimal/turns.py": "SHORTEST",

@@ -62,7 +62,7 @@ def restore_areas(
     """
     points = energy.domain.sent(given)
     terms = energy.terms(points)
-    steps = FlipFreeSteps(energy.domain)
+    steps = FlipFreeSteps(energy)
     factor = energy.saddle_factor()
     numbers = energy.wanted * energy.wanted.sum() / STIFFNESS
     compliance = wp.array(numbers, dtype=wp.float64, device=energy.device)
@@ -90,11 +90,9 @@ def _step(
     direction = energy.direction(solution)
     before, length = np.sqrt(terms.squares), 1.0
     for _ in range(MAX_HALVINGS):
-        held = steps.taken(points, direction, terms.shape.d_volume, length)
-        if held is not None:
-            after = energy.terms(held[0])
-            if np.sqrt(after.squares) <= (1.0 - SUFFICIENT * length) * before:
-                return held[0], after
+        reached = steps.tried(points, direction, terms.shape.d_volume, length, None)[1]()
+        if reached is not None and np.sqrt(reached[1].squares) <= (1.0 - SUFFICIENT * length) * before:
+            return reached[:2]
         length *= 0.5
     return None
 

@@ -8,25 +8,17 @@ vertices fixed, the saddle-point system of these is small, and several steps of 
 from __future__ import annotations
 
 import numpy as np
-import scipy.sparse as sparse
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 
 from omtwarp.device.arrays import sent
 from omtwarp.device.start import wp
 from omtwarp.device.threads import core_count, load, run_all
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.patches import Patches, grow, sides_of
-from omtwarp.mesh.surface import SPHERE_AREA
-from omtwarp.optimal.energy import LEAST_EIGENVALUE, MapTerms, TransportEnergy
-from omtwarp.optimal.patch_kernels import (
-    LocalEnergy,
-    LocalScratch,
-    SaddlePatches,
-    gather_patches,
-    scatter_patches,
-    settle_small_patches,
-)
+from omtwarp.mesh.surface import SPHERE_AREA, transposed_rows
+from omtwarp.mesh.validate import components_of
+from omtwarp.optimal.energy import MapTerms, TransportEnergy
+from omtwarp.optimal.patch_kernels import LocalProblem, gather_patches, scatter_patches, settle_small_patches
 from omtwarp.optimal.shape import DistortionEnergy, Terms
 from omtwarp.optimal.sphere import GeodesicCost, Sphere
 from omtwarp.solvers.cholesky.envelope import Envelopes
@@ -47,8 +39,6 @@ MAX_OPERATIONS = 2e8
 MIN_SHARED_TRIANGLES = 500  # with fewer a second thread costs more than it saves
 BLOCK = 256  # threads of a block: Warp's own number, for which modules are compiled
 MAX_STEPS = 8  # Newton steps of the patches after each step of the whole map
-MAX_HALVINGS = 12  # of a patch's step before the patch stays where it is
-REGULARISATION = 1e-6  # added to the diagonal, relative to each entry, as the second derivative is only semidefinite
 
 
 def freed_vertices(faces: NDArray[np.int32], gains: Floats, expected: float, part: float = 1.0) -> NDArray[np.bool_]:
@@ -118,9 +108,8 @@ class LocalSteps:
         sides = sides_of(patches.faces)
         sides = sides[(sides[:, 0] < patches.free) | (sides[:, 1] < patches.free)]
         count = len(patches.vertices)
-        graph = sparse.coo_matrix((np.ones(len(sides), dtype=np.int8), sides.T), shape=(count, count))
         # Patches that share a fixed neighbour change the area around it together: they are one.
-        self._count, patch = connected_components(graph, directed=False)
+        self._count, patch = components_of(count, sides)
         self._envelopes = Envelopes.of_edges(sides, patch, self._count)
         order = self._envelopes.order
         place = np.empty(count, dtype=np.int32)
@@ -155,61 +144,51 @@ class LocalSteps:
         """
         assert isinstance(terms.shape, Terms)
         energy, device, lanes = self._energy, self._device, lanes_on(self._device)
-        given = LocalEnergy()
-        # Patches are a small part of the map's area, so that its scale is taken as constant.
-        given.pressures = self._distortion.pressures(terms.shape, energy.area_weight)
-        given.shape_weight, given.softness = energy.shape_weight, self._cost.softness
-        given.cost_factor = energy.cost_weight / (3.0 * SPHERE_AREA)
-        given.least, given.regularisation, given.enough = LEAST_EIGENVALUE, REGULARISATION, enough / self._count
-        given.steps, given.halvings, given.constrained = most, MAX_HALVINGS, self._constrained
         count, vertices = len(self._vertices), sent(self._vertices.astype(np.int32), wp.int32, device)
         moved, tried = (wp.empty(count, dtype=wp.vec3d, device=device) for _ in range(2))
         areas, of_patches = (wp.empty(count, dtype=wp.float64, device=device) for _ in range(2))
         inputs, state = [vertices, points, terms.areas, multipliers], [moved, tried, areas, of_patches]
         wp.launch(gather_patches, dim=count, inputs=inputs, outputs=state, device=device)
-        arguments = [0, lanes, self._patches(areas), given]
-        outputs = [moved, tried, of_patches, self._scratch(lanes)]
-        launch_patches(settle_small_patches, self._sizes, arguments, outputs, device)
+        here = self._problem(areas, lanes)
+        # Patches are a small part of the map's area, so that its scale is taken as constant.
+        here.pressures = self._distortion.pressures(terms.shape, energy.area_weight)
+        here.shape_weight, here.softness = energy.shape_weight, self._cost.softness
+        here.cost_factor = energy.cost_weight / (3.0 * SPHERE_AREA)
+        here.steps, here.enough, here.constrained = most, enough / self._count, self._constrained
+        outputs = [here, moved, tried, of_patches]
+        launch_patches(settle_small_patches, self._sizes, [0, lanes], outputs, device)
         after = [wp.clone(points), wp.clone(multipliers)]
         wp.launch(scatter_patches, dim=count, inputs=[vertices, moved, of_patches], outputs=after, device=device)
         return after[0], after[1]
 
-    def _patches(self, areas: wp.array) -> SaddlePatches:
-        """Return what the kernel reads of the patches, with the areas around their vertices in the map."""
+    def _problem(self, areas: wp.array, lanes: int) -> LocalProblem:
+        """Return what the kernel reads of the patches, with the areas around their vertices, and memory."""
         energy, vertices, triangles, device = self._energy, self._vertices, self._triangles, self._device
-        face_starts, offsets = np.zeros(self._count + 1, dtype=np.int32), np.zeros(len(vertices) + 1, dtype=np.int32)
-        np.cumsum(self._sizes, out=face_starts[1:])
-        np.cumsum(np.bincount(self._faces.ravel(), minlength=len(vertices)), out=offsets[1:])
-        corners = np.argsort(self._faces.ravel(), kind="stable").astype(np.int32)
-        patches = SaddlePatches()
-        patches.matrix = self._envelopes.upload(device)
-        patches.face_starts, patches.faces = sent(face_starts, wp.int32, device), sent(self._faces, wp.vec3i, device)
-        patches.offsets, patches.corners = sent(offsets, wp.int32, device), sent(corners, wp.int32, device)
-        patches.frames = sent(self._distortion.frames[triangles], wp.vec3d, device)
-        patches.areas = sent(self._distortion.areas[triangles], wp.float64, device)
-        patches.free = sent(self._free, wp.bool, device)
-        patches.start = sent(self._cost.start[vertices], wp.vec3d, device)
-        patches.wanted = sent(energy.wanted[vertices], wp.float64, device)
-        patches.whole = areas
-        patches.stiffness = sent(self._stiffness, wp.float64, device)
-        return patches
-
-    def _scratch(self, lanes: int) -> LocalScratch:
-        """Return memory for one launch."""
-        triangles, count, device = len(self._triangles), len(self._vertices), self._device
+        face_starts = np.concatenate([[0], np.cumsum(self._sizes)]).astype(np.int32)
+        offsets, corners = transposed_rows(self._faces, len(vertices))
+        here = LocalProblem()
+        here.matrix = self._envelopes.upload(device)
+        here.face_starts, here.faces = sent(face_starts, wp.int32, device), sent(self._faces, wp.vec3i, device)
+        here.offsets, here.corners = sent(offsets, wp.int32, device), sent(corners, wp.int32, device)
+        here.frames = sent(self._distortion.frames[triangles], wp.vec3d, device)
+        here.areas = sent(self._distortion.areas[triangles], wp.float64, device)
+        here.free = sent(self._free, wp.bool, device)
+        here.start = sent(self._cost.start[vertices], wp.vec3d, device)
+        here.wanted = sent(energy.wanted[vertices], wp.float64, device)
+        here.whole, here.stiffness = areas, sent(self._stiffness, wp.float64, device)
 
         def numbers(*shape: int) -> wp.array:
             return wp.empty(shape, dtype=wp.float64, device=device)
 
-        scratch = LocalScratch()
-        scratch.gates = wp.zeros(self._count * lanes, dtype=wp.int32, device=device)
-        scratch.numbers, scratch.shape, scratch.solid = numbers(self._count, 4), numbers(triangles), numbers(triangles)
-        scratch.blocks, scratch.bends = numbers(triangles, 21), numbers(triangles, 6)
-        scratch.pulls = wp.empty((triangles, 3), dtype=wp.vec3d, device=device)
-        scratch.outside, scratch.ring, scratch.cost, scratch.worth = (numbers(count) for _ in range(4))
-        scratch.right, scratch.step = (wp.empty(count, dtype=wp.vec3d, device=device) for _ in range(2))
-        scratch.diagonal = wp.empty(count, dtype=wp.mat33d, device=device)
-        return scratch
+        faces, count = len(triangles), len(vertices)
+        here.gates = wp.zeros(self._count * lanes, dtype=wp.int32, device=device)
+        here.numbers, here.shape, here.solid = numbers(self._count, 4), numbers(faces), numbers(faces)
+        here.blocks, here.bends = numbers(faces, 21), numbers(faces, 6)
+        here.pulls = wp.empty((faces, 3), dtype=wp.vec3d, device=device)
+        here.outside, here.ring, here.cost, here.worth = (numbers(count) for _ in range(4))
+        here.right, here.step = (wp.empty(count, dtype=wp.vec3d, device=device) for _ in range(2))
+        here.diagonal = wp.empty(count, dtype=wp.mat33d, device=device)
+        return here
 
 
 def lanes_on(device: wp.Device) -> int:

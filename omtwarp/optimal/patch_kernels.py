@@ -11,6 +11,7 @@ not depend on the number of lanes.
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import corners_of, logarithm, oriented_volume
 from omtwarp.mesh import surface
+from omtwarp.optimal import energy
 from omtwarp.optimal.kernels import Fit, area_gradient, cost_slope, moving_cost, neighbour_fit, raised_fit
 from omtwarp.optimal.shape_kernels import distortion_gradient, distortion_hessian, distortion_terms
 from omtwarp.solvers import newton
@@ -23,16 +24,24 @@ from omtwarp.untangling.kernels import solid_angle
 wp.set_module_options(KERNEL_OPTIONS)
 
 SPHERE_AREA = wp.constant(wp.float64(surface.SPHERE_AREA))
+LEAST = wp.constant(wp.float64(energy.LEAST_EIGENVALUE))
 SUFFICIENT_DECREASE = wp.constant(wp.float64(newton.SUFFICIENT_DECREASE))
+MAX_HALVINGS = wp.constant(12)  # of a patch's step before the patch stays where it is
+# Added to the diagonal, relative to each entry, as the second derivative is only semidefinite.
+REGULARISATION = wp.constant(wp.float64(1e-6))
 # Places in the numbers of a patch: whether its matrix has a factor, the merit, the expected gain, and a step's length.
 DEFINITE, MERIT, EXPECTED, LENGTH = wp.constant(0), wp.constant(1), wp.constant(2), wp.constant(3)
 
 
 @wp.struct
-class SaddlePatches:
-    """Patches one after another; vertices are free or fixed, in the order of elimination."""
+class LocalProblem:
+    """Patches one after another, the energy that they have of :mod:`omtwarp.optimal.energy`, and memory.
 
-    face_starts: wp.array[wp.int32]  # and its triangles, [count + 1]
+    Vertices are free or fixed, in the order of elimination. The threads of a launch share the memory; each works on the
+    part of its patch.
+    """
+
+    face_starts: wp.array[wp.int32]  # where the triangles of every patch begin, [count + 1]
     faces: wp.array[wp.vec3i]  # places of their corners, [T]
     offsets: wp.array[wp.int32]  # where the corners at every vertex begin in ``corners``, [P + 1]
     corners: wp.array[wp.int32]  # 3 t + k of corner k of triangle t, vertex by vertex, [3 T]
@@ -44,28 +53,13 @@ class SaddlePatches:
     wanted: wp.array[wp.float64]  # areas around them
     whole: wp.array[wp.float64]  # areas around them in the map at the beginning
     stiffness: wp.array[wp.float64]  # weights of squared area errors
-
-
-@wp.struct
-class LocalEnergy:
-    """The energy of :mod:`omtwarp.optimal.energy`, and how its steps are taken."""
-
     pressures: wp.vec3d  # as of omtwarp.optimal.shape.DistortionEnergy.pressures
     shape_weight: wp.float64
     cost_factor: wp.float64  # of ring times cost
     softness: wp.float64
-    least: wp.float64  # as of omtwarp.optimal.kernels.cost_metric
-    regularisation: wp.float64
     enough: wp.float64  # gain of a step after which a patch takes no more
     steps: wp.int32
-    halvings: wp.int32
     constrained: wp.bool
-
-
-@wp.struct
-class LocalScratch:
-    """Memory that the threads of a launch share; each works on the part of its patch."""
-
     gates: wp.array[wp.int32]  # as of omtwarp.solvers.cholesky.envelope.meet
     numbers: wp.array2d[wp.float64]  # of every patch, [count, 4]
     shape: wp.array[wp.float64]  # distortion of every triangle, [T]
@@ -83,27 +77,25 @@ class LocalScratch:
 
 
 @wp.func
-def solid_angles_at(i: int, patches: SaddlePatches, solid: wp.array[wp.float64]) -> wp.float64:
+def solid_angles_at(i: int, here: LocalProblem) -> wp.float64:
     """Sum the solid angles of a patch's triangles around a vertex."""
     total = ZERO
-    for k in range(patches.offsets[i], patches.offsets[i + 1]):
-        total += solid[patches.corners[k] // 3]
+    for k in range(here.offsets[i], here.offsets[i + 1]):
+        total += here.solid[here.corners[k] // 3]
     return total
 
 
 @wp.func
-def find_outside(
-    p: int, lane: int, lanes: int, patches: SaddlePatches, points: wp.array[wp.vec3d], scratch: LocalScratch
-):
+def find_outside(p: int, lane: int, lanes: int, here: LocalProblem, points: wp.array[wp.vec3d]):
     """Compute what the triangles outside a patch, which stay, add to the areas around its fixed vertices."""
-    for t in range(patches.face_starts[p] + lane, patches.face_starts[p + 1], lanes):
-        face = patches.faces[t]
-        scratch.solid[t] = solid_angle(points[face[0]], points[face[1]], points[face[2]])
-    meet(p, lane, lanes, scratch.gates)
-    for i in range(patches.matrix.starts[p] + lane, patches.matrix.starts[p + 1], lanes):
-        scratch.outside[i] = ZERO
-        if not patches.free[i]:
-            scratch.outside[i] = patches.whole[i] - solid_angles_at(i, patches, scratch.solid)
+    for t in range(here.face_starts[p] + lane, here.face_starts[p + 1], lanes):
+        face = here.faces[t]
+        here.solid[t] = solid_angle(points[face[0]], points[face[1]], points[face[2]])
+    meet(p, lane, lanes, here.gates)
+    for i in range(here.matrix.starts[p] + lane, here.matrix.starts[p + 1], lanes):
+        here.outside[i] = ZERO
+        if not here.free[i]:
+            here.outside[i] = here.whole[i] - solid_angles_at(i, here)
 
 
 @wp.func
@@ -111,176 +103,167 @@ def merit_of(
     p: int,
     lane: int,
     lanes: int,
-    patches: SaddlePatches,
-    given: LocalEnergy,
+    here: LocalProblem,
     before: wp.array[wp.vec3d],
     points: wp.array[wp.vec3d],
     multipliers: wp.array[wp.float64],
-    scratch: LocalScratch,
 ) -> wp.float64:
     """Compute areas and costs, and return the merit; LARGE where a triangle lost nearly all the volume it had."""
-    begin = patches.matrix.starts[p]
-    end = patches.matrix.starts[p + 1]
-    meet(p, lane, lanes, scratch.gates)
-    for t in range(patches.face_starts[p] + lane, patches.face_starts[p + 1], lanes):
-        face = patches.faces[t]
+    begin = here.matrix.starts[p]
+    end = here.matrix.starts[p + 1]
+    meet(p, lane, lanes, here.gates)
+    for t in range(here.face_starts[p] + lane, here.face_starts[p + 1], lanes):
+        face = here.faces[t]
         a, b, c = corners_of(points, face)
-        angle, d, volume, steep = distortion_terms(patches.frames[t], a, b, c)
+        angle, d, volume, steep = distortion_terms(here.frames[t], a, b, c)
         had = oriented_volume(before[face[0]], before[face[1]], before[face[2]])
-        scratch.solid[t] = solid_angle(a, b, c)
-        scratch.shape[t] = LARGE
+        here.solid[t] = solid_angle(a, b, c)
+        here.shape[t] = LARGE
         if keeps_volume(volume, had):
-            distortion = angle + given.pressures[0] * d + given.pressures[1] / d + given.pressures[2] * steep
-            scratch.shape[t] = patches.areas[t] * distortion
-    meet(p, lane, lanes, scratch.gates)
+            distortion = angle + here.pressures[0] * d + here.pressures[1] / d + here.pressures[2] * steep
+            here.shape[t] = here.areas[t] * distortion
+    meet(p, lane, lanes, here.gates)
     for i in range(begin + lane, end, lanes):
-        ring = scratch.outside[i] + solid_angles_at(i, patches, scratch.solid)
-        _pull, distance = logarithm(points[i], patches.start[i])
-        cost = moving_cost(distance, given.softness)
-        missing = ring - patches.wanted[i]
-        scratch.ring[i] = ring
-        scratch.cost[i] = cost
-        scratch.worth[i] = (
-            given.cost_factor * ring * cost + multipliers[i] * missing + HALF * patches.stiffness[i] * missing * missing
+        ring = here.outside[i] + solid_angles_at(i, here)
+        _pull, distance = logarithm(points[i], here.start[i])
+        cost = moving_cost(distance, here.softness)
+        missing = ring - here.wanted[i]
+        here.ring[i] = ring
+        here.cost[i] = cost
+        here.worth[i] = (
+            here.cost_factor * ring * cost + multipliers[i] * missing + HALF * here.stiffness[i] * missing * missing
         )
-    meet(p, lane, lanes, scratch.gates)
+    meet(p, lane, lanes, here.gates)
     if lane == 0:
         shape = ZERO
-        for t in range(patches.face_starts[p], patches.face_starts[p + 1]):
-            shape += scratch.shape[t]
-        merit = given.shape_weight * shape / SPHERE_AREA
+        for t in range(here.face_starts[p], here.face_starts[p + 1]):
+            shape += here.shape[t]
+        merit = here.shape_weight * shape / SPHERE_AREA
         for i in range(begin, end):
-            merit += scratch.worth[i]
-        scratch.numbers[p, MERIT] = wp.where(shape < LARGE, merit, LARGE)
-    meet(p, lane, lanes, scratch.gates)
-    return scratch.numbers[p, MERIT]
+            merit += here.worth[i]
+        here.numbers[p, MERIT] = wp.where(shape < LARGE, merit, LARGE)
+    meet(p, lane, lanes, here.gates)
+    return here.numbers[p, MERIT]
 
 
 @wp.func
 def differentiate(
-    p: int,
-    lane: int,
-    lanes: int,
-    patches: SaddlePatches,
-    given: LocalEnergy,
-    points: wp.array[wp.vec3d],
-    multipliers: wp.array[wp.float64],
-    scratch: LocalScratch,
+    p: int, lane: int, lanes: int, here: LocalProblem, points: wp.array[wp.vec3d], multipliers: wp.array[wp.float64]
 ):
     """Compute the gradients and Hessians of triangles, and the gradients of their areas.
 
     :func:`merit_of` has computed areas and costs at these points.
     """
-    for t in range(patches.face_starts[p] + lane, patches.face_starts[p + 1], lanes):
-        face = patches.faces[t]
+    for t in range(here.face_starts[p] + lane, here.face_starts[p + 1], lanes):
+        face = here.faces[t]
         a, b, c = corners_of(points, face)
-        frame = patches.frames[t]
-        share = given.shape_weight * patches.areas[t] / SPHERE_AREA
-        rows = distortion_gradient(frame, share, a, b, c, given.pressures)
-        distortion_hessian(t, frame, share, a, b, c, first_tangents(a, b, c), given.pressures, scratch.blocks)
+        frame = here.frames[t]
+        share = here.shape_weight * here.areas[t] / SPHERE_AREA
+        rows = distortion_gradient(frame, share, a, b, c, here.pressures)
+        distortion_hessian(t, frame, share, a, b, c, first_tangents(a, b, c), here.pressures, here.blocks)
         potential = ZERO
         for k in range(3):
-            potential += multipliers[face[k]] + given.cost_factor * scratch.cost[face[k]]
+            potential += multipliers[face[k]] + here.cost_factor * here.cost[face[k]]
         for k in range(3):
             y = points[face[k]]
             bend = area_gradient(y, points[face[(k + 1) % 3]], points[face[(k + 2) % 3]])
             tangent = first_tangent(y)
-            scratch.bends[t, 2 * k] = wp.dot(tangent, bend)
-            scratch.bends[t, 2 * k + 1] = wp.dot(wp.cross(y, tangent), bend)
-            scratch.pulls[t, k] = potential * bend + rows[k]
-    meet(p, lane, lanes, scratch.gates)
+            here.bends[t, 2 * k] = wp.dot(tangent, bend)
+            here.bends[t, 2 * k + 1] = wp.dot(wp.cross(y, tangent), bend)
+            here.pulls[t, k] = potential * bend + rows[k]
+    meet(p, lane, lanes, here.gates)
 
 
 @wp.func
-def saddle_block(t: int, m: int, n: int, patches: SaddlePatches, scratch: LocalScratch) -> wp.mat33d:
+def saddle_block(t: int, m: int, n: int, here: LocalProblem) -> wp.mat33d:
     """Return what triangle t adds to the matrix, rows of its corner m and columns of its corner n, m <= n."""
     block = wp.mat33d()
-    one, other = patches.free[patches.faces[t][m]], patches.free[patches.faces[t][n]]
+    one, other = here.free[here.faces[t][m]], here.free[here.faces[t][n]]
     if one and other:
-        own = corner_block(t, m, n, scratch.blocks)
+        own = corner_block(t, m, n, here.blocks)
         for k in range(4):
             block[k // 2, k % 2] = own[k]
     if m < n:
         if one:
-            block[0, 2] = scratch.bends[t, 2 * m]
-            block[1, 2] = scratch.bends[t, 2 * m + 1]
+            block[0, 2] = here.bends[t, 2 * m]
+            block[1, 2] = here.bends[t, 2 * m + 1]
         if other:
-            block[2, 0] = scratch.bends[t, 2 * n]
-            block[2, 1] = scratch.bends[t, 2 * n + 1]
+            block[2, 0] = here.bends[t, 2 * n]
+            block[2, 1] = here.bends[t, 2 * n + 1]
     return block
 
 
 @wp.func
-def assemble_row(i: int, patches: SaddlePatches, given: LocalEnergy, points: wp.array[wp.vec3d], scratch: LocalScratch):
+def assemble_row(i: int, here: LocalProblem, points: wp.array[wp.vec3d]):
     """Sum the blocks of a vertex with itself and those eliminated before it, and its right-hand side."""
-    clear_row(i, patches.matrix)
+    clear_row(i, here.matrix)
     y = points[i]
-    x = patches.start[i]
+    x = here.start[i]
     pull, distance = logarithm(y, x)
-    scale = TWO * given.cost_factor * scratch.ring[i] * cost_slope(distance, given.softness)
+    scale = TWO * here.cost_factor * here.ring[i] * cost_slope(distance, here.softness)
     slope = -scale * pull
     fit = Fit()
     block = wp.mat33d()
-    for k in range(patches.offsets[i], patches.offsets[i + 1]):
-        t = patches.corners[k] // 3
-        m = patches.corners[k] - 3 * t
-        face = patches.faces[t]
-        block = block + saddle_block(t, m, m, patches, scratch)
+    for k in range(here.offsets[i], here.offsets[i + 1]):
+        t = here.corners[k] // 3
+        m = here.corners[k] - 3 * t
+        face = here.faces[t]
+        block = block + saddle_block(t, m, m, here)
         for turn in range(1, 3):
             n = (m + turn) % 3
-            if face[n] < i and (patches.free[i] or patches.free[face[n]]):
-                beside = saddle_block(t, wp.min(m, n), wp.max(m, n), patches, scratch)
+            if face[n] < i and (here.free[i] or here.free[face[n]]):
+                beside = saddle_block(t, wp.min(m, n), wp.max(m, n), here)
                 if n < m:
                     beside = wp.transpose(beside)
-                add_block(i, face[n], beside, patches.matrix)
-        if patches.free[i]:
+                add_block(i, face[n], beside, here.matrix)
+        if here.free[i]:
             j = face[(m + 1) % 3]
-            slope = slope + scratch.pulls[t, m]
-            fit = fit + neighbour_fit(y, x, given.softness, points[j], patches.start[j])
-    right = wp.vec3d(ZERO, ZERO, patches.wanted[i] - scratch.ring[i])
-    if patches.free[i]:
-        metric = scale * raised_fit(fit, given.least)
-        block[0, 0] = (ONE + given.regularisation) * (block[0, 0] + metric[0])
+            slope = slope + here.pulls[t, m]
+            fit = fit + neighbour_fit(y, x, here.softness, points[j], here.start[j])
+    right = wp.vec3d(ZERO, ZERO, here.wanted[i] - here.ring[i])
+    if here.free[i]:
+        metric = scale * raised_fit(fit, LEAST)
+        block[0, 0] = (ONE + REGULARISATION) * (block[0, 0] + metric[0])
         block[0, 1] = block[0, 1] + metric[1]
         block[1, 0] = block[1, 0] + metric[1]
-        block[1, 1] = (ONE + given.regularisation) * (block[1, 1] + metric[2])
+        block[1, 1] = (ONE + REGULARISATION) * (block[1, 1] + metric[2])
         tangent = first_tangent(y)
         right[0] = -wp.dot(tangent, slope)
         right[1] = -wp.dot(wp.cross(y, tangent), slope)
     else:
         block[0, 0] = ONE
         block[1, 1] = ONE
-    block[2, 2] = -ONE / patches.stiffness[i]
-    scratch.diagonal[i] = block
-    scratch.right[i] = right
-    scratch.step[i] = right
+    block[2, 2] = -ONE / here.stiffness[i]
+    here.diagonal[i] = block
+    here.right[i] = right
+    here.step[i] = right
 
 
 @wp.func
-def expect(p: int, patches: SaddlePatches, scratch: LocalScratch):
+def expect(p: int, here: LocalProblem):
     """Note the gain expected of the step, and the length to begin with: no vertex moves farther than half a radian."""
     expected = ZERO
     reach = ZERO
-    for i in range(patches.matrix.starts[p], patches.matrix.starts[p + 1]):
-        u = scratch.step[i]
-        missing = -scratch.right[i][2]
-        expected += scratch.right[i][0] * u[0] + scratch.right[i][1] * u[1]
-        expected += missing * (patches.stiffness[i] * missing - u[2])
+    for i in range(here.matrix.starts[p], here.matrix.starts[p + 1]):
+        u = here.step[i]
+        missing = -here.right[i][2]
+        expected += here.right[i][0] * u[0] + here.right[i][1] * u[1]
+        expected += missing * (here.stiffness[i] * missing - u[2])
         reach = wp.max(reach, wp.sqrt(u[0] * u[0] + u[1] * u[1]))
-    scratch.numbers[p, EXPECTED] = expected
-    scratch.numbers[p, LENGTH] = ZERO
+    here.numbers[p, EXPECTED] = expected
+    here.numbers[p, LENGTH] = ZERO
     if expected > ZERO:
-        scratch.numbers[p, LENGTH] = ONE / wp.max(ONE, TWO * reach)
+        here.numbers[p, LENGTH] = ONE / wp.max(ONE, TWO * reach)
 
 
 @wp.func
-def mean_change(p: int, patches: SaddlePatches, scratch: LocalScratch) -> wp.float64:
+def mean_change(p: int, here: LocalProblem) -> wp.float64:
     """Return the mean of the multipliers' steps, weighted by the areas wanted."""
     total = ZERO
     change = ZERO
-    for i in range(patches.matrix.starts[p], patches.matrix.starts[p + 1]):
-        total += patches.wanted[i]
-        change += patches.wanted[i] * scratch.step[i][2]
+    for i in range(here.matrix.starts[p], here.matrix.starts[p + 1]):
+        total += here.wanted[i]
+        change += here.wanted[i] * here.step[i][2]
     return change / total
 
 
@@ -289,48 +272,46 @@ def settle_small_patches(
     group: wp.array[wp.int32],
     first_lane: int,
     lanes: int,
-    patches: SaddlePatches,
-    given: LocalEnergy,
     # Data in and out:
+    here: LocalProblem,
     points: wp.array[wp.vec3d],
     tried: wp.array[wp.vec3d],
     multipliers: wp.array[wp.float64],
-    scratch: LocalScratch,
 ):
     """Take Newton steps of a patch until the expected gain is small."""
     place, thread = wp.tid()
     p = group[place]
     lane = first_lane + thread
-    begin = patches.matrix.starts[p]
-    end = patches.matrix.starts[p + 1]
-    find_outside(p, lane, lanes, patches, points, scratch)
-    left = int(given.steps)
+    begin = here.matrix.starts[p]
+    end = here.matrix.starts[p + 1]
+    find_outside(p, lane, lanes, here, points)
+    left = int(here.steps)
     while left > 0:
         left -= 1
-        merit = merit_of(p, lane, lanes, patches, given, points, points, multipliers, scratch)
-        differentiate(p, lane, lanes, patches, given, points, multipliers, scratch)
+        merit = merit_of(p, lane, lanes, here, points, points, multipliers)
+        differentiate(p, lane, lanes, here, points, multipliers)
         for i in range(begin + lane, end, lanes):
-            assemble_row(i, patches, given, points, scratch)
-        meet(p, lane, lanes, scratch.gates)
-        matrix = patches.matrix
-        factorise_envelope(p, lane, lanes, matrix, scratch.gates, scratch.diagonal, scratch.numbers)
+            assemble_row(i, here, points)
+        meet(p, lane, lanes, here.gates)
+        matrix = here.matrix
+        factorise_envelope(p, lane, lanes, matrix, here.gates, here.diagonal, here.numbers)
         length = ZERO
         expected = ZERO
-        if scratch.numbers[p, DEFINITE] > ZERO:
-            solve_envelope(p, lane, lanes, matrix, scratch.gates, scratch.diagonal, scratch.step)
+        if here.numbers[p, DEFINITE] > ZERO:
+            solve_envelope(p, lane, lanes, matrix, here.gates, here.diagonal, here.step)
             if lane == 0:
-                expect(p, patches, scratch)
-            meet(p, lane, lanes, scratch.gates)
-            expected = scratch.numbers[p, EXPECTED]
-            length = scratch.numbers[p, LENGTH]
-        trials = int(given.halvings)
+                expect(p, here)
+            meet(p, lane, lanes, here.gates)
+            expected = here.numbers[p, EXPECTED]
+            length = here.numbers[p, LENGTH]
+        trials = int(MAX_HALVINGS)
         taken = ZERO
         while trials > 0 and length > ZERO:
             trials -= 1
             for i in range(begin + lane, end, lanes):
-                if patches.free[i]:
-                    tried[i] = in_tangent(points[i], length * scratch.step[i][0], length * scratch.step[i][1])
-            after = merit_of(p, lane, lanes, patches, given, points, tried, multipliers, scratch)
+                if here.free[i]:
+                    tried[i] = in_tangent(points[i], length * here.step[i][0], length * here.step[i][1])
+            after = merit_of(p, lane, lanes, here, points, tried, multipliers)
             if after <= merit - SUFFICIENT_DECREASE * length * expected:
                 taken = length
                 length = ZERO
@@ -339,12 +320,12 @@ def settle_small_patches(
         if taken > ZERO:
             # With its boundary fixed the area of a patch cannot change, so that its multipliers are determined up to a
             # constant, to which the patch's total area error would add at every step.
-            constant = mean_change(p, patches, scratch)
+            constant = mean_change(p, here)
             for i in range(begin + lane, end, lanes):
                 points[i] = tried[i]
-                if given.constrained:
-                    multipliers[i] = multipliers[i] + taken * (scratch.step[i][2] - constant)
-        if not taken * expected > given.enough:
+                if here.constrained:
+                    multipliers[i] = multipliers[i] + taken * (here.step[i][2] - constant)
+        if not taken * expected > here.enough:
             left = int(0)
 
 

@@ -13,7 +13,6 @@ corrected too. After each step the few vertices that have the most to gain take 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -240,7 +239,7 @@ class _Newton:
         self.constrained, self.stage = penalty is None, "omt" if penalty is None else "refine"
         self.energy, self.device, self.gain = energy, energy.device, gain
         self.surface, self.domain = energy.surface, energy.domain
-        self.steps = FlipFreeSteps(energy.domain)
+        self.steps = FlipFreeSteps(energy)
         self.factor = energy.saddle_factor()
         # Weights of the squared area errors in the augmented Lagrangian: μ over the wanted areas, which sum to 12π for
         # rings.
@@ -377,7 +376,7 @@ class _Newton:
         slope, pressed = reading.dot(right, solution), reading.dot(self.multipliers, terms.missing)
         volume, length, decrement, merit = terms.shape.d_volume, 1.0, 0.0, 0.0
         for halvings in range(MAX_HALVINGS + 1):
-            numbers, taken = self._tried(points, direction, volume, length)
+            numbers, taken = self.steps.tried(points, direction, volume, length, self.multipliers)
             if halvings == 0:
                 decrement = float(numbers[slope]) + self.stiffness * terms.squares
                 merit = self._merit(replace(terms, pressed=float(numbers[pressed])))
@@ -392,26 +391,6 @@ class _Newton:
                     return corrected, q, decrement
             length *= 0.5
         return None, q, decrement
-
-    def _tried(
-        self, points: wp.array, direction: wp.array, volume: wp.array, length: float
-    ) -> tuple[Floats, Callable[[], tuple[wp.array, MapTerms, int] | None]]:
-        """Try a step: return the numbers that were read, and what returns the map that it leads to.
-
-        Arguments are as of :meth:`omtwarp.optimal.steps.FlipFreeSteps.tried`. The function returns the map, its terms,
-        and the number of vertices held back; None where the step cannot be held back.
-        """
-        moved, marks, troubled = self.steps.tried(points, direction, volume, length, self.energy.reading)
-        finish = self.energy.begin(moved, self.multipliers)
-        numbers = self.energy.reading.read()
-
-        def taken() -> tuple[wp.array, MapTerms, int] | None:
-            if not numbers[troubled] > 0.0:
-                return moved, finish(numbers), 0
-            held = self.steps.held_back(points, direction, volume, length, marks)
-            return None if held is None else (held[0], self.energy.terms(held[0], self.multipliers), held[1])
-
-        return numbers, taken
 
     def _corrected(self, terms: MapTerms, step: _Step, enough: float) -> _Step | None:
         """Return a step whose merit is low enough, with its areas corrected; None without one.
@@ -438,7 +417,7 @@ class _Newton:
             missing = combine(1.0, step.terms.missing, step.length - 1.0, terms.missing)
             _, solution = energy.newton_step(self.factor, None, missing)
             direction, q = energy.direction(solution), solution[-self.multipliers.size :]
-            reached = self._tried(step.points, direction, volume, 1.0)[1]()
+            reached = self.steps.tried(step.points, direction, volume, 1.0, self.multipliers)[1]()
             if reached is None:
                 return step if low else None
             points, after, held = reached

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 
 from omtwarp.device.start import wp
-from omtwarp.device.sums import Reading
+from omtwarp.mesh.arrays import Floats
+from omtwarp.optimal.energy import MapTerms, TransportEnergy
 from omtwarp.solvers.motion_kernels import hold_back
-
-if TYPE_CHECKING:
-    from omtwarp.optimal.energy import Domain
-
 
 # Share of the vertices, at most, that is held back in a step: of more, half of the whole step gains more. Drawn parts
 # end in rags with 1; 0.25 and 0.5 are the same on scans.
@@ -20,49 +17,49 @@ MOST_HELD = 0.5
 
 
 class FlipFreeSteps:
-    """Moves the maps of a domain along directions.
+    """Moves the maps that an energy measures along directions.
 
     Args:
-        domain: where the V vertices of a surface move.
+        energy: of the maps of a surface, V vertices and F triangles.
     """
 
-    def __init__(self, domain: Domain):
-        self._domain, self._device = domain, domain.device
-        mesh = domain.surface.on(domain.device)
-        self._count, self._triangles = domain.surface.vertex_count, [*mesh.vertex_corners, mesh.faces]
+    def __init__(self, energy: TransportEnergy):
+        self._energy, self._domain, self._device = energy, energy.domain, energy.device
+        mesh = energy.surface.on(energy.device)
+        self._count, self._triangles = energy.surface.vertex_count, [*mesh.vertex_corners, mesh.faces]
         self._whole = wp.full(self._count, 1.0, dtype=wp.float64, device=self._device)
-        self._reading = Reading(self._device)
 
     def tried(
-        self, points: wp.array, direction: wp.array, volume: wp.array, length: float, reading: Reading
-    ) -> tuple[wp.array, wp.array, int]:
-        """Move points by a step, and begin to look for triangles that it turns over or nearly flattens.
+        self, points: wp.array, direction: wp.array, volume: wp.array, length: float, multipliers: wp.array | None
+    ) -> tuple[Floats, Callable[[], tuple[wp.array, MapTerms, int] | None]]:
+        """Try a step: return the numbers that were read, and what returns the map that it leads to.
 
         Args:
             points: a map without flips, shape [V].
             direction: of every vertex, shape [V].
             volume: of the triangles of the map, as of :meth:`omtwarp.optimal.energy.Domain.spoilt`, shape [F].
             length: of the step.
-            reading: of numbers from the device.
+            multipliers: as of :meth:`omtwarp.optimal.energy.TransportEnergy.terms`.
 
         Returns:
-            The map; marks of such triangles, float64, shape [F]; and the place of a number among those read that is
-            positive where there are some.
+            What the energy's reading held, and a function that returns the map, its terms, and the number of vertices
+            held back at triangles that the step would turn over or nearly flatten; None where it cannot be held back.
         """
+        energy = self._energy
         moved = self._domain.moved(points, direction, self._whole, length)
         marks = self._domain.spoilt(moved, volume)
-        return moved, marks, reading.largest(marks)
+        troubled, finish = energy.reading.largest(marks), energy.begin(moved, multipliers)
+        numbers = energy.reading.read()
 
-    def taken(
-        self, points: wp.array, direction: wp.array, volume: wp.array, length: float
-    ) -> tuple[wp.array, int] | None:
-        """Move points by a step, held back where it spoils triangles; arguments and result as of :meth:`held_back`."""
-        moved, marks, troubled = self.tried(points, direction, volume, length, self._reading)
-        if self._reading.read()[troubled] > 0.0:
-            return self.held_back(points, direction, volume, length, marks)
-        return moved, 0
+        def taken() -> tuple[wp.array, MapTerms, int] | None:
+            if not numbers[troubled] > 0.0:
+                return moved, finish(numbers), 0
+            held = self._held_back(points, direction, volume, length, marks)
+            return None if held is None else (held[0], energy.terms(held[0], multipliers), held[1])
 
-    def held_back(
+        return numbers, taken
+
+    def _held_back(
         self, points: wp.array, direction: wp.array, volume: wp.array, length: float, marks: wp.array
     ) -> tuple[wp.array, int] | None:
         """Move points by shares of the step, halved at corners and falling towards them, that keep every triangle.
@@ -85,7 +82,7 @@ class FlipFreeSteps:
                 return None
             moved = self._domain.moved(points, direction, share, length)
             marks = self._domain.spoilt(moved, volume)
-            place = self._reading.largest(marks)
-            if not self._reading.read()[place] > 0.0:
+            place = self._energy.reading.largest(marks)
+            if not self._energy.reading.read()[place] > 0.0:
                 return moved, held
         return None
