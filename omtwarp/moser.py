@@ -34,22 +34,18 @@ def velocity_at(
     faces: wp.array[wp.vec3i],
     neighbours: wp.array[wp.vec3i],
     field: wp.array[wp.vec3d],
-    mu: wp.array[wp.float64],
-    excess: wp.array[wp.float64],
-    sizes: wp.array[wp.float64],
+    numbers: wp.array[wp.vec3d],
 ):
-    """Return dx/ds = -∇Θ / (μ + (e^s - 1) ρ), section 4.2 with s = -log(1 - t); growth is e^s - 1, excess is ρ - 1.
+    """Return dx/ds = -∇Θ / (μ + (e^s - 1) ρ), section 4.2 with s = -log(1 - t); growth is e^s - 1.
 
     Also return the size of triangles there, linear between the vertices, and the face.
     """
     f, w = walk(p, start, points, faces, neighbours)
     face = faces[f]
     v = w[0] * field[face[0]] + w[1] * field[face[1]] + w[2] * field[face[2]]
-    density = w[0] * mu[face[0]] + w[1] * mu[face[1]] + w[2] * mu[face[2]]
-    more = w[0] * excess[face[0]] + w[1] * excess[face[1]] + w[2] * excess[face[2]]
-    v = (ONE / (density + growth + growth * more)) * v
-    size = w[0] * sizes[face[0]] + w[1] * sizes[face[1]] + w[2] * sizes[face[2]]
-    return v - wp.dot(v, p) * p, size, f
+    here = w[0] * numbers[face[0]] + w[1] * numbers[face[1]] + w[2] * numbers[face[2]]  # μ, ρ - 1 and size
+    v = (ONE / (here[0] + growth + growth * here[1])) * v
+    return v - wp.dot(v, p) * p, here[2], f
 
 
 @wp.kernel
@@ -101,9 +97,7 @@ def integrate_particles(
     faces: wp.array[wp.vec3i],
     neighbours: wp.array[wp.vec3i],
     field: wp.array[wp.vec3d],
-    mu: wp.array[wp.float64],
-    excess: wp.array[wp.float64],
-    sizes: wp.array[wp.float64],
+    numbers: wp.array[wp.vec3d],
     corners: wp.array[wp.int32],
     largest_step: wp.float64,
     courant: wp.float64,
@@ -124,7 +118,7 @@ def integrate_particles(
     grown = wp.float64(1.0)  # e^s
     count = int(0)
     while s < final and count < MAX_STEPS:
-        k1, size, f = velocity_at(p, grown - ONE, f, points, faces, neighbours, field, mu, excess, sizes)
+        k1, size, f = velocity_at(p, grown - ONE, f, points, faces, neighbours, field, numbers)
         # The remaining motion falls as e^-s, and the error of a step as its fourth power.
         # Longest step, of the 14 units of time of a path
         longest = wp.min(largest_step * wp.sqrt(wp.sqrt(grown)), wp.float64(2.0))
@@ -145,9 +139,7 @@ def integrate_particles(
                 weight = wp.float64(4.0) / wp.float64(9.0)
                 later = later * quarter
             ahead_point = wp.normalize(p + ahead * k)
-            k, _, near = velocity_at(
-                ahead_point, later - ONE, near, points, faces, neighbours, field, mu, excess, sizes
-            )
+            k, _, near = velocity_at(ahead_point, later - ONE, near, points, faces, neighbours, field, numbers)
             total += weight * k
         grown = later * quarter
         p = wp.normalize(p + step * total)
@@ -240,19 +232,19 @@ def moser_map(
         wanted = surface.sum_to_vertices(masses * (SPHERE_AREA / masses.sum())) / 3.0
     with np.errstate(divide="ignore"):
         densities = np.minimum([surface.vertex_areas / around, wanted / around - 1.0], float(LARGE))
-    mu, excess = (wp.array(density, dtype=wp.float64, device=where) for density in densities)
     potential = wp.array(solver.solve(surface.vertex_areas - wanted), dtype=wp.float64, device=where)
     tell(progress, "moser", 3, parts, {})
 
     field = wp.empty(vertices, dtype=wp.vec3d, device=where)
     sizes = wp.empty(vertices, dtype=wp.float64, device=where)
     launch_parts(vertex_field, vertices, [points, faces, potential, *rows, FIRST_THREAD], [field, sizes], where)
+    numbers = vectors(np.stack([*densities, sizes.numpy()], axis=1), where)
     moved = wp.empty_like(points)
     steps = wp.empty(vertices, dtype=wp.int32, device=where)
     # In s = -log(1 - t) the remaining motion falls as e^-s: at s = 14 it is 1e-6 of ∇Θ.
     # Largest step, at the start; it grows with s
     limits = [wp.float64(0.25), wp.float64(courant), wp.float64(14.0)]
-    shared = [points, faces, mesh.face_neighbours, field, mu, excess, sizes, rows[1]]
+    shared = [points, faces, mesh.face_neighbours, field, numbers, rows[1]]
     inputs = [*each(points, rows[0]), *shared, *limits]
     launch_parts(integrate_particles, vertices, inputs, each(moved, steps), where)
     longest = int(steps.numpy().max())

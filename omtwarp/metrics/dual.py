@@ -238,21 +238,15 @@ class TransportDual(MapDual):
         # Triangles near each other in space next to each other in the tree.
         triangles, corners = narrow_parts(y, surface.faces)
         order = order_by_halves((corners @ y[surface.faces[triangles]]).mean(axis=1))
-        self._parts = [
-            wp.array(triangles[order], dtype=wp.int32, device=self.device),
-            wp.array(corners[order], dtype=wp.mat33d, device=self.device),
-        ]
-        self._faces = wp.array(surface.faces, dtype=wp.vec3i, device=self.device)
-        self.edge_terms = wp.array(
-            edge_bulges(y[surface.faces], self.log[surface.faces]), dtype=wp.vec3d, device=self.device
-        )
+        parts, self._faces = triangles[order].astype(np.int32), surface.on(self.device).faces
+        self._parts = [sent(parts, wp.int32, self.device), sent(corners[order], wp.mat33d, self.device)]
+        self.edge_terms = vectors(edge_bulges(y[surface.faces], self.log[surface.faces]), self.device)
         self._leaves = leaf_count(len(order))
         offsets, segments = tree_segments(self._leaves)
         # The work of a node is in proportion to its leaves: every part of a launch gets nodes of all sizes.
         nodes, spread = (interleaved(count, core_count()) for count in (2 * self._leaves, len(segments)))
-        self._nodes = wp.array(nodes, dtype=wp.int32, device=self.device)
-        self._segments = wp.array(segments[spread], dtype=wp.vec2i, device=self.device)
-        self._offsets = wp.array(offsets, dtype=wp.int32, device=self.device)
+        self._nodes, self._offsets = (sent(numbers, wp.int32, self.device) for numbers in (nodes, offsets))
+        self._segments = sent(segments[spread], wp.vec2i, self.device)
         # Paraboloids of the nodes, fitted to the first potential; raised above a later one, they bound that, too.
         self._tree: list[wp.array] | None = None
 

@@ -58,7 +58,7 @@ from omtwarp.mesh.arrays import (
     whole_number,
 )
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_sphere, as_surface
-from omtwarp.metrics.dual import Bound, TorusDual, TransportDual, ascend, log_maps
+from omtwarp.metrics.dual import TorusDual, TransportDual, ascend, log_maps
 from omtwarp.options import Cost, CostLike, Progress, Record, tell
 from omtwarp.solvers.poisson import EdgeLaplacianSolver
 
@@ -90,36 +90,46 @@ class Curl:
     stream: Floats
 
 
-@dataclass(frozen=True, repr=False)
-class Optimality(InOneLine):
+@dataclass(frozen=True, repr=False, kw_only=True)
+class TransportGap(InOneLine):
     """How far a map is from optimal.
 
     Attributes:
-        relative_curl: norm of the curl part of log_y(x) over the norm of log_y(x); 0 for an optimal map.
-        cost: M = Σ m_i d(x_i, y_i)², radians² times area; the masses sum to 4π.
+        relative_curl: norm of the part of the displacement that is no gradient over that of all of it; 0 for an optimal
+            map.
+        cost: Σ m_i d(x_i, y_i)², squared lengths times area; the masses sum to 4π.
         lower_bound: a lower bound on the cost of every rearrangement, same unit.
         gap: cost / lower_bound - 1.
-        swapped_edges: edges whose two ends would gain by swapping partners; 0 for an optimal map without flips.
         ascent_steps: improvements of the potential that were made.
-        potential: ψ at the y_i, float64, shape [V].
-        vertex_gap: what each vertex adds to cost - lower_bound, float64, shape [V].
-        stream: H, the part of the displacement that is curl, float64, shape [V].
     """
 
     relative_curl: float
     cost: float
     lower_bound: float
     gap: float
-    swapped_edges: int
     ascent_steps: int
-    potential: Floats
-    vertex_gap: Floats
-    stream: Floats
 
     def to_dict(self) -> dict[str, float | int | None]:
         """Return the numbers by name, ready for JSON, with None for one that is not finite."""
         values = {name: value for name, value in vars(self).items() if not isinstance(value, np.ndarray)}
         return {name: value if np.isfinite(value) else None for name, value in values.items()}
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class Optimality(TransportGap):
+    """How far a map to the sphere is from optimal: what :class:`TransportGap` has, in radians, and more.
+
+    Attributes:
+        swapped_edges: edges whose two ends would gain by swapping partners; 0 for an optimal map without flips.
+        potential: ψ at the y_i, float64, shape [V].
+        vertex_gap: what each vertex adds to cost - lower_bound, float64, shape [V].
+        stream: H, the part of the displacement that is curl, float64, shape [V].
+    """
+
+    swapped_edges: int
+    potential: Floats
+    vertex_gap: Floats
+    stream: Floats
 
     def __str__(self) -> str:
         return (
@@ -173,7 +183,8 @@ def optimality(
         0.0
     """
     surface = as_surface(surface)
-    x, y = _points(start, surface, "start"), _points(sphere, surface, "map")
+    # Normalised again, since the bound's accuracy depends on lengths.
+    x, y = normalised(as_sphere(start, surface, "start")), normalised(as_sphere(sphere, surface, "map"))
     mass = _masses(surface.vertex_areas if masses is None else masses, surface.vertex_count)
     enough = real_number(enough, "enough", least=0.0)
     # Of the cost, what a first bound must reach for steps to be taken: one below cannot be raised to a gap that says
@@ -199,11 +210,13 @@ def optimality(
     cost = 2.0 * float(mass @ dual.cost)
     if cost - 2.0 * best.excess < worth_raising * cost:
         ascent_steps = 0
-
-    def before_step(done: int, ascent: Bound) -> None:
-        notify(STEPS_BEFORE + done, {"gap": 2.0 * ascent.excess / cost})
-
-    best, steps = ascend(dual, best, ascent_steps, _excess_at(cost, enough), before_step)
+    best, steps = ascend(
+        dual,
+        best,
+        ascent_steps,
+        _excess_at(cost, enough),
+        lambda done, ascent: notify(STEPS_BEFORE + done, {"gap": 2.0 * ascent.excess / cost}),
+    )
     vertex_gap = 2.0 * mass * best.vertex_gap
     lower = max(cost - float(vertex_gap.sum()), 0.0)  # no plan costs less than nothing
     notify(total, {"gap": _excess(cost, lower)})
@@ -278,29 +291,15 @@ def _excess(cost: float, bound: float) -> float:
     return 0.0 if cost == bound else float("inf")
 
 
-@dataclass(frozen=True)
-class TorusOptimality:
-    """How far a map to a torus is from optimal.
+@dataclass(frozen=True, repr=False, kw_only=True)
+class TorusOptimality(TransportGap):
+    """How far a map to a torus is from optimal: what :class:`TransportGap` has, on a torus of area 4π, and more.
 
     Attributes:
-        relative_curl: norm of the part of y - x that is no gradient, over the norm of y - x; 0 for an optimal map.
-        cost: Σ m |y - x|², with masses 4π and a torus of area 4π.
-        lower_bound: a lower bound on the cost of every rearrangement, same unit.
-        gap: cost / lower_bound - 1.
         wrapped: vertices that a copy of their image is nearer to; none for an optimal map.
-        ascent_steps: improvements of the potential that were made.
     """
 
-    relative_curl: float
-    cost: float
-    lower_bound: float
-    gap: float
     wrapped: int
-    ascent_steps: int
-
-    def to_dict(self) -> dict[str, float | None]:
-        """Convert to plain values ready for JSON, with None for one that is not finite."""
-        return {name: value if np.isfinite(value) else None for name, value in vars(self).items()}
 
 
 @blas_threads(1)
@@ -326,7 +325,8 @@ def torus_optimality(surface: Surface, x: Floats, y: Floats, shift: Floats, latt
     other = squared_norms(moved[:, None] + steps).min(axis=1)
     # As many lattices are symmetric, two ways may be equally long but for rounding.
     wrapped = int((other < squared_norms(moved) * (1.0 - 1e-9)).sum())
-    return TorusOptimality(curl, cost, lower, gap, wrapped, taken)
+    numbers = {"relative_curl": curl, "cost": cost, "lower_bound": lower, "gap": gap}
+    return TorusOptimality(**numbers, ascent_steps=taken, wrapped=wrapped)
 
 
 def _curl(surface: Surface, corners: Floats, moved: Floats) -> Curl:
@@ -396,16 +396,6 @@ def map_curl(
     if cost == Cost.GEODESIC:
         log = normalised(log)
     return _curl(surface, y[surface.faces], log)
-
-
-def _points(given: ArrayLike, surface: Surface, name: str) -> Floats:
-    """Normalise points of the unit sphere, shape [V, 3], again, since the bound's accuracy depends on their lengths.
-
-    Raises:
-        OmtwarpError: the points are not one unit vector per vertex.
-    """
-    points = as_sphere(given, surface, name)
-    return normalised(points)
 
 
 def _masses(given: ArrayLike, count: int) -> Floats:

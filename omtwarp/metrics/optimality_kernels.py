@@ -16,8 +16,8 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 mat66d = wp.types.matrix(shape=(6, 6), dtype=wp.float64)
 vec6d = wp.types.vector(length=6, dtype=wp.float64)
-# Of a node: level, the two slopes and the second derivatives (0,0), (0,1) and (1,1) of its paraboloid, the least and
-# the largest coordinate along both axes, and the largest distance from its centre.
+# Of a node: level, the two slopes and the second derivatives (0,0), (0,1) and (1,1) of its paraboloid, less the
+# least and the largest coordinate along both axes, and the largest distance from its centre.
 vec11d = wp.types.vector(length=11, dtype=wp.float64)
 
 SAMPLES = wp.constant(6)  # of the potential in a triangle: as many as a quadratic function has coefficients
@@ -194,6 +194,8 @@ def fit_nodes(
     fit = solve_definite(gram, right)
     for k in range(3):
         fit[3 + k] = fit[3 + k] / (size * size)
+    for k in range(1, 3):
+        fit[k] = fit[k] / size
     # Second derivatives of a fit: more is a fit through rounding, and a constant bounds better.
     if not (wp.abs(fit[3]) + wp.abs(fit[4]) + wp.abs(fit[5]) < wp.float64(1.0e12)):
         fit = vec6d()
@@ -201,8 +203,6 @@ def fit_nodes(
     axis_out[node] = u
     for k in range(1, 6):
         model[k] = fit[k]
-    model[1] = fit[1] / size
-    model[2] = fit[2] / size
     model_out[node] = model
 
 
@@ -220,7 +220,7 @@ def measure_segments(
     # Data out:
     extremes_out: wp.array[vec6d],
 ):
-    """Find what the samples of some of a node's triangles need: level, least and largest coordinates, and radius.
+    """Find what the samples of some of a node's triangles need: level, rectangle and squared radius.
 
     A segment is a node and a number: it stands for as many as ``SEGMENT`` of the node's triangles, so that no thread
     goes through those of half a mesh. The level makes the paraboloid an upper bound at all samples, and between them to
@@ -229,10 +229,7 @@ def measure_segments(
     place, _compiled_once = wp.tid()
     node = segments[place][0]
     number = segments[place][1]
-    level = -LARGE
-    radius = ZERO
-    low = wp.vec2d()
-    high = wp.vec2d()
+    most = vec6d(-LARGE, ZERO, ZERO, ZERO, ZERO, ZERO)
     if node > 0:
         first, last = leaves_below(node, leaf_count, face_count)
         first += SEGMENT * number
@@ -250,16 +247,13 @@ def measure_segments(
                 a1 = wp.dot(w, v)
                 bent = HALF * (fit[3] * a0 * a0 + fit[5] * a1 * a1) + fit[4] * a0 * a1
                 over = values[k] - (fit[1] * a0 + fit[2] * a1 + bent)
-                level = wp.max(level, over)
-                radius = wp.max(radius, wp.length_sq(w))
-                low = wp.min(low, wp.vec2d(a0, a1))
-                high = wp.max(high, wp.vec2d(a0, a1))
+                most = wp.max(most, vec6d(over, -a0, a0, -a1, a1, wp.length_sq(w)))
                 if s < 3:
                     above[s] = over
                 else:
                     # No quadratic on the triangle exceeds its coefficients in Bernstein's form.
-                    level = wp.max(level, TWO * over - HALF * (above[s - 3] + above[(s - 2) % 3]))
-    extremes_out[offsets[node] + number] = vec6d(level, low[0], high[0], low[1], high[1], radius)
+                    most[0] = wp.max(most[0], TWO * over - HALF * (above[s - 3] + above[(s - 2) % 3]))
+    extremes_out[offsets[node] + number] = most
 
 
 @wp.kernel
@@ -273,15 +267,7 @@ def bound_nodes(
     node, _compiled_once = wp.tid()
     most = extremes[offsets[node]]
     for k in range(offsets[node] + 1, offsets[node + 1]):
-        other = extremes[k]
-        most = vec6d(
-            wp.max(most[0], other[0]),
-            wp.min(most[1], other[1]),
-            wp.max(most[2], other[2]),
-            wp.min(most[3], other[3]),
-            wp.max(most[4], other[4]),
-            wp.max(most[5], other[5]),
-        )
+        most = wp.max(most, extremes[k])
     bounded = model[node]
     bounded[0] = most[0]
     for k in range(4):
@@ -335,10 +321,8 @@ def node_bound(x: wp.vec3d, c: wp.vec3d, axis: wp.vec3d, model: vec11d, enough: 
     simple = base - radius * wp.sqrt(g0 * g0 + g1 * g1) + HALF * wp.min(mean - spread, ZERO) * radius * radius
     if simple >= enough:
         return simple
-    low0 = model[6]
-    high0 = model[7]
-    low1 = model[8]
-    high1 = model[9]
+    low0, high0 = -model[6], model[7]
+    low1, high1 = -model[8], model[9]
     det = h00 * h11 - h01 * h01
     if h00 > ZERO and det > ZERO:
         w0 = (h01 * g1 - h11 * g0) / det

@@ -179,21 +179,12 @@ def build_plane_nodes(
     low = corners[first, 0]
     high = corners[first, 0]
     for f in range(first, last + 1):
-        a = corners[f, 0]
-        b = corners[f, 1]
-        c = corners[f, 2]
         above = lowered(slope, corners, heights, f)
         least = wp.min(least, potential_at(above, bulges[f], lowest_on_triangle(above, bulges[f])))
-        low = wp.min(low, wp.min(a, wp.min(b, c)))
-        high = wp.max(high, wp.max(a, wp.max(b, c)))
-    model[0] = slope[0]
-    model[1] = slope[1]
-    model[2] = least
-    model[3] = low[0]
-    model[4] = high[0]
-    model[5] = low[1]
-    model[6] = high[1]
-    nodes[node] = model
+        for k in range(3):
+            low = wp.min(low, corners[f, k])
+            high = wp.max(high, corners[f, k])
+    nodes[node] = vec7d(slope[0], slope[1], least, low[0], high[0], low[1], high[1])
 
 
 @wp.kernel

@@ -18,7 +18,7 @@ from omtwarp.mesh.patches import Patches, grow, sides_of
 from omtwarp.mesh.surface import SPHERE_AREA, transposed_rows
 from omtwarp.mesh.validate import components_of
 from omtwarp.optimal.energy import MapTerms, TransportEnergy
-from omtwarp.optimal.patch_kernels import LocalProblem, gather_patches, scatter_patches, settle_small_patches
+from omtwarp.optimal.patch_kernels import LocalProblem, settle_small_patches
 from omtwarp.optimal.shape import DistortionEnergy, Terms
 from omtwarp.optimal.sphere import GeodesicCost, Sphere
 from omtwarp.solvers.cholesky.envelope import Envelopes
@@ -144,11 +144,9 @@ class LocalSteps:
         """
         assert isinstance(terms.shape, Terms)
         energy, device, lanes = self._energy, self._device, lanes_on(self._device)
-        count, vertices = len(self._vertices), sent(self._vertices.astype(np.int32), wp.int32, device)
-        moved, tried = (wp.empty(count, dtype=wp.vec3d, device=device) for _ in range(2))
-        areas, of_patches = (wp.empty(count, dtype=wp.float64, device=device) for _ in range(2))
-        inputs, state = [vertices, points, terms.areas, multipliers], [moved, tried, areas, of_patches]
-        wp.launch(gather_patches, dim=count, inputs=inputs, outputs=state, device=device)
+        vertices = sent(self._vertices.astype(np.int32), wp.int32, device)
+        moved, tried = (points[vertices].contiguous() for _ in range(2))
+        areas, of_patches = (numbers[vertices].contiguous() for numbers in (terms.areas, multipliers))
         here = self._problem(areas, lanes)
         # Patches are a small part of the map's area, so that its scale is taken as constant.
         here.pressures = self._distortion.pressures(terms.shape, energy.area_weight)
@@ -158,7 +156,8 @@ class LocalSteps:
         outputs = [here, moved, tried, of_patches]
         launch_patches(settle_small_patches, self._sizes, [0, lanes], outputs, device)
         after = [wp.clone(points), wp.clone(multipliers)]
-        wp.launch(scatter_patches, dim=count, inputs=[vertices, moved, of_patches], outputs=after, device=device)
+        for whole, part in zip(after, (moved, of_patches), strict=True):
+            wp.copy(whole[vertices], part)
         return after[0], after[1]
 
     def _problem(self, areas: wp.array, lanes: int) -> LocalProblem:

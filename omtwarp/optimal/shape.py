@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.device.arrays import Workspace, empty
+from omtwarp.device.arrays import Workspace, empty, sent
 from omtwarp.device.policy import shares_host_memory
 from omtwarp.device.start import wp
 from omtwarp.device.sums import Reading
@@ -97,16 +97,10 @@ class DistortionEnergy:
         self._mesh = [mesh.faces, own, mesh.face_areas]
 
     def _scratch(self, rows: int, columns: int) -> wp.array:
-        """Return a temporary array from the shared workspace.
-
-        It is float64 of shape [rows, columns], or vec3d of shape [rows] where there are three.
-        """
+        """Return a temporary array from the shared workspace, float64, shape [rows, columns]."""
         if not shares_host_memory(self.device):
-            if columns == 3:
-                return wp.empty(rows, dtype=wp.vec3d, device=self.device)
             return wp.empty((rows, columns), dtype=wp.float64, device=self.device)
-        numbers = self.workspace.numbers(rows * columns).reshape(rows, columns)
-        return wp.array(numbers, dtype=wp.vec3d if columns == 3 else wp.float64, device=self.device, copy=False)
+        return sent(self.workspace.numbers(rows * columns).reshape(rows, columns), wp.float64)
 
     def terms(self, points: wp.array) -> Terms:
         """Return the distortions and per-triangle ratios of a map."""
@@ -135,7 +129,7 @@ class DistortionEnergy:
     def gradient(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
         """Return the gradient of the energy by the vertices, tangent to the sphere, vec3d, shape [V]."""
         assert isinstance(terms, Terms)
-        corners = self._scratch(3 * self._count, 3)
+        corners = self._scratch(3 * self._count, 3).view(wp.vec3d)
         inputs = [points, *each(*self._mesh), self.pressures(terms, weight)]
         launch_parts(triangle_gradient, self._count, inputs, [Each(corners, 3)], self.device)
         inputs = [points, *self._rows, corners, wp.float64(SPHERE_AREA), FIRST_THREAD]
