@@ -53,13 +53,12 @@ OTHERS = {
         "optimal/patch_kernels.py": "MAX_HALVINGS",
         "optimal/nested.py": "STEPS SMOOTHING_STEPS",
         "optimal/solver.py": "MAX_HALVINGS",
-        "solvers/newton.py": "MAX_HALVINGS",
         "solvers/cholesky/multifrontal.py": "REFINEMENTS",
         "moser.py": "SHORTEST_STEP MAX_STEPS",
         "start/hierarchical.py": "insertion_attempts",
         "start/hierarchical_kernels.py": "_HALVINGS",
         "optimal/steps.py": "holds",
-        "untangling/untangle.py": "ROUND_STEPS STEP_WORK WORK_PER_VERTEX",
+        "untangling/untangle.py": "ROUND_STEPS STEP_WORK WORK_PER_VERTEX MAX_HALVINGS",
     },
     # What keeps matrices solvable and quotients finite, and below what rounding decides.
     "regularisation": {

@@ -10,7 +10,7 @@ of its edges. Triangles, or parts of those with long edges, are the leaves of a 
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import geodesic_distance
-from omtwarp.metrics.tree_kernels import SEGMENT, leaves_below, lowest_on_triangle, next_subtree, potential_at
+from omtwarp.metrics.tree_kernels import SEGMENT, leaves_below, lowest_on_triangle, next_node, potential_at
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -386,44 +386,41 @@ def c_transform(
             if not inside:
                 # Slack: lowers bounds of numbers of size 1 by fifty times float64's round-off
                 relied = wp.min(relied, bound - wp.float64(1.0e-14))
-        if inside and node < leaf_count:
-            node = 2 * node
-        else:
-            if inside:
-                leaf = node - leaf_count
-                corner = wp.vec3d()
-                middle = wp.vec3d()
-                for k in range(3):
-                    one = SAMPLES * leaf + k
-                    corner[k] = half_squared_distance(x, places[one]) - values[one]
-                    middle[k] = half_squared_distance(x, places[one + 3]) - values[one + 3]
-                bulge = wp.vec3d()
-                for k in range(3):
-                    bulge[k] = wp.float64(4.0) * middle[k] - TWO * (corner[k] + corner[(k + 1) % 3])
-                    b = wp.vec3d()
-                    b[k] = ONE
-                    value = corner[k]
-                    if middle[k] < value:
-                        value = middle[k]
-                        b[k] = HALF
-                        b[(k + 1) % 3] = HALF
-                    if value < best:
-                        best = value
-                        best_leaf = leaf
-                        best_weights = b
-                b = lowest_on_triangle(corner, bulge)
-                if potential_at(corner, bulge, b) < best:
-                    f = triangles[leaf]
-                    face = faces[f]
-                    own = b @ corners[leaf]
-                    psi = potential_at(wp.vec3d(nodal[face[0]], nodal[face[1]], nodal[face[2]]), edge[f], own)
-                    z = point_at(points[face[0]], points[face[1]], points[face[2]], own)
-                    value = half_squared_distance(x, z) - psi
-                    if value < best:
-                        best = value
-                        best_leaf = leaf
-                        best_weights = b
-            node = next_subtree(node)
+        if inside and node >= leaf_count:
+            leaf = node - leaf_count
+            corner = wp.vec3d()
+            middle = wp.vec3d()
+            for k in range(3):
+                one = SAMPLES * leaf + k
+                corner[k] = half_squared_distance(x, places[one]) - values[one]
+                middle[k] = half_squared_distance(x, places[one + 3]) - values[one + 3]
+            bulge = wp.vec3d()
+            for k in range(3):
+                bulge[k] = wp.float64(4.0) * middle[k] - TWO * (corner[k] + corner[(k + 1) % 3])
+                b = wp.vec3d()
+                b[k] = ONE
+                value = corner[k]
+                if middle[k] < value:
+                    value = middle[k]
+                    b[k] = HALF
+                    b[(k + 1) % 3] = HALF
+                if value < best:
+                    best = value
+                    best_leaf = leaf
+                    best_weights = b
+            b = lowest_on_triangle(corner, bulge)
+            if potential_at(corner, bulge, b) < best:
+                f = triangles[leaf]
+                face = faces[f]
+                own = b @ corners[leaf]
+                psi = potential_at(wp.vec3d(nodal[face[0]], nodal[face[1]], nodal[face[2]]), edge[f], own)
+                z = point_at(points[face[0]], points[face[1]], points[face[2]], own)
+                value = half_squared_distance(x, z) - psi
+                if value < best:
+                    best = value
+                    best_leaf = leaf
+                    best_weights = b
+        node = next_node(node, inside, leaf_count)
     proven_out[i] = wp.min(best, relied)
     triangle_out[i] = -1
     if best_leaf >= 0:

@@ -40,8 +40,13 @@ def leaves_below(node: int, leaf_count: int, item_count: int):
 
 
 @wp.func
-def next_subtree(node: int) -> int:
-    """Return the node after a subtree of a binary tree in heap order whose root is node 1; 0 after the last one."""
+def next_node(node: int, inside: bool, leaf_count: int) -> int:
+    """Return the first node below one of a binary tree in heap order, or after it: from a leaf, or if not inside.
+
+    The root is node 1; 0 comes after the last one.
+    """
+    if inside and node < leaf_count:
+        return 2 * node
     after = int(node)
     while after % 2 == 1 and after > 1:  # up while this is a right child
         after = after // 2
@@ -228,19 +233,16 @@ def best_images(
                 inside = bound < best - tolerance
                 if not inside:
                     relied = wp.min(relied, bound - wp.float64(1.0e-14))  # that rounding may add
-            if inside and node < leaf_count:
-                node = 2 * node
-            else:
-                if inside:
-                    f = node - leaf_count
-                    above = lowered(x, corners, heights, f)
-                    at = lowest_on_triangle(above, bulges[f])
-                    value = own + potential_at(above, bulges[f], at)
-                    if value < best:
-                        best = value
-                        best_leaf = f
-                        best_shares = at
-                node = next_subtree(node)
+            if inside and node >= leaf_count:
+                f = node - leaf_count
+                above = lowered(x, corners, heights, f)
+                at = lowest_on_triangle(above, bulges[f])
+                value = own + potential_at(above, bulges[f], at)
+                if value < best:
+                    best = value
+                    best_leaf = f
+                    best_shares = at
+            node = next_node(node, inside, leaf_count)
     proven[i] = wp.min(best, relied)
     leaf[i] = best_leaf
     shares[i] = best_shares

@@ -291,18 +291,15 @@ class TransportEnergy:
         matrix.points = points
         hessians = self.shape.hessian(points, terms.shape, self.area_weight)
         weight = wp.float64(self.shape_weight)
-        metric, diagonal = self.vertex_metric(points, terms), matrix.diagonal.reshape((-1, COORDINATES))
+        masses = self.cells.masses(terms.areas, self.cost_weight / SPHERE_AREA)
+        metric = self.vertex_cost.hessian(points, masses, LEAST_EIGENVALUE)
+        diagonal = matrix.diagonal.reshape((-1, COORDINATES))
         inputs = [*mesh.vertex_corners, hessians, weight, metric, FIRST_THREAD]
         launch_parts(vertex_entries, matrix.vertices, inputs, [diagonal, matrix.inner], self.device)
         inputs = [Each(mesh.edges), mesh.faces, Each(mesh.edge_corners), hessians, weight]
         launch_parts(gather_edge_blocks, len(mesh.edges), inputs, each(matrix.off_diagonal), self.device)
         if matrix.slopes.size:
             self.cells.slopes(self.domain.area_slopes(points), matrix.slopes)
-
-    def vertex_metric(self, points: wp.array, terms: MapTerms) -> wp.array:
-        """Return the second derivative of what depends on single vertices, float64, shape [V, 4]."""
-        masses = self.cells.masses(terms.areas, self.cost_weight / SPHERE_AREA)
-        return self.vertex_cost.hessian(points, masses, LEAST_EIGENVALUE)
 
     def factorise(self, factor: SaddlePointFactor, points: wp.array, terms: MapTerms, compliance: wp.array) -> None:
         """Factorise the matrix of a map, with a larger diagonal where rounding made a pivot's sign wrong.

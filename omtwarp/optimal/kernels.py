@@ -8,7 +8,7 @@ to be 3 m_v; P_v is the potential of the target at y_v. See :mod:`omtwarp.optima
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import TINY, logarithm, oriented_volume
 from omtwarp.solvers.newton import ends_in, vertex_block
-from omtwarp.solvers.triangle import first_tangent
+from omtwarp.solvers.triangle import first_tangent, tangent_coordinates
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -21,8 +21,9 @@ Fit = wp.types.vector(length=8, dtype=wp.float64)
 
 
 @wp.func
-def area_gradient(own: wp.vec3d, p: wp.vec3d, q: wp.vec3d) -> wp.vec3d:
-    """Return the gradient of the solid angle of (own, p, q) with respect to ``own``, tangent to the sphere there."""
+def area_gradient(points: wp.array[wp.vec3d], face: wp.vec3i, k: int) -> wp.vec3d:
+    """Return the gradient of a triangle's solid angle by its corner k, tangent to the sphere there."""
+    own, p, q = points[face[k]], points[face[(k + 1) % 3]], points[face[(k + 2) % 3]]
     normal = wp.cross(p, q)
     towards = p + q
     # Six times the volume, computed from differences so that small triangles lose no digits.
@@ -98,10 +99,7 @@ def transport_gradient(
     total = -(TWO * masses[v] * cost_slope(distance, softness)) * pull
     for k in range(offsets[v], offsets[v + 1]):
         corner = corners[k]
-        face = faces[corner // 3]
-        total += potential[corner // 3] * area_gradient(
-            y, points[face[(corner + 1) % 3]], points[face[(corner + 2) % 3]]
-        )
+        total += potential[corner // 3] * area_gradient(points, faces[corner // 3], corner % 3)
     gradient[v] = total + weight * further[v]
 
 
@@ -117,10 +115,7 @@ def area_slopes(
     f, _compiled_once = wp.tid()
     f += first
     for k in range(3):
-        own = points[faces[f][k]]
-        by_corner = area_gradient(own, points[faces[f][(k + 1) % 3]], points[faces[f][(k + 2) % 3]])
-        t = first_tangent(own)
-        slopes[f, k] = wp.vec2d(wp.dot(by_corner, t), wp.dot(by_corner, wp.cross(own, t)))
+        slopes[f, k] = tangent_coordinates(points[faces[f][k]], area_gradient(points, faces[f], k))
 
 
 @wp.kernel
@@ -250,10 +245,10 @@ def neighbour_fit(
 
 
 @wp.func
-def raised_fit(fit: Fit, least: wp.float64) -> wp.vec3d:
+def raised_fit(fit: Fit, least: wp.float64) -> wp.vec4d:
     """Solve J A = B for the neighbours, make J symmetric and raise its eigenvalues to ``least``.
 
-    Returns the entries of J: 11, 12 and 22.
+    Returns the entries of J, row by row.
     """
     held11, held22 = fit[0] + LINE * fit[7], fit[2] + LINE * fit[7]
     det = held11 * held22 - fit[1] * fit[1]
@@ -268,7 +263,7 @@ def raised_fit(fit: Fit, least: wp.float64) -> wp.vec3d:
     if radius > TINY:
         cosine, sine = gap / radius, off / radius
     centre, spread = HALF * (high + low), HALF * (high - low)
-    return wp.vec3d(centre + spread * cosine, spread * sine, centre - spread * cosine)
+    return wp.vec4d(centre + spread * cosine, spread * sine, spread * sine, centre - spread * cosine)
 
 
 @wp.kernel
@@ -302,7 +297,5 @@ def cost_metric(
         fit += neighbour_fit(y, x, softness, points[w], start[w])
     _pull, distance = logarithm(y, x)
     entries = TWO * masses[v] * cost_slope(distance, softness) * raised_fit(fit, least)
-    metric[v, 0] = entries[0]
-    metric[v, 1] = entries[1]
-    metric[v, 2] = entries[1]
-    metric[v, 3] = entries[2]
+    for k in range(4):
+        metric[v, k] = entries[k]

@@ -18,7 +18,7 @@ from omtwarp.solvers import newton
 from omtwarp.solvers.cholesky.envelope import Envelope, add_block, clear_row, factorise_envelope, meet, solve_envelope
 from omtwarp.solvers.motion_kernels import keeps_volume
 from omtwarp.solvers.newton import corner_block
-from omtwarp.solvers.triangle import first_tangent, first_tangents, in_tangent
+from omtwarp.solvers.triangle import first_tangents, in_tangent, tangent_coordinates
 from omtwarp.untangling.kernels import solid_angle
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -65,7 +65,7 @@ class LocalProblem:
     shape: wp.array[wp.float64]  # distortion of every triangle, [T]
     solid: wp.array[wp.float64]  # its solid angle
     blocks: wp.array2d[wp.float64]  # its Hessian, [T, 21]
-    bends: wp.array2d[wp.float64]  # gradient of its solid angle by the tangent coordinates of its corners, [T, 6]
+    bends: wp.array2d[wp.vec2d]  # gradient of its solid angle by the tangent coordinates of its corners, [T, 3]
     pulls: wp.array2d[wp.vec3d]  # gradient of the energy by its corners, [T, 3]
     outside: wp.array[wp.float64]  # areas around vertices in triangles outside the patch, [P]
     ring: wp.array[wp.float64]  # areas around vertices
@@ -165,11 +165,8 @@ def differentiate(
         for k in range(3):
             potential += multipliers[face[k]] + here.cost_factor * here.cost[face[k]]
         for k in range(3):
-            y = points[face[k]]
-            bend = area_gradient(y, points[face[(k + 1) % 3]], points[face[(k + 2) % 3]])
-            tangent = first_tangent(y)
-            here.bends[t, 2 * k] = wp.dot(tangent, bend)
-            here.bends[t, 2 * k + 1] = wp.dot(wp.cross(y, tangent), bend)
+            bend = area_gradient(points, face, k)
+            here.bends[t, k] = tangent_coordinates(points[face[k]], bend)
             here.pulls[t, k] = potential * bend + rows[k]
     meet(p, lane, lanes, here.gates)
 
@@ -183,13 +180,11 @@ def saddle_block(t: int, m: int, n: int, here: LocalProblem) -> wp.mat33d:
         own = corner_block(t, m, n, here.blocks)
         for k in range(4):
             block[k // 2, k % 2] = own[k]
-    if m < n:
-        if one:
-            block[0, 2] = here.bends[t, 2 * m]
-            block[1, 2] = here.bends[t, 2 * m + 1]
-        if other:
-            block[2, 0] = here.bends[t, 2 * n]
-            block[2, 1] = here.bends[t, 2 * n + 1]
+    for k in range(2):
+        if m < n and one:
+            block[k, 2] = here.bends[t, m][k]
+        if m < n and other:
+            block[2, k] = here.bends[t, n][k]
     return block
 
 
@@ -226,10 +221,9 @@ def assemble_row(i: int, here: LocalProblem, points: wp.array[wp.vec3d]):
         block[0, 0] = (ONE + REGULARISATION) * (block[0, 0] + metric[0])
         block[0, 1] = block[0, 1] + metric[1]
         block[1, 0] = block[1, 0] + metric[1]
-        block[1, 1] = (ONE + REGULARISATION) * (block[1, 1] + metric[2])
-        tangent = first_tangent(y)
-        right[0] = -wp.dot(tangent, slope)
-        right[1] = -wp.dot(wp.cross(y, tangent), slope)
+        block[1, 1] = (ONE + REGULARISATION) * (block[1, 1] + metric[3])
+        downhill = -tangent_coordinates(y, slope)
+        right = wp.vec3d(downhill[0], downhill[1], right[2])
     else:
         block[0, 0] = ONE
         block[1, 1] = ONE

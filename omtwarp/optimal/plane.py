@@ -242,10 +242,8 @@ def plane_cost_metric(
         weight = ONE / wp.max(wp.dot(d, d), TINY)
         fit += weighted_fit(weight, d[0], d[1], e[0], e[1])
     entries = TWO * masses[v] * raised_fit(fit, least)
-    metric[v, 0] = entries[0]
-    metric[v, 1] = entries[1]
-    metric[v, 2] = entries[1]
-    metric[v, 3] = entries[2]
+    for k in range(4):
+        metric[v, k] = entries[k]
 
 
 class Plane(Domain):

@@ -23,25 +23,19 @@ def needle(cosine: wp.float64) -> wp.float64:
     The flat triangle of a needle whose height is far below the sagitta of its long edge stands nearly upright: its
     volume can vanish while its flat area does not.
     """
-    if cosine >= STEEP_COSINE:
-        return ZERO
-    gap = STEEP_COSINE - cosine
+    gap = wp.max(STEEP_COSINE - cosine, ZERO)
     return gap * gap * gap / cosine
 
 
 @wp.func
 def needle_slope(cosine: wp.float64) -> wp.float64:
-    if cosine >= STEEP_COSINE:
-        return ZERO
-    gap = STEEP_COSINE - cosine
+    gap = wp.max(STEEP_COSINE - cosine, ZERO)
     return -(THREE * cosine + gap) * gap * gap / (cosine * cosine)
 
 
 @wp.func
 def needle_curvature(cosine: wp.float64) -> wp.float64:
-    if cosine >= STEEP_COSINE:
-        return ZERO
-    gap = STEEP_COSINE - cosine
+    gap = wp.max(STEEP_COSINE - cosine, ZERO)
     share = gap / cosine
     return TWO * share * (THREE + THREE * share + share * share)
 

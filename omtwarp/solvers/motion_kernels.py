@@ -2,7 +2,7 @@
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
 from omtwarp.geometry.spherical import oriented_volume
-from omtwarp.solvers.triangle import first_tangent
+from omtwarp.solvers.triangle import first_tangent, tangent_coordinates
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -95,10 +95,9 @@ def to_tangent(
 ):
     """Compute the coordinates of vectors in the tangent bases that the Hessian is written in, shape [V, 2]."""
     i = wp.tid()
-    y = sphere[i]
-    t = first_tangent(y)
-    coordinates[i, 0] = wp.dot(t, vectors[i])
-    coordinates[i, 1] = wp.dot(wp.cross(y, t), vectors[i])
+    own = tangent_coordinates(sphere[i], vectors[i])
+    coordinates[i, 0] = own[0]
+    coordinates[i, 1] = own[1]
 
 
 @wp.kernel

@@ -1,8 +1,6 @@
-"""Newton steps of patches: matrices gathered from triangles, factorised in a kept order, and lengths of steps."""
+"""Newton matrices of patches, gathered from triangles and factorised in a kept order."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,6 +103,7 @@ def gather_edge_blocks(
         off_diagonal[e, q] = block[q]
 
 
+SUFFICIENT_DECREASE = 1e-4  # share of the decrease that the slope predicts (Nocedal and Wright 2006, chapter 3)
 # Where rounding still leaves a pivot that is not positive, the diagonal grows by these parts of itself.
 DIAGONAL_SHIFTS = (0.0, 1e-12, 1e-9, 1e-6, 1e-3)
 
@@ -138,14 +137,17 @@ class PatchMatrix:
         self._growth, self._factor = growth, factor
 
     def factorise(self, blocks: NDArray[np.float64]) -> None:
-        """Factorise the matrix of the given blocks of triangles, with a diagonal that grows until it is definite.
+        """Factorise the matrix of the blocks of triangles, [F, 21], with a diagonal that grows until it is definite.
 
         What is added is relative to each vertex, which does not depend on the basis of its tangent plane.
 
         Raises:
             OmtwarpError: the blocks are not finite, or far from semidefinite.
         """
-        diagonal, off_diagonal = self._assembled(blocks)
+        source = sent(blocks, wp.float64)
+        of_vertices = computed(gather_vertex_blocks, [*self._rows, source], self._blocks[0])
+        of_edges = computed(gather_edge_blocks, [*self._sides, source, wp.float64(1.0)], self._blocks[1])
+        diagonal, off_diagonal = (found.numpy().reshape(-1, 2, 2) for found in (of_vertices, of_edges))
         own = diagonal[:, [0, 1], [0, 1]]
         of_vertices = own.mean(axis=1, keepdims=True)
         for part in DIAGONAL_SHIFTS:
@@ -158,46 +160,6 @@ class PatchMatrix:
                 continue
         raise OmtwarpError("the distortion of the map is not finite")
 
-    def _assembled(self, blocks: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Sum blocks of triangles, [F, 21], to those of vertices, [V, 2, 2], and of edges, [E, 2, 2]."""
-        source = sent(blocks, wp.float64)
-        of_vertices = computed(gather_vertex_blocks, [*self._rows, source], self._blocks[0])
-        of_edges = computed(gather_edge_blocks, [*self._sides, source, wp.float64(1.0)], self._blocks[1])
-        return of_vertices.numpy().reshape(-1, 2, 2), of_edges.numpy().reshape(-1, 2, 2)
-
     def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
         """Solve for tangent coordinates, shape [V, 2]."""
         return self._factor.solve(right)
-
-
-MAX_HALVINGS = 20  # of a patch's step before the patch stays where it is
-SUFFICIENT_DECREASE = 1e-4  # share of the decrease that the slope predicts (Nocedal and Wright 2006, chapter 3)
-
-
-def search_patches(
-    move: Callable[[NDArray[np.float64]], wp.array],
-    energies_of: Callable[[wp.array], NDArray[np.float64]],
-    energies: NDArray[np.float64],
-    slopes: NDArray[np.float64],
-    longest: NDArray[np.float64],
-) -> wp.array:
-    """Step lengths of independent patches, each halved until its own energy falls; what never falls stays.
-
-    Args:
-        move: the points after steps of given lengths, one per patch.
-        energies_of: the energy of every patch at such points.
-        energies, slopes: of every patch before the step.
-        longest: lengths to begin with; patches with 0 stay.
-
-    Returns:
-        The points moved.
-    """
-    length = longest.copy()
-    for _ in range(MAX_HALVINGS):
-        moved = move(length)
-        worse = ~(energies_of(moved) <= energies + SUFFICIENT_DECREASE * length * slopes) & (length > 0.0)
-        if not worse.any():
-            return moved
-        length[worse] *= 0.5
-    length[worse] = 0.0
-    return move(length)

@@ -113,6 +113,13 @@ def first_tangents(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.mat33d:
 
 
 @wp.func
+def tangent_coordinates(y: wp.vec3d, v: wp.vec3d) -> wp.vec2d:
+    """Return the coordinates of a vector in the tangent basis of a point."""
+    t = first_tangent(y)
+    return wp.vec2d(wp.dot(t, v), wp.dot(wp.cross(y, t), v))
+
+
+@wp.func
 def in_tangent(y: wp.vec3d, x0: wp.float64, x1: wp.float64) -> wp.vec3d:
     """Move a point by coordinates in its tangent basis, and project it to the sphere."""
     t = first_tangent(y)
@@ -129,14 +136,3 @@ def barrier(d: wp.float64, eps: wp.float64) -> wp.float64:
     if d >= ZERO:
         return HALF * (d + root)
     return HALF * eps * eps / (root - d)
-
-
-@wp.func
-def barrier_slope(d: wp.float64, eps: wp.float64) -> wp.float64:
-    return barrier(d, eps) / wp.sqrt(d * d + eps * eps)
-
-
-@wp.func
-def barrier_curvature(d: wp.float64, eps: wp.float64) -> wp.float64:
-    square = d * d + eps * eps
-    return HALF * eps * eps / (square * wp.sqrt(square))

@@ -12,18 +12,10 @@ smooth polynomial of the three points,
 behind a switch.
 """
 
-from omtwarp.device.start import KERNEL_OPTIONS, ONE, TWO, ZERO, wp
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import corners_of, oriented_volume, solid_angle
 from omtwarp.solvers.newton import packed
-from omtwarp.solvers.triangle import (
-    barrier,
-    barrier_curvature,
-    barrier_slope,
-    column_weights,
-    columns,
-    first_tangent,
-    in_tangent,
-)
+from omtwarp.solvers.triangle import barrier, column_weights, columns, first_tangent, in_tangent
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -88,8 +80,9 @@ def untangle_newton(
     d = oriented_volume(a, b, c) * scale
     fro = wp.dot(c1, c1) + wp.dot(c2, c2)
     chi = barrier(d, eps)
-    slope = barrier_slope(d, eps)
-    curve = barrier_curvature(d, eps)
+    square = d * d + eps * eps
+    slope = chi / wp.sqrt(square)
+    curve = HALF * eps * eps / (square * wp.sqrt(square))
     top = fro + weight * (d * d + ONE)
 
     # Derivatives of f(J, D) = (|J|² + λ (D² + 1)) / χ(D); jointly convex in (J, D) once the two negative parts, of χ''
@@ -107,18 +100,14 @@ def untangle_newton(
     bases = wp.matrix(dtype=wp.float64, shape=(6, 3))
     by_columns = wp.matrix(dtype=wp.float64, shape=(6, 2))  # along bases: |J|² / 2, and D
     for i in range(3):
-        yi = points[i]
         pull = first[i] * c1 + second[i] * c2
-        basis = first_tangent(yi)
+        basis = first_tangent(points[i])
         for u in range(2):
             if u == 1:
-                basis = wp.cross(yi, basis)
+                basis = wp.cross(points[i], basis)
             k = 2 * i + u
-            bases[k, 0] = basis[0]
-            bases[k, 1] = basis[1]
-            bases[k, 2] = basis[2]
-            by_columns[k, 0] = wp.dot(basis, pull)
-            by_columns[k, 1] = wp.dot(basis, normals[i])
+            bases[k] = basis
+            by_columns[k] = wp.vec2d(wp.dot(basis, pull), wp.dot(basis, normals[i]))
             gradient[t, k] = area * (TWO * by_fro * by_columns[k, 0] + by_det * by_columns[k, 1])
     for k in range(6):
         i = k // 2

@@ -22,14 +22,14 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.device.threads import blas_threads
+from omtwarp.device.threads import Each, blas_threads, computed
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import examine, flipped_faces, is_bijective
 from omtwarp.mesh.arrays import Floats, InOneLine, dots, marked
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_sphere, as_surface
 from omtwarp.options import Progress, tell
-from omtwarp.solvers.newton import PatchMatrix, search_patches
+from omtwarp.solvers.newton import SUFFICIENT_DECREASE, PatchMatrix
 from omtwarp.solvers.triangle import AREA_WEIGHT, triangle_frames
 from omtwarp.untangling.kernels import move_in_tangent, solid_angles, untangle_newton, untangle_value
 
@@ -54,6 +54,7 @@ DAMPING = 1e-3
 # Of area against angle in conformal maps: with 1, this and 0.03 the angle distortion of 32 made surfaces is 3.33, 2.84
 # and 2.71 after repair, which takes 2.5, 3.2 and 3.5 s.
 CONFORMAL_AREA_WEIGHT = 0.1
+MAX_HALVINGS = 20  # of a patch's step before the patch stays where it is
 # With half and twice the first, and 0.5 and 0.9 for the second, the area distortion of a creature of 2,000 vertices
 # differs by at most 0.0002.
 SETTLED_GAIN = 0.01  # of a patch's energy: where a step is expected to gain less than half of it, ε is lowered
@@ -258,10 +259,9 @@ class _Untangling:
             shown = np.where(self.share > 0.0, self.share, wanted)
             frames *= np.sqrt(wanted / shown)[patches.face_patch, None]
         self.matrix = PatchMatrix(patches, surface, DAMPING)
-        corner = np.repeat(patches.faces, 2, axis=1)
-        index = np.where(corner < patches.free, 2 * corner + np.array([0, 1] * 3), -1).ravel()
-        self.gradient_kept = np.flatnonzero(index >= 0)
-        self.gradient_slot = index[self.gradient_kept]
+        # Of what a triangle has at each corner; all vertices that stay share the last place.
+        place = 2 * np.repeat(np.minimum(patches.faces, patches.free), 2, axis=1) + np.array([0, 1] * 3)
+        self.gradient_place = place.ravel()
         self.d_frames = wp.array(frames, dtype=wp.vec3d, device=device)
         self.d_areas = wp.array(surface.face_areas[patches.triangles], dtype=wp.float64, device=device)
         self.d_gradient = wp.empty((count, 6), dtype=wp.float64, device=device)
@@ -323,9 +323,8 @@ class _Untangling:
         inputs = [points, self.d_faces, self.d_frames, self.d_areas, face_epsilon, self.area_weight]
         outputs = [self.d_gradient, self.d_hessian]
         wp.launch(untangle_newton, dim=len(patches.faces), inputs=inputs, outputs=outputs, device=self.device)
-        entries = self.d_gradient.numpy().ravel()[self.gradient_kept]
-        gradient = np.bincount(self.gradient_slot, entries, minlength=2 * patches.free).astype(np.float64, copy=False)
-        gradient = gradient.reshape(-1, 2)
+        sums: Floats = np.bincount(self.gradient_place, self.d_gradient.numpy().ravel()).astype(np.float64, copy=False)
+        gradient = sums[: 2 * patches.free].reshape(-1, 2)
         try:
             self.matrix.factorise(self.d_hessian.numpy())
             direction = -self.matrix.solve(gradient)
@@ -337,19 +336,20 @@ class _Untangling:
         slope = patches.sum_of_vertices(dots(direction, gradient))
         settled: NDArray[np.bool_] = -slope <= SETTLED_GAIN * energy
         # No vertex moves farther than a radian: beyond that its tangent plane does not approximate the sphere.
-        longest = np.where(active & (slope < 0.0), 1.0, 0.0) / np.maximum(patches.longest(direction), 1.0)
-        moved = search_patches(
-            lambda length: self._moved(points, direction * length[patches.vertex_patch][:, None]),
-            lambda moved: self._energy(moved, face_epsilon),
-            energy,
-            slope,
-            longest,
-        )
-        return moved, settled
+        length = np.where(active & (slope < 0.0), 1.0, 0.0) / np.maximum(patches.longest(direction), 1.0)
+        for _ in range(MAX_HALVINGS):
+            moved = self._moved(points, direction, length)
+            enough = energy + SUFFICIENT_DECREASE * length * slope
+            worse = ~(self._energy(moved, face_epsilon) <= enough) & (length > 0.0)
+            if not worse.any():
+                return moved, settled
+            length[worse] *= 0.5
+        length[worse] = 0.0
+        return self._moved(points, direction, length), settled
 
-    def _moved(self, points, step: Floats):
-        """Move the freed points by coordinates [free, 2] in their tangent planes."""
-        moved = wp.clone(points)
+    def _moved(self, points, direction: Floats, length: Floats):
+        """Move the freed points by coordinates [free, 2] in their tangent planes, times a length for every patch."""
+        moved, step = wp.clone(points), direction * length[self.patches.vertex_patch][:, None]
         inputs = [points, wp.array(step, dtype=wp.float64, device=self.device, copy=False)]
         wp.launch(move_in_tangent, dim=self.patches.free, inputs=inputs, outputs=[moved], device=self.device)
         return moved
@@ -367,9 +367,8 @@ class _Untangling:
 
     def _covered(self, points: wp.array) -> Floats:
         """Return the signed area that every patch covers, with multiplicity, over that of the sphere, shape [count]."""
-        inputs, outputs = [points, self.d_faces], [self.d_solid]
-        wp.launch(solid_angles, dim=len(self.d_faces), inputs=inputs, outputs=outputs, device=self.device)
-        return self.patches.sum_of_faces(self.d_solid.numpy()) / SPHERE_AREA
+        solid = computed(solid_angles, [points, Each(self.d_faces)], self.d_solid).numpy()
+        return self.patches.sum_of_faces(solid) / SPHERE_AREA
 
     def _flips(self, points: Floats) -> NDArray[np.intp]:
         """Return the number of flipped triangles of every patch, decided exactly, shape [count]."""
