@@ -41,18 +41,15 @@ MAX_CELL_RMS, MAX_CELL_ERROR = 1e-3, 0.05
 def cell_slopes(
     of_parts: wp.array2d[wp.vec2d],
     # Data out:
-    slopes: wp.array3d[wp.float64],
+    slopes: wp.array2d[wp.vec2d],
 ):
-    """Sum the derivatives of the parts' areas to those of every cell by its six vertices, shape [N, 6, 2]."""
+    """Sum the derivatives of the parts' areas to those of every cell by its six vertices, shape [N, 6]."""
     c = wp.tid()
     begin = PARTS * c
     for k in range(3):
-        corner = of_parts[begin + k, 0]
+        slopes[c, k] = of_parts[begin + k, 0]
         # The middle of the edge from corner k to the next is in the parts of both, and in the one in the middle.
-        middle = of_parts[begin + k, 1] + of_parts[begin + (k + 1) % 3, 2] + of_parts[begin + 3, k]
-        for axis in range(2):
-            slopes[c, k, axis] = corner[axis]
-            slopes[c, 3 + k, axis] = middle[axis]
+        slopes[c, 3 + k] = of_parts[begin + k, 1] + of_parts[begin + (k + 1) % 3, 2] + of_parts[begin + 3, k]
 
 
 class Cells:
@@ -129,7 +126,7 @@ class RingCells(Cells):
     def slopes(self, of_triangles: wp.array, out: wp.array) -> None:
         """Write the derivatives across every edge, both ways."""
         mesh, edges = self._mesh, len(self._surface.edges)
-        both = out.reshape((2, edges, 2))
+        both = out.reshape((2, edges, 2)).view(wp.vec2d)
         inputs = [of_triangles, mesh.faces, mesh.edges, mesh.edge_corners, FIRST_THREAD]
         launch_parts(edge_slopes, edges, inputs, [both], self._device)
 
@@ -178,8 +175,8 @@ class TriangleCells(Cells):
 
     def slopes(self, of_triangles: wp.array, out: wp.array) -> None:
         """Write the derivatives by every triangle's six vertices."""
-        outputs = [out.reshape((self.multipliers, 6, 2))]
-        wp.launch(cell_slopes, dim=self.multipliers, inputs=[of_triangles], outputs=outputs, device=self._device)
+        slopes = out.reshape((self.multipliers, 6, 2)).view(wp.vec2d)
+        wp.launch(cell_slopes, dim=self.multipliers, inputs=[of_triangles], outputs=[slopes], device=self._device)
 
     def factor(self, workspace: Workspace | None = None) -> SaddlePointFactor:
         """Return what factorises matrices with a multiplier for every triangle: the same object at every call."""

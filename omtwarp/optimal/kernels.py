@@ -126,9 +126,9 @@ def edge_slopes(
     edge_corners: wp.array[wp.vec2i],
     first: int,
     # Data out:
-    of_edges: wp.array3d[wp.float64],
+    of_edges: wp.array2d[wp.vec2d],
 ):
-    """Sum the derivatives of triangles' areas to those of the areas around the ends of every edge, shape [2, E, 2].
+    """Sum the derivatives of triangles' areas to those of the areas around the ends of every edge, shape [2, E].
 
     First come the derivatives of the first end's area by the second end's coordinates, then those of the second end's
     area by the first end's coordinates. Both are sums over the two triangles of the edge.
@@ -141,9 +141,8 @@ def edge_slopes(
             one, other = ends_in(corner, edges[e][0], faces)
             by_first += slopes[corner // 3, one]
             by_second += slopes[corner // 3, other]
-    for axis in range(2):
-        of_edges[0, e, axis] = by_second[axis]
-        of_edges[1, e, axis] = by_first[axis]
+    of_edges[0, e] = by_second
+    of_edges[1, e] = by_first
 
 
 @wp.kernel

@@ -147,21 +147,21 @@ class LocalSteps:
         vertices = sent(self._vertices.astype(np.int32), wp.int32, device)
         moved, tried = (points[vertices].contiguous() for _ in range(2))
         areas, of_patches = (numbers[vertices].contiguous() for numbers in (terms.areas, multipliers))
-        here = self._problem(areas, lanes)
+        here = self._problem(lanes)
         # Patches are a small part of the map's area, so that its scale is taken as constant.
         here.pressures = self._distortion.pressures(terms.shape, energy.area_weight)
         here.shape_weight, here.softness = energy.shape_weight, self._cost.softness
         here.cost_factor = energy.cost_weight / (3.0 * SPHERE_AREA)
+        here.whole, here.multipliers = areas, of_patches
         here.steps, here.enough, here.constrained = most, enough / self._count, self._constrained
-        outputs = [here, moved, tried, of_patches]
-        launch_patches(settle_small_patches, self._sizes, [0, lanes], outputs, device)
+        launch_patches(settle_small_patches, self._sizes, [0, lanes], [here, moved, tried], device)
         after = [wp.clone(points), wp.clone(multipliers)]
         for whole, part in zip(after, (moved, of_patches), strict=True):
             wp.copy(whole[vertices], part)
         return after[0], after[1]
 
-    def _problem(self, areas: wp.array, lanes: int) -> LocalProblem:
-        """Return what the kernel reads of the patches, with the areas around their vertices, and memory."""
+    def _problem(self, lanes: int) -> LocalProblem:
+        """Return what the kernel reads of the patches themselves, and memory."""
         energy, vertices, triangles, device = self._energy, self._vertices, self._triangles, self._device
         face_starts = np.concatenate([[0], np.cumsum(self._sizes)]).astype(np.int32)
         offsets, corners = transposed_rows(self._faces, len(vertices))
@@ -174,7 +174,7 @@ class LocalSteps:
         here.free = sent(self._free, wp.bool, device)
         here.start = sent(self._cost.start[vertices], wp.vec3d, device)
         here.wanted = sent(energy.wanted[vertices], wp.float64, device)
-        here.whole, here.stiffness = areas, sent(self._stiffness, wp.float64, device)
+        here.stiffness = sent(self._stiffness, wp.float64, device)
 
         def numbers(*shape: int) -> wp.array:
             return wp.empty(shape, dtype=wp.float64, device=device)

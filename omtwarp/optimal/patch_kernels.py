@@ -52,6 +52,7 @@ class LocalProblem:
     start: wp.array[wp.vec3d]  # x of the vertices
     wanted: wp.array[wp.float64]  # areas around them
     whole: wp.array[wp.float64]  # areas around them in the map at the beginning
+    multipliers: wp.array[wp.float64]  # of these areas, which steps change
     stiffness: wp.array[wp.float64]  # weights of squared area errors
     pressures: wp.vec3d  # as of omtwarp.optimal.shape.DistortionEnergy.pressures
     shape_weight: wp.float64
@@ -100,13 +101,7 @@ def find_outside(p: int, lane: int, lanes: int, here: LocalProblem, points: wp.a
 
 @wp.func
 def merit_of(
-    p: int,
-    lane: int,
-    lanes: int,
-    here: LocalProblem,
-    before: wp.array[wp.vec3d],
-    points: wp.array[wp.vec3d],
-    multipliers: wp.array[wp.float64],
+    p: int, lane: int, lanes: int, here: LocalProblem, before: wp.array[wp.vec3d], points: wp.array[wp.vec3d]
 ) -> wp.float64:
     """Compute areas and costs, and return the merit; LARGE where a triangle lost nearly all the volume it had."""
     begin = here.matrix.starts[p]
@@ -130,9 +125,8 @@ def merit_of(
         missing = ring - here.wanted[i]
         here.ring[i] = ring
         here.cost[i] = cost
-        here.worth[i] = (
-            here.cost_factor * ring * cost + multipliers[i] * missing + HALF * here.stiffness[i] * missing * missing
-        )
+        pressed = here.multipliers[i] * missing
+        here.worth[i] = here.cost_factor * ring * cost + pressed + HALF * here.stiffness[i] * missing * missing
     meet(p, lane, lanes, here.gates)
     if lane == 0:
         shape = ZERO
@@ -147,9 +141,7 @@ def merit_of(
 
 
 @wp.func
-def differentiate(
-    p: int, lane: int, lanes: int, here: LocalProblem, points: wp.array[wp.vec3d], multipliers: wp.array[wp.float64]
-):
+def differentiate(p: int, lane: int, lanes: int, here: LocalProblem, points: wp.array[wp.vec3d]):
     """Compute the gradients and Hessians of triangles, and the gradients of their areas.
 
     :func:`merit_of` has computed areas and costs at these points.
@@ -163,7 +155,7 @@ def differentiate(
         distortion_hessian(t, frame, share, a, b, c, first_tangents(a, b, c), here.pressures, here.blocks)
         potential = ZERO
         for k in range(3):
-            potential += multipliers[face[k]] + here.cost_factor * here.cost[face[k]]
+            potential += here.multipliers[face[k]] + here.cost_factor * here.cost[face[k]]
         for k in range(3):
             bend = area_gradient(points, face, k)
             here.bends[t, k] = tangent_coordinates(points[face[k]], bend)
@@ -270,7 +262,6 @@ def settle_small_patches(
     here: LocalProblem,
     points: wp.array[wp.vec3d],
     tried: wp.array[wp.vec3d],
-    multipliers: wp.array[wp.float64],
 ):
     """Take Newton steps of a patch until the expected gain is small."""
     place, thread = wp.tid()
@@ -282,8 +273,8 @@ def settle_small_patches(
     left = int(here.steps)
     while left > 0:
         left -= 1
-        merit = merit_of(p, lane, lanes, here, points, points, multipliers)
-        differentiate(p, lane, lanes, here, points, multipliers)
+        merit = merit_of(p, lane, lanes, here, points, points)
+        differentiate(p, lane, lanes, here, points)
         for i in range(begin + lane, end, lanes):
             assemble_row(i, here, points)
         meet(p, lane, lanes, here.gates)
@@ -305,7 +296,7 @@ def settle_small_patches(
             for i in range(begin + lane, end, lanes):
                 if here.free[i]:
                     tried[i] = in_tangent(points[i], length * here.step[i][0], length * here.step[i][1])
-            after = merit_of(p, lane, lanes, here, points, tried, multipliers)
+            after = merit_of(p, lane, lanes, here, points, tried)
             if after <= merit - SUFFICIENT_DECREASE * length * expected:
                 taken = length
                 length = ZERO
@@ -318,6 +309,6 @@ def settle_small_patches(
             for i in range(begin + lane, end, lanes):
                 points[i] = tried[i]
                 if here.constrained:
-                    multipliers[i] = multipliers[i] + taken * (here.step[i][2] - constant)
+                    here.multipliers[i] = here.multipliers[i] + taken * (here.step[i][2] - constant)
         if not taken * expected > here.enough:
             left = int(0)

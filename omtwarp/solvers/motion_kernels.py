@@ -1,7 +1,7 @@
 """Kernels that move a map along tangent vectors, and find the triangles that a step flips or nearly flattens."""
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, ZERO, wp
-from omtwarp.geometry.spherical import oriented_volume
+from omtwarp.geometry.spherical import corners_of, oriented_volume
 from omtwarp.solvers.triangle import first_tangent, tangent_coordinates
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -37,9 +37,8 @@ def retract_to_sphere(
 ):
     """Move every vertex by its share of a step, and project it to the sphere; with no share its bits stay."""
     i = wp.tid()
-    if share[i] == wp.float64(0.0):
-        moved[i] = sphere[i]
-    else:
+    moved[i] = sphere[i]
+    if share[i] != ZERO:
         moved[i] = wp.normalize(sphere[i] + length * share[i] * direction[i])
 
 
@@ -53,9 +52,8 @@ def triangle_trouble(
 ):
     """Mark with 1 where a step flips a triangle or takes nearly all its volume, shape [F]."""
     t = wp.tid()
-    face = faces[t]
-    after = oriented_volume(moved[face[0]], moved[face[1]], moved[face[2]])
-    trouble[t] = wp.where(keeps_volume(after, volume[t]), ZERO, ONE)
+    a, b, c = corners_of(moved, faces[t])
+    trouble[t] = wp.where(keeps_volume(oriented_volume(a, b, c), volume[t]), ZERO, ONE)
 
 
 @wp.kernel
