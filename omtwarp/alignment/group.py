@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from omtwarp.alignment.align import (
     DEGREE,
@@ -20,12 +19,10 @@ from omtwarp.alignment.rotation_search import Complex, best_rotation, complex_co
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.axes import fitted_rotation
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.arrays import Floats, Ints
+from omtwarp.mesh.arrays import Bools, Floats, Ints
 from omtwarp.options import Progress, tell
 from omtwarp.resampling import SpherePoints, as_points, resample
 from omtwarp.resampling.resample import PointsLike
-
-Bools = NDArray[np.bool_]
 
 ROUNDS = 20  # largest number of means that are computed; a mean that settles to TOLERANCE ends it earlier
 # Radians, or shares of the mean's size: invisible in pictures of a group.

@@ -12,7 +12,7 @@ from typing import Unpack, cast
 
 import numpy as np
 import scipy
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from omtwarp.conformal import density
 from omtwarp.device.arrays import give_back
@@ -27,7 +27,7 @@ from omtwarp.geometry.space_order import OrderedSurface, in_space_order
 from omtwarp.mapping.verdict import accepted, judge
 from omtwarp.maps.result import MapReport, MapResult, StageReport, origin_arrays
 from omtwarp.measures import TargetDensity, mass_distortion, weighted_surface
-from omtwarp.mesh.arrays import TINY, Floats, normalised
+from omtwarp.mesh.arrays import TINY, Bools, Floats, normalised
 from omtwarp.mesh.quarter import PARTS, quarter
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_surface, as_unit_vectors, triangle_areas
 from omtwarp.metrics.certificate import Certificate, certify_triangles
@@ -209,7 +209,7 @@ class MapComputation:
     mirror: Double | None = None
     given: Floats | None = None
     given_map: Floats | None = None
-    own: NDArray[np.bool_] | None = None
+    own: Bools | None = None
     source: Floats = field(init=False)
     given_up: list[str] = field(default_factory=list)
     repair_given_up: bool = False

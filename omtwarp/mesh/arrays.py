@@ -30,6 +30,7 @@ Ints: TypeAlias = NDArray[np.int32]
 Indices: TypeAlias = NDArray[np.int64]
 Numbers: TypeAlias = NDArray[np.generic]
 Bytes: TypeAlias = NDArray[np.uint8]
+Bools: TypeAlias = NDArray[np.bool_]
 Shape = tuple[int | None, ...]
 Layout = Mapping[str, tuple[type[np.generic], tuple[str | int, ...]]]
 

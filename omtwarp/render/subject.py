@@ -131,7 +131,12 @@ def map_view(
 
 
 def torus_view(
-    result: MapResult, image: Picture | None, *, which: str = "optimal", on: str = "surface", pattern: str = "circles"
+    result: MapResult,
+    image: Picture | None = None,
+    *,
+    which: str = "optimal",
+    on: str = "surface",
+    pattern: str = "circles",
 ) -> SurfaceView:
     """Return a view of a map to a torus: the surface, or the ring torus, with a picture that repeats both ways.
 
