@@ -277,12 +277,13 @@ def _side_by_side(
     own = [triangle_areas(each.sphere, each.faces).sum() / triangle_areas(*_whole(each)[:2]).sum() for each in maps]
     wanted = np.array(masses) / np.array(own)
     goals = [_wanted_areas(each) if exact else None for each in maps]
+    rims = [points[boundary_loops(faces, len(points))[0]] for points, faces, _ in map(_whole, maps)] if exact else []
+    rims = [hemisphere_to_disk(rim) for rim in rims]
     centres, covered = pack_caps(wanted / wanted.sum())
     for _ in range(rounds_apart):
         shares = covered * wanted / wanted.sum()
         if exact:
-            rims = [points[boundary_loops(faces, len(points))[0]] for points, faces, _ in map(_whole, maps)]
-            shares = shares_of_polygons([hemisphere_to_disk(rim) for rim in rims], shares, wanted)
+            shares = shares_of_polygons(rims, shares, wanted)
         capped = [_on_cap(each, share, wanted=goal)[0] for each, share, goal in zip(maps, shares, goals, strict=True)]
         placed = [_placed(each, centre, share) for each, share, centre in zip(capped, shares, centres, strict=True)]
         reach = np.array([_reach(each, centre) for each, centre in zip(placed, centres, strict=True)])
@@ -422,10 +423,9 @@ def _quartered(opened: _Opened, closed: MapResult, surface: Surface) -> tuple[_O
     given = opened.filled.vertices
     points = np.concatenate([given, 0.5 * given[ends[:, 0]] + 0.5 * given[ends[:, 1]]])[order]
     faces = place[closed.faces].astype(np.int32)
-    loops = []
+    keys, loops = edge_keys(ends, whole), []
     for loop in opened.loops:
-        sides = edge_keys(np.stack([loop, np.roll(loop, -1)], axis=1), whole)
-        edge = np.searchsorted(edge_keys(ends, whole), sides)
+        edge = np.searchsorted(keys, edge_keys(np.stack([loop, np.roll(loop, -1)], axis=1), whole))
         loops.append(np.stack([loop, place[whole + edge]], axis=1).ravel())
     number, parents = np.where(used < whole, used, -1), np.arange(own) // PARTS
     of_parts = Origins(number, parents, split_edges=ends[middles - whole], given=len(opened.vertices))

@@ -103,8 +103,8 @@ def in_single_precision(points: Floats, faces: NDArray[np.integer], name: str) -
         return int((np.abs(after - before) > 0.1 * before).any(axis=1).sum())
 
     # Slivers along the charts of a texture change at the origin too; one triangle in a thousand may be as small
-    lost = changed(points)
-    if lost > len(faces) / 1000 + changed(points - points.mean(axis=0)):
+    lost, few = changed(points), len(faces) / 1000
+    if lost > few and lost > few + changed(points - points.mean(axis=0)):
         what = f"single precision changes edges of {lost} of {len(faces)} faces by more than a tenth"
         warnings.warn(f"{what}: move the mesh to the origin, or write .ply or .obj", OmtwarpWarning, stacklevel=3)
     return rounded
