@@ -12,11 +12,10 @@ from typing import Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp.device.policy import resolve_device, solving_with
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.geometry.space_order import in_space_order
 from omtwarp.geometry.sphere_hierarchy import triangle_solid_angles
-from omtwarp.mapping.joined import in_input_order, joined, torus_in_input_order
+from omtwarp.mapping.joined import in_input_order, joined
 from omtwarp.mapping.pipeline import map_closed, map_to_sphere
 from omtwarp.mapping.verdict import accepted, judge
 from omtwarp.maps.result import MapResult, MeshReport, StageReport, SurfaceReport, origin_arrays
@@ -335,20 +334,12 @@ def _reach(each: MapResult, centre: Floats) -> float:
 
 
 def _on_torus(part: Part, progress: Progress | None, options: MapOptions) -> MapResult:
-    """Map a part of genus 1 to a flat torus.
-
-    Raises:
-        OmtwarpError: options that only maps to the sphere have.
-    """
+    """Map a part of genus 1 to a flat torus."""
     ordered = numbered_in_space(part)
-    for name in ("method", "until", "cost", "scheme"):
-        if getattr(options, name) != getattr(MapOptions, name):
-            raise OmtwarpError(f"'{name}' is an option of maps to the sphere: a map to a torus has none")
-    device = str(resolve_device(options.device))
-    with solving_with(options.solver, device):
-        surface = Surface(ordered.vertices, ordered.faces)
-        result = map_to_torus(surface, options, progress=progress, device=device)
-    return torus_in_input_order(result, ordered, part)
+    surface = Surface(ordered.vertices, ordered.faces)
+    surface.origins = ordered
+    result = in_input_order(map_to_torus(surface, options, progress=progress), part, exact=options.exact)
+    return result if options.exact else result.with_arrays(origin_arrays(None))
 
 
 @dataclass(frozen=True, eq=False)

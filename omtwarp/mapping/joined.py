@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.maps.result import SEVERAL, MapReport, MapResult, layout_on, origin_arrays
+from omtwarp.maps.result import SEVERAL, MapReport, MapResult, layout_on
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.quarter import PARTS
@@ -152,20 +152,6 @@ def in_input_order(result: MapResult, given: Part, *, exact: bool) -> MapResult:
         whole = np.concatenate([place, np.arange(count, len(arrays["filled_vertices"]))])
         arrays["filled_faces"] = np.concatenate([arrays["faces"], whole[result.arrays["filled_faces"][own:]]])
     return result.with_arrays(arrays)
-
-
-def torus_in_input_order(result: MapResult, ordered: Part, given: Part) -> MapResult:
-    """Put the map to a torus of a part that was numbered in space into the order of the input.
-
-    Args:
-        result: the map; its origins, where it has any, are numbers in the part that was mapped.
-        ordered: that part, numbered in space.
-        given: the same part as it was before.
-    """
-    exact, own = result.origins is not None, Origins(np.arange(len(result.vertices)), np.arange(len(result.faces)))
-    known = origin_arrays(ordered.compose(result.origins or own))
-    result = in_input_order(result.with_arrays(known), given, exact=exact)
-    return result if exact else result.with_arrays(origin_arrays(None))
 
 
 def _order(

@@ -7,9 +7,10 @@ four parts, and to be optimal and smooth as well: 4 E unknowns and F conditions,
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from omtwarp.mesh.arrays import Floats, Ints, normalised
-from omtwarp.mesh.origins import Origins
+from omtwarp.mesh.origins import Numbers, Origins
 from omtwarp.mesh.surface import Surface
 
 PARTS = 4  # of a triangle: one at each corner, and the one in the middle
@@ -56,6 +57,17 @@ class QuarteredSurface(Origins):
         return per_part.reshape(-1, PARTS).sum(axis=1)
 
 
+def in_parts(corners: NDArray[Numbers], middles: NDArray[Numbers]) -> NDArray[Numbers]:
+    """Return what belongs to the corners of the four parts of every triangle, shape [4 F, 3, ...].
+
+    Args:
+        corners: what belongs to the triangles' own corners, shape [F, 3, ...].
+        middles: what belongs to the middles of the edges from corner k to the next, shape [F, 3, ...].
+    """
+    at_corners = [np.stack([corners[:, k], middles[:, k], middles[:, k - 1]], axis=1) for k in range(3)]
+    return np.stack([*at_corners, middles], axis=1).reshape(-1, *corners.shape[1:])
+
+
 def quarter(surface: Surface) -> QuarteredSurface:
     """Cut every triangle of a closed surface into four.
 
@@ -77,15 +89,11 @@ def quarter(surface: Surface) -> QuarteredSurface:
         opposite[surface.edge_corners[:, side]] = np.arange(len(edges), dtype=np.int32)
     # The edge from corner k to the next lies opposite to the one after.
     middles = surface.vertex_count + np.roll(opposite.reshape(-1, 3), -2, axis=1)
-    parts = np.empty((surface.face_count, PARTS, 3), dtype=np.int32)
-    for k in range(3):
-        parts[:, k] = np.stack([faces[:, k], middles[:, k], middles[:, k - 1]], axis=1)
-    parts[:, 3] = middles
     points = surface.vertices
     # Halves first: the sum of two large coordinates need not be finite.
     between = 0.5 * points[edges[:, 0]] + 0.5 * points[edges[:, 1]]
     measure = np.repeat(surface.face_areas / PARTS, PARTS) if surface.weighted else None
-    cut = Surface(np.concatenate([points, between]), parts.reshape(-1, 3), measure)
+    cut = Surface(np.concatenate([points, between]), in_parts(faces, middles), measure)
     cut.checked = surface.checked
     vertices, parents = np.r_[np.arange(len(points)), np.full(len(edges), -1)], np.arange(4 * len(faces)) // PARTS
     ends, middles = edges.astype(np.int64), middles.astype(np.int32)

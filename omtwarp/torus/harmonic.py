@@ -13,7 +13,7 @@ conformal as a linear change of the plane can make it [2]_.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.intrinsic import WeightedEdges, delaunay_edges
 from omtwarp.geometry.operators import corner_cotangents
-from omtwarp.mesh.arrays import ROUND_OFF, TINY, Floats, edge_keys
+from omtwarp.mesh.arrays import ROUND_OFF, TINY, Floats, edge_keys, summed
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, plane_areas
 from omtwarp.metrics.dual import edge_steps
 from omtwarp.solvers.cholesky import dissect
@@ -58,6 +58,20 @@ class FlatTorus:
     coordinates: Floats
     wraps: NDArray[np.int64]
     lattice: Floats
+
+    @property
+    def points(self) -> Floats:
+        """Where the vertices lie in the plane, shape [V, 2]."""
+        return self.coordinates @ self.lattice
+
+    @property
+    def shift(self) -> Floats:
+        """What is added to these points at the corners of triangles, shape [F, 3, 2]."""
+        return self.wraps @ self.lattice
+
+    def at(self, points: Floats) -> FlatTorus:
+        """Return another map to the same torus, whose vertices lie at these points of the plane."""
+        return replace(self, coordinates=points @ np.linalg.inv(self.lattice))
 
     def corners(self, faces: NDArray) -> Floats:
         """Return the corners of the triangles in multiples of the lattice's vectors, exactly, shape [F, 3, 2]."""
@@ -139,11 +153,10 @@ def _harmonic(count: int, points: Floats, edges: WeightedEdges) -> Floats:
     # Edges of the same two vertices act as one, whose step is the weighted mean.
     forward = np.where(edges.ends[apart, 0] < edges.ends[apart, 1], 1.0, -1.0)
     weights: Floats = np.bincount(which, edges.weights[apart], len(unique)).astype(np.float64)
-    flow = [np.bincount(which, edges.weights[apart] * forward * edges.steps[apart, k], len(unique)) for k in (0, 1)]
+    flow = summed((edges.weights[apart] * forward)[:, None] * edges.steps[apart], which, len(unique))
     ends = np.stack([unique // count, unique % count], axis=1)
     factor = mesh_factor(count, ends.astype(np.int32), lambda: dissect(points, ends.astype(np.int32)))
-    steps = np.stack(flow, axis=1) / np.maximum(weights, np.finfo(float).tiny)[:, None]
-    return _solved(factor, ends, weights, steps, count)
+    return _solved(factor, ends, weights, flow / np.maximum(weights, np.finfo(float).tiny)[:, None], count)
 
 
 def _solved(factor: MeshFactor, ends: NDArray[np.int64], weights: Floats, steps: NDArray, count: int) -> Floats:
@@ -151,7 +164,7 @@ def _solved(factor: MeshFactor, ends: NDArray[np.int64], weights: Floats, steps:
     i, j = ends.T
     diagonal: Floats = (np.bincount(i, weights, count) + np.bincount(j, weights, count)).astype(np.float64)
     flow = weights[:, None] * steps
-    right = np.stack([np.bincount(i, flow[:, k], count) - np.bincount(j, flow[:, k], count) for k in (0, 1)], axis=1)
+    right = summed(flow, i, count) - summed(flow, j, count)
     for stiffer in STIFFER:
         held = diagonal * (1.0 + stiffer) + stiffer * diagonal.mean()
         held[0] *= 2.0  # one vertex is fixed: the sum of all right-hand sides is zero

@@ -9,18 +9,17 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.device.policy import resolve_device
+from omtwarp.device.policy import resolve_device, solving_with
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.maps.result import MapResult, StageReport, Warned, origin_arrays
-from omtwarp.mesh.arrays import Floats
-from omtwarp.mesh.quarter import PARTS, QuarteredSurface, quarter
+from omtwarp.mesh.quarter import QuarteredSurface, in_parts, quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics.optimality import torus_optimality
 from omtwarp.optimal.cells import TriangleCells
 from omtwarp.optimal.exact import largest_error, minimise_cells
 from omtwarp.optimal.refinement import not_matched
 from omtwarp.optimal.solver import OptimalMap
-from omtwarp.options import AreaMatch, Domain, MapOptions, Progress, Record, continued, parse_refinement, tell
+from omtwarp.options import AreaMatch, Domain, MapOptions, Progress, Record, Refinement, continued, tell
 from omtwarp.torus.harmonic import QUANTUM, FlatTorus, conformal_torus, embedded_torus, quantised
 from omtwarp.torus.transport import eased_on_torus, energy_on_torus, refine_on_torus, transport_on_torus
 
@@ -28,27 +27,30 @@ REMEDY = "remesh with more triangles, evenly shaped"
 WRONG_AREA = 1e-4  # largest relative error of an area around a vertex without a warning
 
 
-def map_to_torus(
-    surface: Surface, options: MapOptions, *, progress: Progress | None = None, device: str | None = "auto"
-) -> MapResult:
+def map_to_torus(surface: Surface, options: MapOptions, *, progress: Progress | None = None) -> MapResult:
     """Map a closed surface of genus 1 to a flat torus, areas around vertices kept, by optimal transport.
 
     Args:
         surface: closed, connected, of genus 1.
-        options: of the map: ``refine``, ``exact``, ``optimality`` and ``strict``.
+        options: of the map: ``refine``, ``exact``, ``optimality``, ``strict``, and where and how it is computed.
         progress: called as ``progress(stage, done, total, details)``.
-        device: where the minimisation is.
 
     Raises:
-        OmtwarpError: the mesh is too coarse, or no map without flips was found.
+        OmtwarpError: the mesh is too coarse, no map without flips was found, or options that only maps to the sphere
+            have.
     """
-    run = _TorusComputation(surface, progress, device)
-    run.optimal()
-    if options.exact:
-        run.keep_every_area()
-    if options.refine is not None:
-        run.refine(options.refine)
-    return run.result(options)
+    for name in ("method", "until", "cost", "scheme"):
+        if getattr(options, name) != getattr(MapOptions, name):
+            raise OmtwarpError(f"'{name}' is an option of maps to the sphere: a map to a torus has none")
+    device = str(resolve_device(options.device))
+    with solving_with(options.solver, device):
+        run = _TorusComputation(surface, progress, device)
+        run.optimal()
+        if options.exact:
+            run.keep_every_area()
+        if options.refine is not None:
+            run.refine(options.refine)
+        return run.result(options)
 
 
 class _TorusComputation:
@@ -68,9 +70,7 @@ class _TorusComputation:
 
     def optimal(self) -> None:
         """Find the discrete optimal map."""
-        lattice = self.conformal.lattice
-        eased = eased_on_torus(self.surface, self.conformal, self.torus, device=self.device) @ np.linalg.inv(lattice)
-        start = replace(self.torus, coordinates=eased)
+        start = eased_on_torus(self.surface, self.conformal, self.torus, device=self.device)
         optimum, self.shape_weight = transport_on_torus(
             self.surface, self.conformal, start, progress=self.progress, device=self.device
         )
@@ -82,36 +82,34 @@ class _TorusComputation:
     def keep_every_area(self) -> None:
         """Find the optimal map of the quartered mesh, in which every triangle of the mesh keeps its area."""
         quartered = quarter(self.surface)
-        maps = self.conformal.coordinates, self.torus.coordinates
-        wraps, (x, y) = quartered_torus(quartered, self.surface.faces, self.conformal.wraps, *maps)
-        lattice = self.conformal.lattice
+        maps = self.conformal, self.torus
+        self.conformal, self.torus = (quartered_torus(quartered, self.surface.faces, torus) for torus in maps)
         self.surface = quartered.surface
-        self.conformal, self.torus = FlatTorus(x, wraps, lattice), FlatTorus(y, wraps, lattice)
         cells, weight = TriangleCells(quartered, resolve_device(self.device)), self.shape_weight
-        energy = energy_on_torus(self.surface, self.conformal, x @ lattice, weight, cells=cells, device=self.device)
-        exact = minimise_cells(
-            energy, y @ lattice, lambda _stage, done, total, details: tell(self.progress, "exact", done, total, details)
-        )
+        energy = energy_on_torus(self.surface, self.conformal, weight, cells=cells, device=self.device)
+
+        def notify(_stage: str, done: int, total: int, details: Record) -> None:
+            tell(self.progress, "exact", done, total, details)
+
+        exact = minimise_cells(energy, self.torus.points, notify)
         self.warnings.clear()  # they were about the map before
         self.take("exact", exact, {"largest_area_error": largest_error(exact)})
 
-    def refine(self, weight: AreaMatch | str | float) -> None:
+    def refine(self, weight: Refinement | AreaMatch | float) -> None:
         """Reduce the distortion of shape, at a higher cost."""
-        points = self.torus.coordinates @ self.torus.lattice
         refined, used = refine_on_torus(
-            self.surface, self.conformal, points, weight, progress=self.progress, device=self.device
+            self.surface, self.conformal, self.torus.points, weight, progress=self.progress, device=self.device
         )
         self.shape_weight = 1.0
         self.take("refine", refined, {"weight": used})
-        wanted = parse_refinement(weight)
-        if isinstance(wanted, AreaMatch) and (missed := not_matched(wanted.area, refined.history[-1]["area"])):
+        if isinstance(weight, AreaMatch) and (missed := not_matched(weight.area, refined.history[-1]["area"])):
             self.warn("not-matched", "; ".join(missed))
 
     def take(self, name: str, result: OptimalMap, details: StageReport) -> None:
         """Continue with a map that was found."""
         self.history = continued(self.history, result.history)
-        lattice = self.conformal.lattice
-        self.torus = FlatTorus(quantised(result.points @ np.linalg.inv(lattice)), self.conformal.wraps, lattice)
+        moved = self.torus.at(result.points)
+        self.torus = replace(moved, coordinates=quantised(moved.coordinates))
         last = result.history[-1]
         whole: StageReport = {
             **details,
@@ -177,36 +175,24 @@ class _TorusComputation:
             }
         )
         if options.optimality:
-            lattice, shift = self.conformal.lattice, self.conformal.wraps @ self.conformal.lattice
-            x, y = self.conformal.coordinates @ lattice, self.torus.coordinates @ lattice
-            result.report["optimality"] = torus_optimality(self.surface, x, y, shift, lattice).to_dict()
+            x, torus = self.conformal.points, self.torus
+            measured = torus_optimality(self.surface, x, torus.points, torus.shift, torus.lattice)
+            result.report["optimality"] = measured.to_dict()
         return result
 
 
-def quartered_torus(
-    quartered: QuarteredSurface, faces: NDArray[np.integer], wraps: NDArray[np.int64], *maps: Floats
-) -> tuple[NDArray[np.int64], list[Floats]]:
-    """Extend maps to a torus to the quartered mesh, with new vertices at the midpoints of the edges' images.
+def quartered_torus(quartered: QuarteredSurface, faces: NDArray[np.integer], torus: FlatTorus) -> FlatTorus:
+    """Extend a map to a torus to the quartered mesh, with new vertices at the midpoints of the edges' images.
 
     Args:
         quartered: the mesh's triangles in four parts each.
         faces: those of the mesh itself, shape [F, 3].
-        wraps: at the corners of those, shape [F, 3, 2].
-        maps: coordinates of the mesh's vertices, shape [V, 2] each.
-
-    Returns:
-        The wraps at the corners of the parts, shape [4 F, 3, 2], and the coordinates of all vertices.
+        torus: the map of the mesh.
     """
     # A middle has the wraps of the first end of its edge.
-    first = quartered.split_edges[quartered.middles - len(maps[0]), 0]
-    own = np.where((faces == first)[..., None], wraps, np.roll(wraps, -1, axis=1))
-    parts = np.empty((len(faces), PARTS, 3, 2), dtype=np.int64)
-    for k in range(3):
-        parts[:, k] = np.stack([wraps[:, k], own[:, k], own[:, k - 1]], axis=1)
-    parts[:, 3] = own
-    points = []
-    for places in maps:
-        corners = places[faces] + wraps
-        points.append(np.pad(places, ((0, len(quartered.split_edges)), (0, 0))))
-        points[-1][quartered.middles] = quantised(0.5 * (corners + np.roll(corners, -1, axis=1)) - own)
-    return parts.reshape(-1, 3, 2), points
+    first = quartered.split_edges[quartered.middles - len(torus.coordinates), 0]
+    own = np.where((faces == first)[..., None], torus.wraps, np.roll(torus.wraps, -1, axis=1))
+    corners = torus.corners(faces)
+    points = np.pad(torus.coordinates, ((0, len(quartered.split_edges)), (0, 0)))
+    points[quartered.middles] = quantised(0.5 * (corners + np.roll(corners, -1, axis=1)) - own)
+    return FlatTorus(points, in_parts(torus.wraps, own), torus.lattice)

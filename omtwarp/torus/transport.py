@@ -17,7 +17,7 @@ from omtwarp.optimal.nested import shape_term_by_law
 from omtwarp.optimal.plane import Plane, PlaneCost, PlaneShape
 from omtwarp.optimal.refinement import MATCH_TOLERANCE, MATCH_TRIALS, MOST_WEIGHT, match_area, refinement_weight
 from omtwarp.optimal.solver import GAIN, OptimalMap, minimise
-from omtwarp.options import AreaMatch, Progress, parse_refinement
+from omtwarp.options import AreaMatch, Progress, Refinement
 from omtwarp.solvers.triangle import AREA_WEIGHT
 from omtwarp.torus.harmonic import FlatTorus
 
@@ -30,7 +30,6 @@ EASING_WEIGHTS, UNEVEN = (1.0, 100.0), 0.05
 def energy_on_torus(
     surface: Surface,
     torus: FlatTorus,
-    start: Floats,
     shape_weight: float,
     *,
     cells: Cells | None = None,
@@ -42,14 +41,13 @@ def energy_on_torus(
 
     Args:
         surface: of genus 1, V vertices; its areas add up to 4π, as the torus's does.
-        torus: the wraps and the lattice.
-        start: x in the plane, shape [V, 2].
+        torus: the map from which distances are measured.
         shape_weight, cost_weight, area_weight: as of :class:`omtwarp.optimal.energy.TransportEnergy`.
         cells: whose areas are kept; the triangles around vertices by default.
         device: where the map is.
     """
-    plane = Plane(surface, torus.wraps @ torus.lattice, resolve_device(device))
-    cost, shape = PlaneCost(plane, start), PlaneShape(plane)
+    plane = Plane(surface, torus.shift, resolve_device(device))
+    cost, shape = PlaneCost(plane, torus.points), PlaneShape(plane)
     return TransportEnergy(plane, cells, cost, shape, shape_weight, cost_weight, area_weight)
 
 
@@ -76,11 +74,9 @@ def transport_on_torus(
     Raises:
         OmtwarpError: a triangle of the start is turned over.
     """
-    x = torus.coordinates @ torus.lattice
-    y = x if start is None else start.coordinates @ start.lattice
-    masses = surface.vertex_areas / SPHERE_AREA
-    y = y - masses @ (y - x)
-    energy = energy_on_torus(surface, torus, x, 1.0, device=device)
+    y = torus.points if start is None else start.points
+    y = y - surface.vertex_areas / SPHERE_AREA @ (y - torus.points)
+    energy = energy_on_torus(surface, torus, 1.0, device=device)
     terms = energy.terms(energy.domain.sent(y))
     term = shape_term_by_law(energy.cost(terms) / SPHERE_AREA, terms.shape.angle + 2.0)
     energy.shape_weight, energy.area_weight = term.weight, term.area
@@ -93,7 +89,7 @@ def transport_on_torus(
     return replace(optimal, points=points, history=(*optimal.history, last)), term.weight
 
 
-def eased_on_torus(surface: Surface, torus: FlatTorus, start: FlatTorus, *, device: str | None = "auto") -> Floats:
+def eased_on_torus(surface: Surface, torus: FlatTorus, start: FlatTorus, *, device: str | None = "auto") -> FlatTorus:
     """Move an embedding whose areas are wrong to one of well-shaped triangles, where the optimal map is near.
 
     Limbs that the conformal map shrinks to nothing have long thin triangles of wrong areas in the embedding. From
@@ -107,21 +103,21 @@ def eased_on_torus(surface: Surface, torus: FlatTorus, start: FlatTorus, *, devi
         device: where the map is.
 
     Returns:
-        Points in the plane, shape [V, 2]; those of the start where its areas are nearly right.
+        The map; that of the start where its areas are nearly right.
     """
-    points = start.coordinates @ start.lattice
-    energy = energy_on_torus(surface, torus, torus.coordinates @ torus.lattice, 1.0, device=device)
+    points = start.points
+    energy = energy_on_torus(surface, torus, 1.0, device=device)
     if energy.area_errors(energy.terms(energy.domain.sent(points)))[0] > UNEVEN:
         for weight in EASING_WEIGHTS:
             points = refine_on_torus(surface, torus, points, weight, device=device)[0].points
-    return points
+    return start.at(points)
 
 
 def refine_on_torus(
     surface: Surface,
     torus: FlatTorus,
     points: Floats,
-    weight: AreaMatch | str | float,
+    weight: Refinement | AreaMatch | float,
     *,
     progress: Progress | None = None,
     device: str | None = "auto",
@@ -143,17 +139,16 @@ def refine_on_torus(
     def run(at: Floats, value: float) -> OptimalMap:
         cells = None if value > AREA_WEIGHT else MeasuredRings(surface, resolve_device(device))
         weights = {"cost_weight": 0.0, "area_weight": min(value, AREA_WEIGHT)}
-        energy = energy_on_torus(surface, torus, start, 1.0, cells=cells, **weights, device=device)
+        energy = energy_on_torus(surface, torus, 1.0, cells=cells, **weights, device=device)
         penalty = 2.0 * max(value - AREA_WEIGHT, 0.0)
         return minimise(energy, at, gain=REFINED, iterations=STEPS, penalty=penalty, progress=progress)
 
-    start, parsed = torus.coordinates @ torus.lattice, parse_refinement(weight)
-    if not isinstance(parsed, AreaMatch):
+    if not isinstance(weight, AreaMatch):
         value = refinement_weight(weight)
         return run(points, value), value
     return match_area(
         run(points, MOST_WEIGHT),
-        parsed.area,
+        weight.area,
         lambda before, value: run(before.points, value),
         lambda before: before.history[-1]["area"],
         tolerance=MATCH_TOLERANCE,
