@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.arrays import Workspace, vectors
 from omtwarp.device.start import wp
-from omtwarp.mesh.arrays import Floats, normalised
+from omtwarp.mesh.arrays import Floats, dots, normalised
 from omtwarp.mesh.surface import Surface
 from omtwarp.optimal.cells import Cells, TriangleCells
 from omtwarp.optimal.sphere import Sphere
@@ -44,6 +44,11 @@ def folded_map(double: Double, sphere: Floats) -> Floats:
     rim = np.flatnonzero(double.on_boundary & (sphere[:, 2] != 0.0))
     out[rim] = normalised(out[rim])
     return out
+
+
+def _tangential(normals: Floats, vectors_: Floats) -> Floats:
+    """Return vectors without their components across the boundary, where normals are not zero, shape [..., 2]."""
+    return vectors_ - normals * dots(normals, vectors_)[..., None]
 
 
 class MirroredSphere(Sphere):
@@ -95,7 +100,7 @@ class MirrorFactor(SaddlePointFactor):
         self._half = double.half
         self._number = number = np.full(len(double.mirror), -1, dtype=np.int32)
         number[self._half] = np.arange(len(self._half))
-        self._original = np.where(double.copied, double.mirror, np.arange(len(double.mirror)))
+        self._of_copies = number[np.where(double.copied, double.mirror, np.arange(len(double.mirror)))]
         self._kept = np.flatnonzero((number[surface.edges] >= 0).all(axis=1))
         self._edges = number[surface.edges[self._kept]]
         self._on_rim = double.on_boundary[self._half]
@@ -129,11 +134,7 @@ class MirrorFactor(SaddlePointFactor):
         slopes = gradients.reshape(2, -1, 2)[:, self._kept]
         slopes[:, self._along] *= 0.5
         # The areas of the first end by the second one's coordinates come first.
-        for row, end in ((1, self._edges[:, 0]), (0, self._edges[:, 1])):
-            touching = np.flatnonzero(self._on_rim[end])
-            across = self._normals[end[touching]]
-            slopes[row, touching] -= across * np.einsum("ea,ea->e", across, slopes[row, touching])[:, None]
-        return slopes
+        return _tangential(self._normals[self._edges[:, ::-1].T], slopes)
 
     def _own(self, of_cells: Floats) -> Floats:
         """Return the numbers of the half's cells from those of the double's."""
@@ -141,7 +142,7 @@ class MirrorFactor(SaddlePointFactor):
 
     def _of_double(self, q: Floats) -> Floats:
         """Return the multipliers of the double's cells from those of the half's."""
-        return q[self._number[self._original]]
+        return q[self._of_copies]
 
     def _halved(self, diagonal: Floats, off_diagonal: Floats) -> tuple[Floats, Floats]:
         """Return the blocks of the half's vertices and edges from those of the double.
@@ -153,22 +154,17 @@ class MirrorFactor(SaddlePointFactor):
         projection = np.eye(2) - outer
         own = diagonal[self._half] * self._share[:, None, None]
         own[rim] = projection @ own[rim] @ projection + np.trace(own[rim], axis1=1, axis2=2)[:, None, None] * outer
-        others = off_diagonal[self._kept].copy()
+        others = off_diagonal[self._kept]
         others[self._along] *= 0.5
-        for end, transposed in ((self._edges[:, 0], False), (self._edges[:, 1], True)):
-            touching = np.flatnonzero(self._on_rim[end])
-            across = self._normals[end[touching]]
-            blocks = others[touching].transpose(0, 2, 1) if transposed else others[touching]
-            blocks = blocks - across[:, :, None] * np.einsum("ea,eab->eb", across, blocks)[:, None, :]
-            others[touching] = blocks.transpose(0, 2, 1) if transposed else blocks
+        for end in self._edges.T:  # the columns of a block belong to the first end, the rows to the second
+            others = _tangential(self._normals[end][:, None], others.transpose(0, 2, 1))
         return own, others
 
     def solve(self, right: wp.array) -> wp.array:
         """Solve for coordinates and multipliers of a symmetric right-hand side, shape [2 W + N]."""
         numbers, split = right.numpy(), COORDINATES * len(self._double.mirror)
         first = numbers[:split].reshape(-1, COORDINATES)[self._half] * self._share[:, None]
-        along = first - self._normals * np.einsum("va,va->v", self._normals, first)[:, None]  # not across the boundary
-        u, q = solve_parts(self._factor, along, self._own(numbers[split:]))
+        u, q = solve_parts(self._factor, _tangential(self._normals, first), self._own(numbers[split:]))
         whole = np.concatenate([self._mirrored(u).ravel(), self._of_double(q)])
         return wp.array(whole, dtype=wp.float64, device=self._device)
 
@@ -201,9 +197,8 @@ class MirrorCellFactor(MirrorFactor):
         return cell_saddle_factor(places, self._edges, self._own_cells)
 
     def _slopes(self, gradients: Floats) -> Floats:
-        across = self._normals[self._own_cells]  # zero but at the boundary
         slopes = self._own(gradients.reshape(-1, self._cells.shape[1], COORDINATES))
-        return slopes - across * np.einsum("cka,cka->ck", across, slopes)[:, :, None]
+        return _tangential(self._normals[self._own_cells], slopes)
 
     def _own(self, of_cells: Floats) -> Floats:
         return of_cells[: len(self._own_cells)]
