@@ -28,7 +28,7 @@ from omtwarp.mesh.validate import mesh_arrays, unit_coordinates
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.open_surfaces.caps import disk_to_cap, hemisphere_to_disk, pack_caps
 from omtwarp.open_surfaces.held import (
-    Quartered,
+    AREA_WEIGHT,
     exact_in_plane,
     exact_on_cap,
     match_in_plane,
@@ -65,7 +65,6 @@ from omtwarp.topology.kind import (
     described,
     loop_length,
     numbered_in_space,
-    on_boundary,
     options_for,
     parts_of,
     places_of,
@@ -309,8 +308,9 @@ def _whole(each: MapResult) -> tuple[Floats, NDArray, Floats]:
     return points, faces, places
 
 
-def _by_image(points: Floats, faces: NDArray, places: Floats) -> Surface:
-    """Return a mapped surface whose triangles have the areas of their images on the sphere."""
+def _by_image(each: MapResult) -> Surface:
+    """Return a mapped surface, its holes filled, whose triangles have the areas of their images on the sphere."""
+    points, faces, places = _whole(each)
     return Surface(places, faces, triangle_solid_angles(*points[faces].transpose(1, 0, 2)))
 
 
@@ -590,7 +590,6 @@ def _projected(part: Part, half: Surface, result: MapResult, domain: str, option
         options: of the map: with ``exact`` its triangles are parts of those of ``half``, whose areas are kept.
     """
     begun, error = perf_counter(), None
-    whole, faces, places = _whole(result)
     wanted = half.face_areas if options.exact else None
     # Angles are kept on the way where the map is not one that keeps areas.
     share, conformal = 0.5, options.stages == (Stage.CONFORMAL,)
@@ -601,21 +600,18 @@ def _projected(part: Part, half: Surface, result: MapResult, domain: str, option
         share = float(areas[hole.patch < 0].sum() / areas.sum())
         result, error = _on_cap(result, share, conformal, wanted)
     else:
-        rim = on_boundary(faces, len(whole))
-        laid = hemisphere_to_disk(whole, conformal)
-        refinement = options.refine if Stage.REFINE in options.stages else None
-        goal = half if wanted is None else _by_image(whole, faces, places)
-        if isinstance(refinement, AreaMatch):
-            disk, flips = match_in_plane(laid, faces, rim, goal, len(result.faces), refinement.area)
+        laid, goal = hemisphere_to_disk(_whole(result)[0], conformal), half if wanted is None else _by_image(result)
+        if isinstance(options.refine, AreaMatch):
+            disk, flips = match_in_plane(laid, goal, len(result.faces), options.refine.area)
         else:
-            weight = None if refinement is None else refinement_weight(refinement)
-            disk, flips = untangle_in_plane(laid, faces, rim, None if conformal else goal, weight)
+            weight = AREA_WEIGHT if options.refine is None else refinement_weight(options.refine)
+            disk, flips = untangle_in_plane(laid, goal, None if conformal else weight)
         if flips and wanted is None:
             raise OmtwarpError(
                 f"{flips} triangles at the rim turn over where the hemisphere is laid flat: use a finer mesh"
             )
         if wanted is not None:
-            disk, error = exact_in_plane(disk, Quartered(faces, rim, places, wanted))
+            disk, error = exact_in_plane(disk, goal, wanted)
         result = result.with_arrays({"disk": disk[: len(result.vertices)]})
     about = result.report["surface"] | ({"share_of_sphere": share} if domain == "cap" else {})
     measured = result.distortion("disk" if domain == "disk" else "sphere").to_dict()
@@ -642,11 +638,10 @@ def _on_cap(
     Returns:
         The map, and the largest relative error of a wanted area.
     """
-    whole, faces, places = _whole(result)
-    rim, error = on_boundary(faces, len(whole)), None
-    cap = disk_to_cap(hemisphere_to_disk(whole, conformal), share, conformal)
-    points = untangle_on_cap(cap, rim, _by_image(whole, faces, places))
+    surface, error = _by_image(result), None
+    cap = disk_to_cap(hemisphere_to_disk(_whole(result)[0], conformal), share, conformal)
+    points = untangle_on_cap(cap, surface)
     if wanted is not None:
-        points, error = exact_on_cap(points, Quartered(faces, rim, places, wanted))
+        points, error = exact_on_cap(points, surface, wanted)
     filled = None if result.filled_sphere is None else points
     return result.with_arrays({"sphere": points[: len(result.vertices)], "filled_sphere": filled}), error

@@ -12,8 +12,6 @@ it fails, distortion is minimised with a penalty on the errors first.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
@@ -40,7 +38,7 @@ from omtwarp.optimal.solver import PENALTY, minimise
 from omtwarp.optimal.sphere import NoCost, Sphere
 from omtwarp.solvers.cholesky.saddle import COORDINATES, SaddleMatrix
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
-from omtwarp.topology.kind import boundary_loops
+from omtwarp.topology.kind import boundary_loops, on_boundary
 from omtwarp.untangling.untangle import RINGS, RepairBudget, untangle_patches
 
 NO_CELLS = np.empty((0, 1), dtype=np.int32)
@@ -52,11 +50,13 @@ class HeldEnergy(TransportEnergy):
 
     Args:
         domain: where the vertices move.
-        held: vertices that stay, shape [V].
         cells: whose areas are kept, or those around vertices, which are measured.
         cost: counts nothing.
         shape: the distortion of the triangles.
         area_weight: λ, of area against angle distortion.
+
+    Attributes:
+        held: vertices of the boundary, which stay, shape [V].
     """
 
     exact_tolerance = SETTLED
@@ -64,14 +64,14 @@ class HeldEnergy(TransportEnergy):
     def __init__(
         self,
         domain: Domain,
-        held: NDArray[np.bool_],
         cells: TriangleCells | MeasuredRings,
         cost: VertexCost,
         shape: Shape,
         area_weight: float = 1.0,
     ):
         super().__init__(domain, cells, cost, shape, shape_weight=1.0, cost_weight=0.0, area_weight=area_weight)
-        self._held, self._of_cells = held, cells.vertices if isinstance(cells, TriangleCells) else NO_CELLS
+        self.held = on_boundary(self.surface.faces, self.surface.vertex_count)
+        self._of_cells = cells.vertices if isinstance(cells, TriangleCells) else NO_CELLS
 
     def cost(self, terms: MapTerms) -> float:
         """Return 4π, a mean of 1: gains are compared with the distortion, not with a cost."""
@@ -79,7 +79,7 @@ class HeldEnergy(TransportEnergy):
 
     def saddle_factor(self) -> SaddlePointFactor:
         """Return what factorises matrices in which the boundary does not move."""
-        return HeldFactor(super().saddle_factor(), self._held, self.surface.edges, self._of_cells)
+        return HeldFactor(super().saddle_factor(), self.held, self.surface.edges, self._of_cells)
 
 
 class HeldFactor(SaddlePointFactor):
@@ -135,68 +135,52 @@ def flipped_in_plane(points: Floats, faces: NDArray) -> NDArray[np.bool_]:
     return flipped_faces(np.concatenate([points, np.ones((len(points), 1))], axis=1), faces)
 
 
-def untangle_in_plane(
-    points: Floats,
-    faces: NDArray,
-    held: NDArray[np.bool_],
-    surface: Surface | None = None,
-    refinement: float | None = None,
-) -> tuple[Floats, int]:
+def untangle_in_plane(points: Floats, surface: Surface, area_weight: float | None = AREA_WEIGHT) -> tuple[Floats, int]:
     """Return a map to the unit disk without flipped triangles, with the boundary fixed.
 
     Where triangles are flipped, every vertex becomes a convex combination of its neighbours with its mean value
     coordinates, or with equal ones at flipped triangles. Then none is flipped, since the polygon of the boundary's
-    vertices is convex [1]_, but areas are no longer right. With the surface, the distortion of all triangles is
-    minimised from there.
+    vertices is convex [1]_, but areas are no longer right. The distortion of all triangles is minimised from there.
 
     Args:
-        points: a map to the unit disk with few flips, shape [V, 2].
-        faces: shape [F, 3].
-        held: vertices of the boundary, which lie on the circle, shape [V].
+        points: a map to the unit disk with few flips, the boundary on the circle, shape [V, 2].
         surface: what is mapped, with the areas that those in the plane are to be in proportion to.
-        refinement: the weight of area against angle distortion.
+        area_weight: of area against angle distortion; None to minimise neither.
 
     Returns:
         The map, and the number of remaining flips, 0 except for rounding.
 
     .. [1] M. S. Floater, "Mean value coordinates", Computer Aided Geometric Design 20 (2003).
     """
-    moved = points
+    moved, faces = points, surface.faces
     for _ in range(SOLVES):
         flipped = flipped_in_plane(moved, faces)
         if not flipped.any():
             break
-        moved = _convex(moved, faces, held, flipped)
-    if surface is not None and not flipped.any():
-        surface = Surface(surface.vertices, faces, surface.face_areas)
-        cells, weight = MeasuredRings(surface, resolve_device("cpu")), AREA_WEIGHT if refinement is None else refinement
-        energy, scale = _energy_in_plane(moved, surface, held, cells, weight)
+        moved = _convex(moved, faces, flipped)
+    if area_weight is not None and not flipped.any():
+        surface = surface.with_areas(surface.face_areas)
+        energy, scale = _energy_in_plane(moved, surface, MeasuredRings(surface, resolve_device("cpu")), area_weight)
         least = minimise(energy, scale * moved, gain=GAIN, iterations=STEPS, progress=None, penalty=0.0)
-        moved = np.where(held[:, None], moved, least.points / scale)
+        moved = np.where(energy.held[:, None], moved, least.points / scale)
         flipped = flipped_in_plane(moved, faces)
     return moved, int(flipped.sum())
 
 
 def _energy_in_plane(
-    points: Floats,
-    surface: Surface,
-    held: NDArray[np.bool_],
-    cells: TriangleCells | MeasuredRings,
-    area_weight: float = 1.0,
+    points: Floats, surface: Surface, cells: TriangleCells | MeasuredRings, area_weight: float = 1.0
 ) -> tuple[HeldEnergy, float]:
     """Return the distortion of maps of a surface to the plane, and what brings points to its area, 4π."""
     scale = float(np.sqrt(SPHERE_AREA / plane_areas(points[surface.faces]).sum()))
     plane = Plane(surface, np.zeros((surface.face_count, 3, 2)), resolve_device("cpu"))
-    return HeldEnergy(plane, held, cells, PlaneCost(plane, scale * points), PlaneShape(plane), area_weight), scale
+    return HeldEnergy(plane, cells, PlaneCost(plane, scale * points), PlaneShape(plane), area_weight), scale
 
 
-def match_in_plane(
-    points: Floats, faces: NDArray, held: NDArray[np.bool_], surface: Surface, own: int, area: float
-) -> tuple[Floats, int]:
+def match_in_plane(points: Floats, surface: Surface, own: int, area: float) -> tuple[Floats, int]:
     """Refine a map to the disk with the least weight of areas that leaves at most an area distortion.
 
     Args:
-        points, faces, held, surface: as of :func:`untangle_in_plane`.
+        points, surface: as of :func:`untangle_in_plane`.
         own: number of the first faces, whose distortion counts; others fill holes.
         area: the mean of r + 1/r over the surface, r being the ratio of areas.
 
@@ -206,10 +190,10 @@ def match_in_plane(
     sizes = surface.face_areas[:own] / surface.face_areas[:own].sum()
 
     def refined(start: tuple[Floats, int], weight: float) -> tuple[Floats, int]:
-        return untangle_in_plane(start[0], faces, held, surface, weight)
+        return untangle_in_plane(start[0], surface, weight)
 
     def area_of(candidate: tuple[Floats, int]) -> float:
-        images = plane_areas(candidate[0][faces[:own]])
+        images = plane_areas(candidate[0][surface.faces[:own]])
         ratio = np.maximum(images / images.sum() / sizes, TINY)
         return float(sizes @ (ratio + 1.0 / ratio)) if candidate[1] == 0 else np.inf
 
@@ -217,14 +201,13 @@ def match_in_plane(
     return match_area(first, area, refined, area_of, tolerance=MATCH_TOLERANCE, trials=MATCH_TRIALS)[0]
 
 
-def untangle_on_cap(points: Floats, held: NDArray[np.bool_], surface: Surface) -> Floats:
+def untangle_on_cap(points: Floats, surface: Surface) -> Floats:
     """Untangle the patches around flipped triangles of a map to a cap with the boundary fixed; flips may be left.
 
     A fan of triangles around the south pole closes the map.
 
     Args:
         points: a map to a cap around the north pole, shape [V, 3].
-        held: vertices of the boundary, shape [V].
         surface: what is mapped, with the areas that those on the cap are to be in proportion to.
     """
     if not flipped_faces(points, surface.faces).any():
@@ -238,7 +221,7 @@ def untangle_on_cap(points: Floats, held: NDArray[np.bool_], surface: Surface) -
     vertices = np.concatenate([surface.vertices, surface.vertices.mean(axis=0, keepdims=True)])
     closed = Surface(vertices, np.concatenate([faces, fan]), np.concatenate([areas, rest]))
     sphere = np.concatenate([points, [[0.0, 0.0, -1.0]]])
-    fixed, budget = np.concatenate([held, [True]]), RepairBudget(closed)
+    fixed, budget = marked(apex + 1, np.append(rim, apex)), RepairBudget(closed)
     for rings in RINGS:
         wrong = flipped_faces(sphere, closed.faces)
         if not wrong[: len(faces)].any():
@@ -247,7 +230,7 @@ def untangle_on_cap(points: Floats, held: NDArray[np.bool_], surface: Surface) -
     return sphere[:apex]
 
 
-def _convex(points: Floats, faces: NDArray, held: NDArray[np.bool_], flipped: NDArray[np.bool_]) -> Floats:
+def _convex(points: Floats, faces: NDArray, flipped: NDArray[np.bool_]) -> Floats:
     """Place all inner vertices at convex combinations of their neighbours."""
     count = len(points)
     corners = points[faces]
@@ -263,6 +246,7 @@ def _convex(points: Floats, faces: NDArray, held: NDArray[np.bool_], flipped: ND
     columns = np.concatenate([np.roll(faces, -1, axis=1).ravel(), np.roll(faces, -2, axis=1).ravel()])
     matrix = sparse.coo_array((weights.ravel(), (rows, columns)), shape=(count, count)).tocsr()
     matrix = sparse.diags_array(1.0 / np.asarray(matrix.sum(axis=1)).ravel()) @ matrix
+    held = on_boundary(faces, count)
     free = np.flatnonzero(~held)
     right = matrix[free][:, np.flatnonzero(held)] @ points[held]
     own = (sparse.eye_array(len(free)) - matrix[free][:, free]).tocsc()
@@ -275,38 +259,13 @@ FEW = 3  # steps of a correction that leaves the map as it is but at the boundar
 EXACT_GAIN, EXACT_STEPS = 1e-3, 60  # of the minimisation where more are needed, whose maps have slivers
 
 
-@dataclass(frozen=True)
-class Quartered:
-    """A quartered mesh that is mapped to a disk or cap, and the areas that its original triangles are to have.
-
-    Attributes:
-        faces: the parts of a triangle one after the other, shape [4 F, 3].
-        held: vertices that stay where they are: those of the boundary, shape [V].
-        surface: places of the vertices on the surface, shape [V, 3].
-        wanted: the areas of the triangles up to a factor, shape [F].
-    """
-
-    faces: NDArray
-    held: NDArray[np.bool_]
-    surface: Floats
-    wanted: Floats
-
-    def cells(self, total: float) -> tuple[Surface, TriangleCells]:
-        """Return the mesh with the wanted areas, and its original triangles, whose areas are to add up to a total."""
-        surface = Surface(self.surface, self.faces, np.repeat(self.wanted / PARTS, PARTS))
-        parents, middles = np.arange(len(self.faces)) // PARTS, self.faces.reshape(-1, PARTS, 3)[:, 3].astype(np.int32)
-        quartered = QuarteredSurface(np.arange(len(self.surface)), parents, surface, middles)
-        cells = TriangleCells(quartered, resolve_device("cpu"))
-        cells.wanted = cells.wanted * (total / cells.wanted.sum())
-        return surface, cells
-
-
-def exact_in_plane(points: Floats, mesh: Quartered) -> tuple[Floats, float]:
+def exact_in_plane(points: Floats, quartered: Surface, wanted: Floats) -> tuple[Floats, float]:
     """Move a map to the unit disk until each original triangle has its share of the boundary's polygon.
 
     Args:
-        points: a map, shape [V, 2].
-        mesh: what is mapped.
+        points: a map, the boundary where it is to stay, shape [V, 2].
+        quartered: what is mapped: the parts of a triangle one after the other, 4 F triangles.
+        wanted: the areas of the original triangles up to a factor, shape [F].
 
     Returns:
         The map, and its largest relative error.
@@ -314,20 +273,35 @@ def exact_in_plane(points: Floats, mesh: Quartered) -> tuple[Floats, float]:
     Raises:
         OmtwarpError: no such map without flips was found.
     """
-    surface, cells = mesh.cells(SPHERE_AREA)
-    energy, scale = _energy_in_plane(points, surface, mesh.held, cells)
+    surface, cells = _original_triangles(quartered, wanted, SPHERE_AREA)
+    energy, scale = _energy_in_plane(points, surface, cells)
     moved, error = _exact(energy, scale * points)
-    return np.where(mesh.held[:, None], points, moved / scale), error
+    return np.where(energy.held[:, None], points, moved / scale), error
 
 
-def exact_on_cap(points: Floats, mesh: Quartered) -> tuple[Floats, float]:
+def exact_on_cap(points: Floats, quartered: Surface, wanted: Floats) -> tuple[Floats, float]:
     """Give the triangles of a map to a cap their areas, as :func:`exact_in_plane` does; sides are great circles."""
-    device = resolve_device("cpu")
-    surface, cells = mesh.cells(float(triangle_solid_angles(*points[mesh.faces].transpose(1, 0, 2)).sum()))
+    device, total = resolve_device("cpu"), triangle_solid_angles(*points[quartered.faces].transpose(1, 0, 2)).sum()
+    surface, cells = _original_triangles(quartered, wanted, float(total))
     cost, shape = NoCost(surface, vectors(points, device), device), DistortionEnergy(surface, device)
-    energy = HeldEnergy(Sphere(surface, device), mesh.held, cells, cost, shape)
+    energy = HeldEnergy(Sphere(surface, device), cells, cost, shape)
     moved, error = _exact(energy, points)
-    return np.where(mesh.held[:, None], points, moved), error
+    return np.where(energy.held[:, None], points, moved), error
+
+
+def _original_triangles(quartered: Surface, wanted: Floats, total: float) -> tuple[Surface, TriangleCells]:
+    """Return a quartered mesh with the wanted areas, and its original triangles, whose areas are to add up to a total.
+
+    Args:
+        quartered, wanted: as of :func:`exact_in_plane`.
+        total: the sum of all areas of the map.
+    """
+    surface = quartered.with_areas(np.repeat(wanted / PARTS, PARTS))
+    parents, middles = np.arange(surface.face_count) // PARTS, surface.faces.reshape(-1, PARTS, 3)[:, 3]
+    original = QuarteredSurface(np.arange(surface.vertex_count), parents, surface, middles)
+    cells = TriangleCells(original, resolve_device("cpu"))
+    cells.wanted = cells.wanted * (total / cells.wanted.sum())
+    return surface, cells
 
 
 def shares_of_polygons(rims: list[Floats], shares: Floats, wanted: Floats) -> Floats:
