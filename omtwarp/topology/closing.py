@@ -143,25 +143,16 @@ def quartered_double(whole: Double, quartered: QuarteredSurface) -> Double:
     )
 
 
-@dataclass(frozen=True)
-class Patch:
-    """The vertices and faces that fill a loop of n vertices.
-
-    Attributes:
-        vertices: the new vertices, float64, shape [K, 3].
-        faces: triangles by the vertices of the loop, 0 to n - 1, and the new ones, n to n + K - 1, int64, shape [P, 3].
-    """
-
-    vertices: Floats
-    faces: NDArray[np.int64]
-
-
-def fill_loop(points: Floats) -> Patch:
-    """Fill a closed loop; the patch is the same, to the bit, whichever vertex of the loop comes first.
+def fill_loop(points: Floats) -> tuple[Floats, NDArray[np.int64]]:
+    """Fill a closed loop; the filling is the same, to the bit, whichever vertex of the loop comes first.
 
     Args:
         points: the loop's vertices, three or more, in the direction in which the surface's faces run through them,
             shape [n, 3].
+
+    Returns:
+        The new vertices, shape [K, 3]; and triangles by the vertices of the loop, 0 to n - 1, and the new ones, n to
+        n + K - 1, shape [P, 3].
     """
     count, begin = len(points), _beginning(points)
     points = np.roll(points, -begin, axis=0)
@@ -171,12 +162,11 @@ def fill_loop(points: Floats) -> Patch:
     loop = (points - centre) / extent
     steps = norms(np.roll(loop, -1, axis=0) - loop)
     turns = np.concatenate([[0.0], np.cumsum(steps)[:-1]]) / max(float(steps.sum()), np.finfo(float).tiny)
-    flat, faces = _rings(turns)
-    places = _harmonic(flat, faces, loop)
-    # Renewals, of the membrane's weights; the area then changes by less than a per cent
-    for _ in range(5):
+    places, faces = _rings(turns)
+    # A membrane, and five renewals of its weights; the area then changes by less than a per cent
+    for _ in range(6):
         places = _harmonic(places, faces, loop)
-    return Patch(places[count:] * extent + centre, np.where(faces < count, (faces + begin) % count, faces))
+    return places[count:] * extent + centre, np.where(faces < count, (faces + begin) % count, faces)
 
 
 def _beginning(points: Floats) -> int:
@@ -189,20 +179,19 @@ def _beginning(points: Floats) -> int:
 
 def _rings(turns: Floats) -> tuple[Floats, NDArray[np.int64]]:
     """Triangulate the unit disk, its first vertices on the circle at the turns given, in [0, 1), ascending."""
-    coarsening = 0.8  # a ring has at least so many times the vertices of the ring around it
-    rings, radius = [turns], 1.0
-    points = [np.stack([np.cos(2 * np.pi * turns), np.sin(2 * np.pi * turns), 0.0 * turns], axis=1)]
+    rings, radii = [turns], [1.0]
     # Fan: a ring of so few vertices is closed by one vertex in the middle
     while len(rings[-1]) > 7:
         around = len(rings[-1])
         # Near-equilateral triangles: the next ring is sqrt(3)/2 of an edge further in.
-        shrink = 1.0 - np.sqrt(3.0) * np.pi / around
-        radius *= shrink
-        fewer = max(round(coarsening * around), round(shrink * around), 3) if shrink < coarsening else 0
-        fewer = fewer or max(round(coarsening * around), 3)
+        radii.append(radii[-1] * (1.0 - np.sqrt(3.0) * np.pi / around))
+        fewer = round(0.8 * around)  # so that triangles grow by at most a quarter from ring to ring
         rings.append((np.arange(fewer) + 0.5) / fewer)
-        angle = 2 * np.pi * rings[-1]
-        points.append(radius * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1))
+    angles = [2 * np.pi * ring for ring in rings]
+    points = [
+        radius * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+        for radius, angle in zip(radii, angles, strict=True)
+    ]
     rows, first = [], 0
     for outer, inner in pairwise(rings):
         rows.append(_strip(outer, inner, first, first + len(outer)))
@@ -264,10 +253,10 @@ def fill_holes(vertices: Floats, faces: NDArray, loops: list[NDArray[np.int64]])
     """
     points, triangles, count = [vertices], [np.asarray(faces, dtype=np.int64)], len(vertices)
     for loop in loops:
-        patch = fill_loop(vertices[loop])
-        points.append(patch.vertices)
-        triangles.append(np.concatenate([loop, count + np.arange(len(patch.vertices))])[patch.faces])
-        count += len(patch.vertices)
+        filling, corners = fill_loop(vertices[loop])
+        points.append(filling)
+        triangles.append(np.concatenate([loop, count + np.arange(len(filling))])[corners])
+        count += len(filling)
     patches = np.repeat(np.arange(-1, len(loops)), [len(rows) for rows in triangles])
     return FilledSurface(
         np.r_[np.arange(len(vertices)), np.full(count - len(vertices), -1)],

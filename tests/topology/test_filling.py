@@ -20,8 +20,8 @@ def circle(count: int, wave: float = 0.0) -> np.ndarray:
 
 
 def patch_mesh(points: np.ndarray) -> trimesh.Trimesh:
-    patch = fill_loop(points)
-    return trimesh.Trimesh(np.concatenate([points, patch.vertices]), patch.faces, process=False)
+    vertices, faces = fill_loop(points)
+    return trimesh.Trimesh(np.concatenate([points, vertices]), faces, process=False)
 
 
 @pytest.mark.parametrize("count", [3, 4, 7, 8, 12, 50, 300])
@@ -69,11 +69,11 @@ def test_filled_surface_is_closed_and_marked():
 @pytest.mark.parametrize("points", [circle(30), circle(41, 0.3), np.random.default_rng(2).normal(size=(9, 3))])
 def test_patch_is_the_same_whichever_vertex_comes_first(points):
     """Also of circles, where rounding alone says which vertex is farthest from the middle."""
-    count, patch = len(points), fill_loop(points)
+    count, (vertices, faces) = len(points), fill_loop(points)
     for first in (1, count // 2, count - 1):
-        other = fill_loop(np.roll(points, -first, axis=0))
-        own = np.where(other.faces < count, (other.faces + first) % count, other.faces)
-        assert np.array_equal(other.vertices, patch.vertices) and np.array_equal(own, patch.faces)
+        others, turned = fill_loop(np.roll(points, -first, axis=0))
+        own = np.where(turned < count, (turned + first) % count, turned)
+        assert np.array_equal(others, vertices) and np.array_equal(own, faces)
 
 
 @pytest.mark.parametrize("fill_area", ["natural", "small"])
