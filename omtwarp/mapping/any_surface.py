@@ -391,7 +391,6 @@ def _map_part(
         _whole(result)[0],
         result.report["stages"],
         options,
-        uniform=not options.exact,
         image=triangle_areas(image, result.faces).reshape(-1, parts).sum(axis=1),
     )
     return result.with_arrays({"report": result.report | {"warnings": accepted(findings, options.strict)}})

@@ -129,8 +129,7 @@ def map_to_sphere(
         True
     """
     chosen = MapOptions.parse(**options)
-    where = resolve_device(chosen.device)
-    wanted = as_target(target, device=str(where))
+    wanted = as_target(target, device=chosen.device)
     if wanted is not None and (chosen.method not in (Method.OMT, Method.MOSER) or chosen.scheme is Scheme.PAPER):
         raise OmtwarpError("a target density needs the methods omt or moser, and the schemes default or plain")
     if wanted is not None and chosen.exact:
@@ -140,10 +139,7 @@ def map_to_sphere(
         raise OmtwarpError("a barycentric map begins nowhere: leave start out, or take the method omt, moser or haker")
     ordered = in_space_order(surface)
     given, given_map = (None, None) if start is None else _begun(start, surface, ordered)
-    with solving_with(chosen.solver, str(where)):
-        result = MapComputation(
-            ordered.surface, chosen, str(where), progress, wanted, given=given, given_map=given_map
-        ).result()
+    result = MapComputation(ordered.surface, chosen, progress, wanted, given=given, given_map=given_map).result()
     for finding in result.report["warnings"]:
         warnings.warn(finding["text"], OmtwarpWarning, stacklevel=3)
     return _in_order_of(surface, ordered, result)
@@ -166,13 +162,11 @@ def map_closed(
     Raises:
         OmtwarpError: the mesh cannot be mapped.
     """
-    where, of_surface = str(resolve_device(options.device)), np.arange(surface.face_count) < own
-    with solving_with(options.solver, where):
-        if mirror is not None:
-            return MapComputation(surface, options, where, progress, mirror=mirror, own=of_surface).result()
-        ordered = in_space_order(surface)
-        of_surface = of_surface[ordered.face_origin]
-        result = MapComputation(ordered.surface, options, where, progress, own=of_surface).result()
+    of_surface = np.arange(surface.face_count) < own
+    if mirror is not None:
+        return MapComputation(surface, options, progress, mirror=mirror, own=of_surface).result()
+    ordered = in_space_order(surface)
+    result = MapComputation(ordered.surface, options, progress, own=of_surface[ordered.face_origin]).result()
     return _in_order_of(surface, ordered, result)
 
 
@@ -186,12 +180,12 @@ class MapComputation:
     Attributes:
         surface: what is mapped.
         options: of the map.
-        device: name of the device that kernels run on.
         progress: called at the begin and end of every stage, and during long ones.
         target: the density on the sphere that is to be reached; None for the uniform one.
         mirror: what the surface is the double of, if it is one: the map is kept symmetric where it can be.
         given: points x to begin with, where the user has some; those of the conformal map otherwise.
         given_map: a map of them without flips, where one is known.
+        device: name of the device that kernels run on.
         own: which faces are the surface's own, where others only close it, shape [F]: the caller judges the map of it.
         source: the points that transport starts from, once they are known.
         given_up: what the current stage could not do; for the report each is said once.
@@ -203,7 +197,6 @@ class MapComputation:
 
     surface: Surface
     options: MapOptions
-    device: str
     progress: Progress | None
     target: TargetDensity | None = None
     mirror: Double | None = None
@@ -221,6 +214,7 @@ class MapComputation:
     origin: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        self.device = str(resolve_device(self.options.device))
         self.begun = self.stage_begun = time.perf_counter()
 
     @property
@@ -260,6 +254,12 @@ class MapComputation:
 
     def result(self) -> MapResult:
         """Run the chosen stages, and assemble the result."""
+        with solving_with(self.options.solver, self.device):
+            self.run_stages()
+            return self.assembled()
+
+    def run_stages(self) -> None:
+        """Run the chosen stages, each from the map of the one before."""
         options = self.options
         if options.method in (Method.TUTTE, Method.MEAN_VALUE):
             self.barycentric()
@@ -277,15 +277,18 @@ class MapComputation:
                     stages[stage]()
             if options.exact:
                 self.keep_every_area()
-        surface = self.surface
+
+    def assembled(self) -> MapResult:
+        """Measure and judge the map of the last stage, and put the result together."""
+        surface, options = self.surface, self.options
         optimality = self.optimality() if options.optimality and len(self.maps) > 1 else None
         first = next(iter(self.maps.values()))
         face_density, vertex_density = density(surface, first)
         certificate = self.certificate()
         report = self.report() | {"certificate": certificate.to_dict()}
         if self.own is None:
-            even, parts = self.target is None and not options.exact, PARTS if options.exact else 1
-            findings = judge(self.goal(self.sphere), self.sphere, self.records, options, uniform=even, parts=parts)
+            goal, even, parts = self.goal(self.sphere), self.target is None, PARTS if options.exact else 1
+            findings = judge(goal, self.sphere, self.records, options, uniform=even, parts=parts)
             report["warnings"] = accepted(findings, options.strict)
         if optimality is not None:
             report["optimality"] = optimality

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from omtwarp.mesh.arrays import Floats, cross, dots, normalised, norms
 from omtwarp.mesh.origins import named
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.optimal.refinement import not_matched
-from omtwarp.options import AreaMatch, MapOptions, Method, Refinement, Stage
+from omtwarp.options import AreaMatch, MapOptions, Refinement, Stage
 
 # Mean of r + 1/r, r the area of a triangle's image over the area wanted. Smooth shapes of a few hundred triangles are
 # below 2.04, where flat triangles are a coarse picture of the sphere, and fine ones at 2.001.
@@ -154,7 +154,7 @@ def elongation(surface: Surface) -> Floats:
 def judge(
     goal: Surface,
     sphere: Floats,
-    records: Iterable[StageReport],
+    records: Sequence[StageReport],
     options: MapOptions,
     *,
     uniform: bool = True,
@@ -168,31 +168,28 @@ def judge(
         sphere: the map, unit vectors, shape [V, 3].
         records: of its stages.
         options: how it was made.
-        uniform: whether areas around vertices are judged: where the sphere is to be filled evenly.
+        uniform: whether the sphere is to be filled evenly, so that areas around vertices are judged if not exact ones.
         image: the areas of the first triangles in the map that is returned, where others only fill holes; those of all
             on the sphere by default.
         parts: faces in a row that are one triangle of the input.
     """
-    records = list(records)
     if image is None:
         image = triangle_areas(sphere, goal.faces)
+    if Stage.OMT not in options.stages:
+        return []
     mean, distorted = _area_distortion(goal, image, parts)
-    unmatched = []
-    if isinstance(options.refine, AreaMatch) and any(record["name"] == Stage.REFINE for record in records):
-        missed = not_matched(options.refine.area, mean)
-        unmatched = [Finding("not-matched", -1, *missed)] if missed is not None else []
-    if options.method is not Method.OMT or Stage.OMT not in options.stages:
-        return unmatched
-    findings = []
+    unmatched, findings, uniform = [], [], uniform and not options.exact
+    if isinstance(options.refine, AreaMatch) and (missed := not_matched(options.refine.area, mean)):
+        unmatched = [Finding("not-matched", -1, *missed)]
     if options.refine in (None, Refinement.AREA):
         around = _areas_around(goal, sphere, np.unique(goal.faces[: len(image)])) if uniform else []
         findings = around + [distorted] * (not mean < MAX_AREA_DISTORTION)
     findings += _unfinished(records)
-    remedy = _remedy(goal, options.refine is None and not options.exact and uniform) if findings else ""
+    remedy = _remedy(goal, options.refine is None and uniform) if findings else ""
     return [replace(each, remedy=remedy) for each in findings] + unmatched
 
 
-def _unfinished(records: list[StageReport]) -> list[Finding]:
+def _unfinished(records: Sequence[StageReport]) -> list[Finding]:
     """Make the warnings about stages that did not converge."""
     if any(record["name"] == "exact" and record.get("converged") for record in records):
         return []  # the optimal map of the mesh as it was is only where the one of its quarters began

@@ -24,6 +24,7 @@ from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import flipped_faces
 from omtwarp.geometry.sphere_hierarchy import triangle_solid_angles
+from omtwarp.measures import area_distortions
 from omtwarp.mesh.arrays import TINY, Floats, dots, marked, norms
 from omtwarp.mesh.quarter import PARTS, QuarteredSurface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, plane_areas
@@ -194,8 +195,7 @@ def match_in_plane(points: Floats, surface: Surface, own: int, area: float) -> t
 
     def area_of(candidate: tuple[Floats, int]) -> float:
         images = plane_areas(candidate[0][surface.faces[:own]])
-        ratio = np.maximum(images / images.sum() / sizes, TINY)
-        return float(sizes @ (ratio + 1.0 / ratio)) if candidate[1] == 0 else np.inf
+        return float(sizes @ area_distortions(images, sizes)[1]) if candidate[1] == 0 else np.inf
 
     first = refined((points, 0), MOST_WEIGHT)
     return match_area(first, area, refined, area_of, tolerance=MATCH_TOLERANCE, trials=MATCH_TRIALS)[0]
