@@ -81,9 +81,8 @@ def pack_caps(shares: Floats) -> tuple[Floats, float]:
         low *= 0.5  # very many caps: gaps take most of the sphere
     for _ in range(7):  # the covered share is then known to 1 %
         covered = 0.5 * (low + high)
-        packing = next(
-            (placed for start in (best, *starts) if (placed := _apart(start, shares, covered)) is not None), None
-        )
+        packings = (_apart(start, shares, covered) for start in (best, *starts))
+        packing = next((placed for placed in packings if placed is not None), None)
         if packing is None:
             high = covered
         else:

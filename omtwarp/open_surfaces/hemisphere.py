@@ -31,7 +31,7 @@ def mirror_frame(double: Double, sphere: Floats, masses: Floats) -> Floats:
     """
     paired = (sphere * masses[:, None]).T @ sphere[double.mirror]
     _, vectors = np.linalg.eigh(paired + paired.T)
-    surface = np.arange(len(sphere)) < double.mirror  # inside the surface, not in the copy
+    surface = ~(double.copied | double.on_boundary)
     north = vectors[:, 0]
     if (masses[surface] * (sphere[surface] @ north)).sum() < 0.0:
         north = -north

@@ -100,7 +100,7 @@ class MirrorFactor(SaddlePointFactor):
         self._half = double.half
         self._number = number = np.full(len(double.mirror), -1, dtype=np.int32)
         number[self._half] = np.arange(len(self._half))
-        self._of_copies = number[np.where(double.copied, double.mirror, np.arange(len(double.mirror)))]
+        self._of_copies = number[np.minimum(double.mirror, np.arange(len(double.mirror)))]
         self._kept = np.flatnonzero((number[surface.edges] >= 0).all(axis=1))
         self._edges = number[surface.edges[self._kept]]
         self._on_rim = double.on_boundary[self._half]

@@ -17,6 +17,7 @@ the loop, its weights renewed from its own shape a few times.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -89,14 +90,21 @@ class Double(Derived):
     Attributes:
         vertices: those of the surface first, then the copies of those inside, float64, shape [W, 3].
         faces: those of the surface first, then the copies, turned over, int32, shape [2F, 3].
-        mirror: the copy of every vertex, shape [W]; a vertex of the boundary is its own.
-        on_boundary: which vertices those are, shape [W].
-        copied: which vertices belong to the copy alone, shape [W].
+        mirror: the copy of every vertex, and of every copy the vertex, which comes before it, shape [W]; a vertex of
+            the boundary is its own.
     """
 
     mirror: NDArray[np.int64]
-    on_boundary: NDArray[np.bool_]
-    copied: NDArray[np.bool_]
+
+    @cached_property
+    def on_boundary(self) -> NDArray[np.bool_]:
+        """Which vertices lie on the boundary, shape [W]."""
+        return self.mirror == np.arange(len(self.mirror))
+
+    @cached_property
+    def copied(self) -> NDArray[np.bool_]:
+        """Which vertices belong to the copy alone, shape [W]."""
+        return self.mirror < np.arange(len(self.mirror))
 
     @property
     def half(self) -> NDArray[np.int64]:
@@ -113,14 +121,12 @@ def double(vertices: Floats, faces: NDArray) -> Double:
             shape [F, 3].
     """
     count = len(vertices)
-    on_rim = on_boundary(faces, count)
-    inside = np.flatnonzero(~on_rim)
+    inside = np.flatnonzero(~on_boundary(faces, count))
     copy = np.arange(count)
     copy[inside] = count + np.arange(len(inside))
     origin, face_origin = np.r_[np.arange(count), inside], np.tile(np.arange(len(faces)), 2)
-    glued, copied = np.concatenate([faces, copy[faces][:, ::-1]]).astype(np.int32), np.arange(len(origin)) >= count
-    mirror, fixed = np.concatenate([copy, inside]), on_rim[origin]
-    return Double(origin, face_origin, vertices[origin], glued, mirror, fixed, copied)
+    glued = np.concatenate([faces, copy[faces][:, ::-1]]).astype(np.int32)
+    return Double(origin, face_origin, vertices[origin], glued, np.concatenate([copy, inside]))
 
 
 def quartered_double(whole: Double, quartered: QuarteredSurface) -> Double:
@@ -131,15 +137,11 @@ def quartered_double(whole: Double, quartered: QuarteredSurface) -> Double:
         quartered: the same with every triangle cut into four, the surface's own first.
     """
     count, ends = len(whole.mirror), quartered.split_edges
-    image = np.searchsorted(edge_keys(ends, count), edge_keys(whole.mirror[ends], count))
-    own = marked(len(ends), quartered.middles[: len(quartered.middles) // 2] - count)
+    # An edge comes before its copy, as its vertices do.
+    image = count + np.searchsorted(edge_keys(ends, count), edge_keys(whole.mirror[ends], count))
+    surface, origins = quartered.surface, whole.compose(quartered)
     return Double(
-        vertices=quartered.surface.vertices,
-        faces=quartered.surface.faces,
-        mirror=np.concatenate([whole.mirror, count + image]),
-        on_boundary=np.concatenate([whole.on_boundary, image == np.arange(len(ends))]),
-        copied=np.concatenate([whole.copied, ~own]),
-        **vars(whole.compose(quartered)),
+        **vars(origins), vertices=surface.vertices, faces=surface.faces, mirror=np.append(whole.mirror, image)
     )
 
 
