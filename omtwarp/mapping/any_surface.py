@@ -139,7 +139,8 @@ def map_surface(
     loops = choose(CutAlong, cut_along)
     along = loops if cut else None
     vertices, faces = mesh_arrays(mesh)
-    parts, of_file = parts_of(vertices, faces), mesh.origins if isinstance(mesh, Surface) else None
+    count, of_file = len(np.asarray(vertices)), mesh.origins if isinstance(mesh, Surface) else None
+    parts = parts_of(vertices, faces)
     together = together and len(parts) > 1
     if len(parts) == 1 and parts[0].is_sphere and domain in ("auto", "sphere"):
         return map_to_sphere(
@@ -150,9 +151,8 @@ def map_surface(
     if len(parts) == 1 and parts[0].is_torus and domain in (Domain.AUTO, Domain.TORUS):
         if weights is not None:
             raise OmtwarpError("weights are for the sphere, the hemisphere, the disk and the cap: not for the torus")
-        return in_file(_on_torus(parts[0], progress, chosen), of_file, len(np.asarray(vertices)))
+        return in_file(_on_torus(parts[0], progress, chosen), of_file, count)
     _check_domain(domain, parts, components, together, along)
-    count, exact = len(np.asarray(vertices)), chosen.exact
     shares = None if weights is None else face_weights(weights, np.asarray(faces), count, weights_at)
     given, parts = parts, [numbered_in_space(part) for part in parts]
     if together:
@@ -160,8 +160,8 @@ def map_surface(
     maps = [_map_part(part, domain, fill_area, along, progress, chosen, shares, of_file) for part in parts]
     caps: tuple[Floats, Floats] | None = None
     if together:
-        maps, caps = _side_by_side(parts, maps, shares, exact)
-    maps = _finished(maps, given, exact)
+        maps, caps = _side_by_side(parts, maps, shares, chosen.exact)
+    maps = _finished(maps, given, chosen.exact)
     return in_file(maps[0] if len(maps) == 1 else joined(maps, count, caps), of_file, count)
 
 
@@ -189,15 +189,15 @@ def _check_domain(domain: Domain, parts: list[Part], components: bool, together:
     """
     if together and domain != Domain.AUTO:
         raise OmtwarpError("parts side by side go to caps: ask for no other domain")
+    several = len(parts) > 1
     if domain == Domain.TORUS:
-        kind = f"{len(parts)} parts" if len(parts) > 1 else described(parts[0])
+        kind = f"{len(parts)} parts" if several else described(parts[0])
         options = options_for(parts)
-        others = _or(options[:2] if len(parts) > 1 else options) if options else "map it to the sphere"
+        others = _or(options[:2] if several else options) if options else "map it to the sphere"
         raise OmtwarpError(f"the surface has {kind}, and only one of genus 1, closed, maps to a torus: {others}")
-    if len(parts) > 1 and not components:
+    if several and not components:
         raise OmtwarpError(f"the surface has {len(parts)} parts: components=True maps each by itself")
     for number, part in enumerate(parts):
-        several = len(parts) > 1
         which = f"part {number + 1} of {len(parts)}, at face {part.face_origin[0]}," if several else "the surface"
         if part.genus and along is None:
             torus = "domain='torus' or " if part.is_torus and not several else ""
@@ -239,8 +239,7 @@ def _slit(part: Part) -> Part:
             break
         except OmtwarpError:
             continue
-    loops, origin = boundary_loops(cut.faces, len(cut.vertices)), part.compose(cut).vertex_origin
-    return replace(part, vertices=cut.vertices, faces=cut.faces, vertex_origin=origin, loops=loops)
+    return part.remade(cut.vertices, cut.faces, cut)
 
 
 def _side_by_side(
@@ -379,7 +378,7 @@ def _map_part(
         closed = map_closed(surface, count, options, progress=progress)
         if options.exact:
             opened, closed = _quartered(opened, closed, surface)
-        result = _restricted(part, opened, closed, closed.sphere, domain)
+        result = _restricted(part, opened, closed, domain)
     else:
         result = _on_hemisphere(part, opened, surface, domain, progress, options)
     parts = PARTS if options.exact else 1
@@ -501,12 +500,11 @@ def _surface(opened: _Opened, weights: Floats | None = None) -> Surface:
     return surface.with_areas(areas)
 
 
-def _restricted(part: Part, opened: _Opened, closed: MapResult, sphere: Floats, domain: str) -> MapResult:
+def _restricted(part: Part, opened: _Opened, closed: MapResult, domain: str) -> MapResult:
     """Restrict the map of a closed surface to its first vertices and faces, which are those of the surface itself."""
     count, face_count = len(opened.vertices), len(opened.faces)
-
     stages = list(closed.report["stages"])
-    measured = measure_triangles(opened.vertices, opened.faces, sphere[:count]).to_dict()
+    measured = measure_triangles(opened.vertices, opened.faces, closed.sphere[:count]).to_dict()
     stages[-1] = {**stages[-1], **measured}  # the others are of the surface that was mapped
     mesh: MeshReport = {"vertices": count, "faces": face_count, "extent": np.ptp(part.vertices, axis=0).tolist()}
     about: SurfaceReport = {
@@ -523,7 +521,6 @@ def _restricted(part: Part, opened: _Opened, closed: MapResult, sphere: Floats, 
     arrays = closed.rows({"V": slice(count), "F": slice(face_count)}) | {
         "vertices": opened.vertices,
         "faces": opened.faces,
-        "sphere": sphere[:count],
         "measure": None,
         "report": closed.report | {"mesh": mesh, "stages": stages, "surface": about},
         "domain": domain,
@@ -538,7 +535,7 @@ def _restricted(part: Part, opened: _Opened, closed: MapResult, sphere: Floats, 
             "loop_pairs": np.arange(len(opened.loops))[-2 * part.genus :].reshape(-1, 2) if part.genus else None,
             "filled_vertices": opened.filled.vertices,
             "filled_faces": opened.filled.faces,
-            "filled_sphere": sphere[whole],
+            "filled_sphere": closed.sphere[whole],
             "filled_conformal": closed.conformal[whole],
             "filled_loop": opened.filled.patch,
         }
@@ -553,50 +550,49 @@ def _on_hemisphere(
     surface = Surface(glued.vertices, glued.faces, areas)
     surface.origins = glued if half.origins is None else half.origins.compose(glued)
     closed = map_closed(surface, len(opened.faces), options, mirror=glued, progress=progress)
-    image, refined = closed.sphere, Stage.REFINE in options.stages
+    refined = options.refine is not None
     if options.exact:
         cut = quartered_double(glued, quarter(surface))
-        if not is_symmetric(cut, image):
+        if not is_symmetric(cut, closed.sphere):
             raise OmtwarpError("the map of the doubled surface with exact areas is not symmetric: leave exact out")
         opened, closed = _quartered(opened, _own_half(closed, cut), half)
-        image = closed.sphere
-    elif not is_symmetric(glued, image):
-        frame = mirror_frame(glued, image, surface.vertex_areas)
-        symmetric = symmetric_map(glued, surface, image @ frame, device=options.device)
+    elif not is_symmetric(glued, closed.sphere):
+        frame = mirror_frame(glued, closed.sphere, surface.vertex_areas)
+        symmetric = symmetric_map(glued, surface, closed.sphere @ frame, device=options.device)
         before = closed.transported
         if symmetric is not None:
-            image, closed = symmetric, closed.turned(frame)
+            closed = closed.turned(frame).with_arrays({"sphere": symmetric})
         elif domain == Domain.DISK and refined and before is not None and is_symmetric(glued, before):
-            image = before  # as the disk is refined in the plane
+            closed = closed.with_arrays({"sphere": before})  # as the disk is refined in the plane
         else:
             raise OmtwarpError(
                 "the map of the doubled surface is not one to one once it is symmetric: "
                 + ("leave the refinement out or let area count more in it, " if refined else "")
                 + "use a finer mesh, or fill the hole"
             )
-    result = _restricted(part, opened, closed, image, domain)
-    return result if domain == Domain.HEMISPHERE else _projected(part, half, result, domain, options)
+    result = _restricted(part, opened, closed, domain)
+    return result if domain == Domain.HEMISPHERE else _projected(part, half, result, options)
 
 
-def _projected(part: Part, half: Surface, result: MapResult, domain: str, options: MapOptions) -> MapResult:
+def _projected(part: Part, half: Surface, result: MapResult, options: MapOptions) -> MapResult:
     """Carry a map of the hemisphere to the disk or to a cap, and untangle triangles that this flips.
 
     Args:
         part: that is mapped.
         half: what was mapped, with its holes filled, and the areas that its triangles are to have.
-        result: the map to the hemisphere.
-        domain: ``disk`` or ``cap``.
+        result: the map to the hemisphere, whose domain says where it goes.
         options: of the map: with ``exact`` its triangles are parts of those of ``half``, whose areas are kept.
     """
-    begun, error = perf_counter(), None
+    begun, error, about = perf_counter(), None, result.report["surface"]
     wanted = half.face_areas if options.exact else None
     # Angles are kept on the way where the map is not one that keeps areas.
-    share, conformal = 0.5, options.stages == (Stage.CONFORMAL,)
-    if domain == "cap":
+    conformal = options.stages == (Stage.CONFORMAL,)
+    if result.domain == Domain.CAP:
         longest = max(part.loops, key=lambda loop: loop_length(part.vertices, loop))
         hole = fill_holes(part.vertices, part.faces, [longest])
         areas = triangle_areas(hole.vertices, hole.faces)
         share = float(areas[hole.patch < 0].sum() / areas.sum())
+        about = about | {"share_of_sphere": share}
         result, error = _on_cap(result, share, conformal, wanted)
     else:
         laid, goal = hemisphere_to_disk(_whole(result)[0], conformal), half if wanted is None else _by_image(result)
@@ -612,9 +608,8 @@ def _projected(part: Part, half: Surface, result: MapResult, domain: str, option
         if wanted is not None:
             disk, error = exact_in_plane(disk, goal, wanted)
         result = result.with_arrays({"disk": disk[: len(result.vertices)]})
-    about = result.report["surface"] | ({"share_of_sphere": share} if domain == "cap" else {})
-    measured = result.distortion("disk" if domain == "disk" else "sphere").to_dict()
-    projected: StageReport = {"name": domain, "seconds": perf_counter() - begun, "iterations": 0, **measured}
+    measured = result.distortion("sphere" if result.disk is None else "disk").to_dict()
+    projected: StageReport = {"name": result.domain, "seconds": perf_counter() - begun, "iterations": 0, **measured}
     if error is not None:
         projected["largest_area_error"] = error
     stages = [*result.report["stages"], projected]

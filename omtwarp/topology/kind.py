@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.space_order import in_space_order, order_along_curve
 from omtwarp.mesh.arrays import Floats, in_range, marked, norms
-from omtwarp.mesh.origins import Derived
+from omtwarp.mesh.origins import Derived, Origins
 from omtwarp.mesh.surface import Surface
 from omtwarp.mesh.validate import Topology, as_arrays, check, describe, number
 
@@ -94,6 +94,11 @@ class Part(Derived):
         """Whether it is closed and has one handle."""
         return not self.loops and self.genus == 1
 
+    def remade(self, vertices: Floats, faces: NDArray[np.integer], made: Origins) -> Part:
+        """Return the part as another surface that was made from its own: numbered anew, or cut where it was closed."""
+        loops = boundary_loops(faces, len(vertices))
+        return replace(self, vertices=vertices, faces=faces, loops=loops, **vars(self.compose(made)))
+
 
 def parts_of(vertices: ArrayLike, faces: ArrayLike, name: str = "") -> list[Part]:
     """Return the connected pieces of an oriented manifold mesh, in the order of their first faces.
@@ -130,9 +135,7 @@ def numbered_in_space(part: Part) -> Part:
     What is computed from it is the same, to the bit, however the input is numbered. Its origins say where it is there.
     """
     ordered = in_space_order(Surface(part.vertices, part.faces))
-    surface, origins = ordered.surface, part.compose(ordered)
-    loops = boundary_loops(surface.faces, surface.vertex_count) if part.loops else []
-    return replace(part, vertices=surface.vertices, faces=surface.faces, loops=loops, **vars(origins))
+    return part.remade(ordered.surface.vertices, ordered.surface.faces, ordered)
 
 
 def places_of(parts: list[Part]) -> NDArray[np.int64]:
