@@ -451,15 +451,10 @@ def _opened(part: Part, fill_area: str, along: CutAlong, to_rim: bool) -> _Opene
         origins = origins.compose(made)
     small = len(loops) if fill_area == FillArea.NATURAL else 0  # the sides of cuts always
     loops += [side for pair in cut.sides for side in pair]  # the last ones
-    filled = fill_holes(made.vertices, made.faces, loops)
+    vertices, faces = made.vertices, made.faces
+    filled = fill_holes(vertices, faces, loops)
     return _Opened(
-        **vars(origins),
-        vertices=made.vertices,
-        faces=made.faces,
-        loops=loops,
-        small=small,
-        filled=filled,
-        cut_along=kinds,
+        **vars(origins), vertices=vertices, faces=faces, loops=loops, small=small, filled=filled, cut_along=kinds
     )
 
 

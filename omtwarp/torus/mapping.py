@@ -21,7 +21,7 @@ from omtwarp.optimal.refinement import not_matched
 from omtwarp.optimal.solver import OptimalMap
 from omtwarp.options import AreaMatch, Domain, MapOptions, Progress, Record, Refinement, continued, tell
 from omtwarp.torus.harmonic import QUANTUM, FlatTorus, conformal_torus, embedded_torus, quantised
-from omtwarp.torus.transport import eased_on_torus, energy_on_torus, refine_on_torus, transport_on_torus
+from omtwarp.torus.transport import TorusMaps
 
 REMEDY = "remesh with more triangles, evenly shaped"
 WRONG_AREA = 1e-4  # largest relative error of an area around a vertex without a warning
@@ -57,23 +57,20 @@ class _TorusComputation:
     """The maps of one surface, stage by stage."""
 
     def __init__(self, surface: Surface, progress: Progress | None, device: str | None):
-        self.surface, self.progress, self.device = surface, progress, device
         self.clock = self.begin = time.perf_counter()
         self.history: list[Record] = []
         self.stages: list[StageReport] = []
         self.shape_weight = 0.0  # of the last stage
         self.warnings: list[Warned] = []
         tell(progress, "conformal", 0, 1, {})
-        self.conformal = conformal_torus(surface)
-        self.torus = embedded_torus(surface, self.conformal)
-        self.finish("conformal", {}, self.conformal)
+        conformal = conformal_torus(surface)
+        self.maps = TorusMaps(surface, conformal, progress, device)
+        self.torus = embedded_torus(surface, conformal)
+        self.finish("conformal", {}, conformal)
 
     def optimal(self) -> None:
         """Find the discrete optimal map."""
-        start = eased_on_torus(self.surface, self.conformal, self.torus, device=self.device)
-        optimum, self.shape_weight = transport_on_torus(
-            self.surface, self.conformal, start, progress=self.progress, device=self.device
-        )
+        optimum, self.shape_weight = self.maps.optimal(self.maps.eased(self.torus))
         wrong = optimum.history[-1]["ring_largest"]
         self.take("omt", optimum, {"largest_ring_error": wrong})
         if wrong > WRONG_AREA:
@@ -81,15 +78,14 @@ class _TorusComputation:
 
     def keep_every_area(self) -> None:
         """Find the optimal map of the quartered mesh, in which every triangle of the mesh keeps its area."""
-        quartered = quarter(self.surface)
-        maps = self.conformal, self.torus
-        self.conformal, self.torus = (quartered_torus(quartered, self.surface.faces, torus) for torus in maps)
-        self.surface = quartered.surface
-        cells, weight = TriangleCells(quartered, resolve_device(self.device)), self.shape_weight
-        energy = energy_on_torus(self.surface, self.conformal, weight, cells=cells, device=self.device)
+        surface, maps = self.maps.surface, (self.maps.conformal, self.torus)
+        quartered = quarter(surface)
+        conformal, self.torus = (quartered_torus(quartered, surface.faces, torus) for torus in maps)
+        self.maps = replace(self.maps, surface=quartered.surface, conformal=conformal)
+        energy = self.maps.energy(self.shape_weight, cells=TriangleCells(quartered, resolve_device(self.maps.device)))
 
         def notify(_stage: str, done: int, total: int, details: Record) -> None:
-            tell(self.progress, "exact", done, total, details)
+            tell(self.maps.progress, "exact", done, total, details)
 
         exact = minimise_cells(energy, self.torus.points, notify)
         self.warnings.clear()  # they were about the map before
@@ -97,9 +93,7 @@ class _TorusComputation:
 
     def refine(self, weight: Refinement | AreaMatch | float) -> None:
         """Reduce the distortion of shape, at a higher cost."""
-        refined, used = refine_on_torus(
-            self.surface, self.conformal, self.torus.points, weight, progress=self.progress, device=self.device
-        )
+        refined, used = self.maps.refined(self.torus.points, weight)
         self.shape_weight = 1.0
         self.take("refine", refined, {"weight": used})
         if isinstance(weight, AreaMatch) and (missed := not_matched(weight.area, refined.history[-1]["area"])):
@@ -137,7 +131,7 @@ class _TorusComputation:
 
     def made(self, torus: FlatTorus) -> MapResult:
         """Make the result with these coordinates."""
-        surface = self.surface
+        surface = self.maps.surface
         area = float(triangle_areas(surface.vertices, surface.faces).sum())
         return MapResult(
             domain=Domain.TORUS,
@@ -146,7 +140,7 @@ class _TorusComputation:
             coordinates=torus.coordinates,
             wraps=torus.wraps,
             lattice=torus.lattice * np.sqrt(area / SPHERE_AREA),
-            conformal=self.conformal.coordinates,
+            conformal=self.maps.conformal.coordinates,
             history=self.history,
         ).with_arrays(origin_arrays(surface.origins))
 
@@ -166,7 +160,7 @@ class _TorusComputation:
         result.report.update(
             {
                 "domain": "torus",
-                "mesh": {"vertices": self.surface.vertex_count, "faces": self.surface.face_count},
+                "mesh": {"vertices": len(result.vertices), "faces": len(result.faces)},
                 "quantum": QUANTUM,
                 "seconds": time.perf_counter() - self.begin,
                 "stages": self.stages,
@@ -175,8 +169,8 @@ class _TorusComputation:
             }
         )
         if options.optimality:
-            x, torus = self.conformal.points, self.torus
-            measured = torus_optimality(self.surface, x, torus.points, torus.shift, torus.lattice)
+            x, torus = self.maps.conformal.points, self.torus
+            measured = torus_optimality(self.maps.surface, x, torus.points, torus.shift, torus.lattice)
             result.report["optimality"] = measured.to_dict()
         return result
 

@@ -5,7 +5,7 @@ The minimisation is that of the sphere (:mod:`omtwarp.optimal.solver`), in the p
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.mesh.arrays import Floats
@@ -27,130 +27,110 @@ REFINED = 1e-4  # least expected gain of a step of a refinement
 EASING_WEIGHTS, UNEVEN = (1.0, 100.0), 0.05
 
 
-def energy_on_torus(
-    surface: Surface,
-    torus: FlatTorus,
-    shape_weight: float,
-    *,
-    cells: Cells | None = None,
-    cost_weight: float = 1.0,
-    area_weight: float = AREA_WEIGHT,
-    device: str | None = "auto",
-) -> TransportEnergy:
-    """Return the energy of maps of a surface to a torus.
+@dataclass(frozen=True, eq=False)
+class TorusMaps:
+    """The maps of a surface to one flat torus.
 
-    Args:
-        surface: of genus 1, V vertices; its areas add up to 4π, as the torus's does.
-        torus: the map from which distances are measured.
-        shape_weight, cost_weight, area_weight: as of :class:`omtwarp.optimal.energy.TransportEnergy`.
-        cells: whose areas are kept; the triangles around vertices by default.
-        device: where the map is.
-    """
-    plane = Plane(surface, torus.shift, resolve_device(device))
-    cost, shape = PlaneCost(plane, torus.points), PlaneShape(plane)
-    return TransportEnergy(plane, cells, cost, shape, shape_weight, cost_weight, area_weight)
-
-
-def transport_on_torus(
-    surface: Surface,
-    torus: FlatTorus,
-    start: FlatTorus | None = None,
-    *,
-    progress: Progress | None = None,
-    device: str | None = "auto",
-) -> tuple[OptimalMap, float]:
-    """Find the optimal map of a surface to a flat torus.
-
-    Args:
-        surface: of genus 1; its vertex areas, total 4π, are the masses.
-        torus: the conformal map, from which distances are measured; triangles may be turned over there.
-        start: a map without flips to begin with; the conformal map by default.
+    Attributes:
+        surface: of genus 1, V vertices; its areas add up to 4π, as the torus's does, and are the masses.
+        conformal: the map from which distances are measured; triangles may be turned over there.
         progress: as of :func:`omtwarp.optimal.solver.minimise`.
-        device: where the map is.
-
-    Returns:
-        The map, whose areas are restored as one more record of its history, and the weight of its shape term.
-
-    Raises:
-        OmtwarpError: a triangle of the start is turned over.
-    """
-    y = torus.points if start is None else start.points
-    y = y - surface.vertex_areas / SPHERE_AREA @ (y - torus.points)
-    energy = energy_on_torus(surface, torus, 1.0, device=device)
-    terms = energy.terms(energy.domain.sent(y))
-    term = shape_term_by_law(energy.cost(terms) / SPHERE_AREA, terms.shape.angle + 2.0)
-    energy.shape_weight, energy.area_weight = term.weight, term.area
-    optimal = minimise(energy, y, gain=GAIN, iterations=STEPS, progress=progress)
-    points, _ = restore_areas(energy, optimal.points)
-    after = energy.terms(energy.domain.sent(points))
-    rms, largest = energy.area_errors(after)
-    last = {**optimal.history[-1], "cost": energy.cost(after), "ring_rms": rms, "ring_largest": largest}
-    last |= {"area": after.shape.area + 2.0, "angle": after.shape.angle + 2.0}
-    return replace(optimal, points=points, history=(*optimal.history, last)), term.weight
-
-
-def eased_on_torus(surface: Surface, torus: FlatTorus, start: FlatTorus, *, device: str | None = "auto") -> FlatTorus:
-    """Move an embedding whose areas are wrong to one of well-shaped triangles, where the optimal map is near.
-
-    Limbs that the conformal map shrinks to nothing have long thin triangles of wrong areas in the embedding. From
-    these, steps of the transport are short and depend on the last bit. Angles and areas alone have a minimum that is
-    found from anywhere near: with little weight on areas first, then with much.
-
-    Args:
-        surface: of genus 1.
-        torus: its conformal map.
-        start: a map without flips.
-        device: where the map is.
-
-    Returns:
-        The map; that of the start where its areas are nearly right.
-    """
-    points = start.points
-    energy = energy_on_torus(surface, torus, 1.0, device=device)
-    if energy.area_errors(energy.terms(energy.domain.sent(points)))[0] > UNEVEN:
-        for weight in EASING_WEIGHTS:
-            points = refine_on_torus(surface, torus, points, weight, device=device)[0].points
-    return start.at(points)
-
-
-def refine_on_torus(
-    surface: Surface,
-    torus: FlatTorus,
-    points: Floats,
-    weight: Refinement | AreaMatch | float,
-    *,
-    progress: Progress | None = None,
-    device: str | None = "auto",
-) -> tuple[OptimalMap, float]:
-    """Move a map to a minimum of angle plus λ times area distortion: see :mod:`omtwarp.optimal.refinement`.
-
-    Args:
-        surface: of genus 1.
-        torus: the conformal map, whose distances are shown.
-        points: a map without flips, shape [V, 2].
-        weight: λ, a name of one, or an area distortion to match.
-        progress: as of :func:`omtwarp.optimal.solver.minimise`.
-        device: where the map is.
-
-    Returns:
-        The minimum, and λ.
+        device: where maps are.
     """
 
-    def run(at: Floats, value: float) -> OptimalMap:
-        cells = None if value > AREA_WEIGHT else MeasuredRings(surface, resolve_device(device))
-        weights = {"cost_weight": 0.0, "area_weight": min(value, AREA_WEIGHT)}
-        energy = energy_on_torus(surface, torus, 1.0, cells=cells, **weights, device=device)
-        penalty = 2.0 * max(value - AREA_WEIGHT, 0.0)
-        return minimise(energy, at, gain=REFINED, iterations=STEPS, penalty=penalty, progress=progress)
+    surface: Surface
+    conformal: FlatTorus
+    progress: Progress | None = None
+    device: str | None = "auto"
 
-    if not isinstance(weight, AreaMatch):
-        value = refinement_weight(weight)
-        return run(points, value), value
-    return match_area(
-        run(points, MOST_WEIGHT),
-        weight.area,
-        lambda before, value: run(before.points, value),
-        lambda before: before.history[-1]["area"],
-        tolerance=MATCH_TOLERANCE,
-        trials=MATCH_TRIALS,
-    )
+    def energy(
+        self,
+        shape_weight: float,
+        *,
+        cells: Cells | None = None,
+        cost_weight: float = 1.0,
+        area_weight: float = AREA_WEIGHT,
+    ) -> TransportEnergy:
+        """Return the energy of the maps.
+
+        Args:
+            shape_weight, cost_weight, area_weight: as of :class:`omtwarp.optimal.energy.TransportEnergy`.
+            cells: whose areas are kept; the triangles around vertices by default.
+        """
+        plane = Plane(self.surface, self.conformal.shift, resolve_device(self.device))
+        cost, shape = PlaneCost(plane, self.conformal.points), PlaneShape(plane)
+        return TransportEnergy(plane, cells, cost, shape, shape_weight, cost_weight, area_weight)
+
+    def optimal(self, start: FlatTorus | None = None) -> tuple[OptimalMap, float]:
+        """Find the optimal map.
+
+        Args:
+            start: a map without flips to begin with; the conformal map by default.
+
+        Returns:
+            The map, whose areas are restored as one more record of its history, and the weight of its shape term.
+
+        Raises:
+            OmtwarpError: a triangle of the start is turned over.
+        """
+        y = self.conformal.points if start is None else start.points
+        y = y - self.surface.vertex_areas / SPHERE_AREA @ (y - self.conformal.points)
+        energy = self.energy(1.0)
+        terms = energy.terms(energy.domain.sent(y))
+        term = shape_term_by_law(energy.cost(terms) / SPHERE_AREA, terms.shape.angle + 2.0)
+        energy.shape_weight, energy.area_weight = term.weight, term.area
+        optimal = minimise(energy, y, gain=GAIN, iterations=STEPS, progress=self.progress)
+        points, _ = restore_areas(energy, optimal.points)
+        after = energy.terms(energy.domain.sent(points))
+        rms, largest = energy.area_errors(after)
+        last = {**optimal.history[-1], "cost": energy.cost(after), "ring_rms": rms, "ring_largest": largest}
+        last |= {"area": after.shape.area + 2.0, "angle": after.shape.angle + 2.0}
+        return replace(optimal, points=points, history=(*optimal.history, last)), term.weight
+
+    def eased(self, start: FlatTorus) -> FlatTorus:
+        """Move an embedding whose areas are wrong to one of well-shaped triangles, where the optimal map is near.
+
+        Limbs that the conformal map shrinks to nothing have long thin triangles of wrong areas in the embedding. From
+        these, steps of the transport are short and depend on the last bit. Angles and areas alone have a minimum that
+        is found from anywhere near: with little weight on areas first, then with much.
+
+        Args:
+            start: a map without flips.
+
+        Returns:
+            The map; that of the start where its areas are nearly right.
+        """
+        points, energy = start.points, self.energy(1.0)
+        if energy.area_errors(energy.terms(energy.domain.sent(points)))[0] > UNEVEN:
+            for weight in EASING_WEIGHTS:
+                points = replace(self, progress=None).refined(points, weight)[0].points
+        return start.at(points)
+
+    def refined(self, points: Floats, weight: Refinement | AreaMatch | float) -> tuple[OptimalMap, float]:
+        """Move a map to a minimum of angle plus λ times area distortion: see :mod:`omtwarp.optimal.refinement`.
+
+        Args:
+            points: a map without flips, shape [V, 2].
+            weight: λ, a name of one, or an area distortion to match.
+
+        Returns:
+            The minimum, and λ.
+        """
+
+        def run(at: Floats, value: float) -> OptimalMap:
+            cells = None if value > AREA_WEIGHT else MeasuredRings(self.surface, resolve_device(self.device))
+            energy = self.energy(1.0, cells=cells, cost_weight=0.0, area_weight=min(value, AREA_WEIGHT))
+            penalty = 2.0 * max(value - AREA_WEIGHT, 0.0)
+            return minimise(energy, at, gain=REFINED, iterations=STEPS, penalty=penalty, progress=self.progress)
+
+        if not isinstance(weight, AreaMatch):
+            value = refinement_weight(weight)
+            return run(points, value), value
+        return match_area(
+            run(points, MOST_WEIGHT),
+            weight.area,
+            lambda before, value: run(before.points, value),
+            lambda before: before.history[-1]["area"],
+            tolerance=MATCH_TOLERANCE,
+            trials=MATCH_TRIALS,
+        )

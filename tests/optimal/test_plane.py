@@ -10,7 +10,7 @@ from omtwarp.optimal.cells import TriangleCells
 from omtwarp.optimal.energy import TransportEnergy
 from omtwarp.torus.harmonic import conformal_torus
 from omtwarp.torus.mapping import quartered_torus
-from omtwarp.torus.transport import energy_on_torus
+from omtwarp.torus.transport import TorusMaps
 
 
 @pytest.fixture(scope="module", params=["around vertices", "of triangles"])
@@ -18,11 +18,11 @@ def energy_and_map(request) -> tuple[TransportEnergy, np.ndarray]:
     surface = rings(1, cell=0.4)
     flat = conformal_torus(surface)
     if request.param == "around vertices":
-        energy = energy_on_torus(surface, flat, 0.02)
+        energy = TorusMaps(surface, flat).energy(0.02)
     else:
         parts = quarter(surface)
         flat = quartered_torus(parts, surface.faces, flat)
-        energy = energy_on_torus(parts.surface, flat, 0.02, cells=TriangleCells(parts, wp.get_device("cpu")))
+        energy = TorusMaps(parts.surface, flat).energy(0.02, cells=TriangleCells(parts, wp.get_device("cpu")))
     return energy, flat.points + 1e-3 * np.random.default_rng(3).normal(size=flat.points.shape)
 
 

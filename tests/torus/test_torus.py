@@ -25,7 +25,7 @@ from omtwarp.texturing.textured import torus_pattern
 from omtwarp.torus import mapping as torus_mapping, transport as torus_transport
 from omtwarp.torus.harmonic import FlatTorus, conformal_torus, quantised
 from omtwarp.torus.mapping import map_to_torus
-from omtwarp.torus.transport import transport_on_torus
+from omtwarp.torus.transport import TorusMaps
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))
 from random_handles import sides, surface_with_handles
@@ -73,7 +73,7 @@ def test_transport_of_a_density_of_one_coordinate_is_monotone_rearrangement():
         flat = FlatTorus(quantised(places), wraps, side * np.eye(2))
         middle = flat.corners(faces)[..., 0].mean(axis=1)
         density = 1.0 + 0.5 * np.sin(wave * middle)
-        moved, _ = transport_on_torus(Surface(ring_torus(3.0, columns, 6).vertices, faces, density), flat)
+        moved, _ = TorusMaps(Surface(ring_torus(3.0, columns, 6).vertices, faces, density), flat).optimal()
         assert moved.converged
         apart = moved.points / side - places
         assert np.ptp(apart[:, 1]) < 5e-6
