@@ -385,13 +385,8 @@ def _map_part(
     if shares is not None:
         result = result.with_arrays({"measure": np.repeat(surface.face_areas[:count] / parts, parts)})
     image = result.sphere if result.disk is None else np.pad(result.disk, ((0, 0), (0, 1)))
-    findings = judge(
-        surface,
-        _whole(result)[0],
-        result.report["stages"],
-        options,
-        image=triangle_areas(image, result.faces).reshape(-1, parts).sum(axis=1),
-    )
+    areas = triangle_areas(image, result.faces).reshape(-1, parts).sum(axis=1)
+    findings = judge(surface, _whole(result)[0], result.report["stages"], options, image=areas)
     return result.with_arrays({"report": result.report | {"warnings": accepted(findings, options.strict)}})
 
 

@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Unpack, cast
+from typing import TypedDict, Unpack, cast
 
 import numpy as np
 import scipy
@@ -170,6 +170,14 @@ def map_closed(
     return _in_order_of(surface, ordered, result)
 
 
+class FromSource(TypedDict):
+    """Where points are moved from, on which device, and who is told of it."""
+
+    start: Floats
+    device: str
+    progress: Progress | None
+
+
 @dataclass(eq=False)
 class MapComputation:
     """The computation of one map: the maps of the stages so far, and their records.
@@ -221,6 +229,11 @@ class MapComputation:
     def sphere(self) -> Floats:
         """The map of the latest stage."""
         return next(reversed(self.maps.values()))
+
+    @property
+    def common(self) -> FromSource:
+        """What the functions that move points x from the source have in common."""
+        return {"start": self.source, "device": self.device, "progress": self.progress}
 
     def notify(self, stage: str, done: int, total: int, details: Record) -> None:
         tell(self.progress, str(stage), done, total, details)
@@ -395,39 +408,36 @@ class MapComputation:
 
     def transport(self) -> None:
         """Compute the optimal map by the chosen scheme."""
-        if self.options.scheme is Scheme.PAPER:
-            self.transport_as_published()
-            return
-        if self.options.scheme is Scheme.DEFAULT:
+        scheme, cost = self.options.scheme, self.options.cost
+        # The kernels of flows are read where they are used: they are a third of all that a map would import.
+        if scheme is Scheme.PAPER:  # Algorithms 1 and 2 as the paper prints them
+            from omtwarp.transport.paper import paper_flow
+
+            flowed = paper_flow(self.surface, self.sphere, cost=cost, **self.common)
+            self.history = flowed.history
+            self.finish_transport(flowed.sphere, converged=flowed.converged)
+        elif scheme is Scheme.PLAIN:
+            from omtwarp.transport.flow import optimal_transport
+
+            moved = optimal_transport(
+                self.surface, self.sphere, cost=cost, scheme=scheme, target=self.target, **self.common
+            )
+            self.history = moved.history
+            self.finish_transport(moved.sphere, converged=moved.converged, ended=moved.ended)
+        else:
             if self.mirror is None and not solves_with_scipy():
                 saddle_order(self.surface)  # takes room of its own, before the largest matrices do
             if self.target is None:
                 self.minimise_transport()
             else:
                 self.transport_to_density(self.target)
-            return
-        # The kernels of the flow are read where they are used: they are a third of all that a map would import.
-        from omtwarp.transport.flow import optimal_transport
-
-        moved = optimal_transport(
-            self.surface,
-            self.sphere,
-            start=self.source,
-            cost=self.options.cost,
-            scheme=self.options.scheme,
-            target=self.target,
-            device=self.device,
-            progress=self.progress,
-        )
-        self.history = moved.history
-        self.finish_transport(moved.sphere, converged=moved.converged, ended=moved.ended)
 
     def minimise_transport(self) -> None:
         """Compute the discrete optimal map: areas around vertices kept, and the cost at its minimum."""
         solve: Callable[..., OptimalMap]
         found: list[tuple[str, Callable[..., OptimalMap], OptimalMap, ShapeTerm]] = []
         for sphere, road in self.nearby_maps():
-            solve = partial(self.minimisation(sphere), self.surface, start=self.source, device=self.device)
+            solve = partial(self.minimisation(sphere), self.surface)
             optimal, term = minimised(self.surface, sphere, self.source, solve, device=self.device)
             found.append((road, solve, optimal, term))
             if optimal.converged:
@@ -452,7 +462,7 @@ class MapComputation:
     def minimisation(self, sphere: Floats) -> Callable[..., OptimalMap]:
         """Return what finds the optimal map from a map near it: among symmetric maps where that one is symmetric."""
         give_back()  # the largest matrices follow
-        return partial(optimal_map, domain=self.mirrored(sphere), progress=self.progress)
+        return partial(optimal_map, domain=self.mirrored(sphere), **self.common)
 
     def mirrored(self, sphere: Floats) -> MirroredSphere | None:
         """Return the domain of the maps of a double that are as symmetric as a map is; None where that is not."""
@@ -519,16 +529,8 @@ class MapComputation:
 
     def bounded(self, sphere: Floats, improve: bool = True) -> Optimality:
         """Measure how far a map is from optimal, and improve the bound of an optimal one where the gap is too large."""
-        # The gap up to which the bound on the cost is improved.
-        return optimality(
-            self.surface,
-            sphere,
-            start=self.source,
-            enough=9.9e-4,
-            ascent_steps=GAP_ASCENT_STEPS if improve else 0,
-            device=self.device,
-            progress=self.progress,
-        )
+        enough, steps = 9.9e-4, GAP_ASCENT_STEPS if improve else 0  # a gap up to which the bound is not improved
+        return optimality(self.surface, sphere, enough=enough, ascent_steps=steps, **self.common)
 
     def keep_every_area(self) -> None:
         """Compute the optimal map of the quartered mesh, in which every triangle of the mesh keeps its area."""
@@ -560,21 +562,6 @@ class MapComputation:
         sphere, repaired = self.untangle(before, exact.sphere)
         record = {"shape_weight": weight, "repaired": crowded + repaired, "largest_area_error": largest_error(exact)}
         self.finish(EXACT, sphere, len(exact.history) - 1, **record, **self.termination(exact))
-
-    def transport_as_published(self) -> None:
-        """Compute the optimal map by Algorithms 1 and 2 as the paper prints them."""
-        from omtwarp.transport.paper import paper_flow  # its kernels are read for the paper's scheme alone
-
-        flowed = paper_flow(
-            self.surface,
-            self.sphere,
-            start=self.source,
-            cost=self.options.cost,
-            device=self.device,
-            progress=self.progress,
-        )
-        self.history = flowed.history
-        self.finish_transport(flowed.sphere, converged=flowed.converged)
 
     def refine(self) -> None:
         """Minimise distortion from the map, at the chosen weight of area against angle."""
@@ -720,7 +707,7 @@ def _begun(start: ArrayLike | MapResult, surface: Surface, ordered: OrderedSurfa
         if not triangle_areas(points, surface.faces).any():
             raise OmtwarpError("corners of every triangle coincide in start: give points that cover the sphere")
         return points[ordered.vertex_origin], None
-    if start.faces.shape != surface.faces.shape or not np.array_equal(start.faces, surface.faces):
+    if not np.array_equal(start.faces, surface.faces):
         raise OmtwarpError("start is a map of another mesh: its faces are not those of this one")
     if not start.bijective:
         raise OmtwarpError(f"start is not one to one: {start.certificate}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -97,16 +97,15 @@ def foretell(surface: Surface) -> list[Finding]:
             text = f"triangles {limit:.0f} times as long as high have {share_long:.0%} of the area, the largest is {{}}"
             findings.append(_finding(surface, "long-triangles", "face", worst, text, remedy))
             break
-    return findings + _coarse_findings(surface, long)
+    return [*findings, *_coarse_findings(surface, long)]
 
 
-def _coarse_findings(surface: Surface, long: Floats) -> list[Finding]:
+def _coarse_findings(surface: Surface, long: Floats) -> Iterator[Finding]:
     """Find triangles that are large for how the surface bends or how thick it is; ``long`` is their elongation."""
     # Triangles count as folded where a neighbour turns away by more degrees than this. Bodies with limbs that were
     # decimated to 80 to 300 faces reach 2.05 where 0.19 of the area is folded, and 2.1 to 2.3 at 0.3 to 0.5; on scans
     # it is below 0.03.
     fold, folded_share = 100.0, 0.18
-    findings = []
     share = surface.own_areas / SPHERE_AREA
     corners = surface.scaled_vertices[surface.faces]
     across = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -118,13 +117,13 @@ def _coarse_findings(surface: Surface, long: Floats) -> list[Finding]:
         remedy = "remesh with more triangles where the surface bends"
         bent = f"triangles folded by more than {fold:.0f} degrees against a neighbour"
         text = f"{bent} have {share[folded].sum():.0%} of the area, the largest is {{}}"
-        findings.append(_finding(surface, "folded-triangles", "face", worst, text, remedy))
+        yield _finding(surface, "folded-triangles", "face", worst, text, remedy)
     # Among so few triangles one that is so many times as long as high may keep the solver from converging: spheres of
     # 82 faces with a needle of 3,800 to 8.5e8 did not in 9 cases of 16, those with 280 or less and those of 320 faces
     # did.
     if surface.face_count <= FEW_FACES and long.max() > 1e3:
         text, remedy = f"{{}} is {long.max():.0e} times as long as high", "flip an edge of the needle, or collapse it"
-        findings.append(_finding(surface, NEEDLES, "face", int(np.argmax(long)), text, remedy))
+        yield _finding(surface, NEEDLES, "face", int(np.argmax(long)), text, remedy)
     mean_long = float(share @ long)
     mean_fold = float(np.degrees(np.arccos(min(share @ bend, 1.0))))
     if surface.face_count <= FEW_FACES and mean_long > MEAN_LONG and mean_fold > MEAN_FOLD:
@@ -132,7 +131,7 @@ def _coarse_findings(surface: Surface, long: Floats) -> list[Finding]:
             f"{surface.face_count} triangles are on average {mean_long:.2g} times as long as high and folded by "
             f"{mean_fold:.0f} degrees against a neighbour"
         )
-        findings.append(Finding("few-triangles", -1, text, EVENLY))
+        yield Finding("few-triangles", -1, text, EVENLY)
     thickness = 2.0 * abs(float((corners[:, 0] * across).sum())) / 6.0 / SPHERE_AREA
     side = float(np.sqrt(4.0 / np.sqrt(3.0) * SPHERE_AREA / surface.face_count))
     # Mean side of triangles over the mean thickness, twice the volume by the area. Plates are at 2.01 where it is 1.5,
@@ -140,8 +139,7 @@ def _coarse_findings(surface: Surface, long: Floats) -> list[Finding]:
     # A surface glued to its mirror copy encloses nothing but rounding errors, and is no sheet.
     if thickness > 1e-9 and side > 1.8 * thickness:
         text = f"the mean side of triangles is {side / thickness:.3g} times the mean thickness"
-        findings.append(Finding("thin-sheet", -1, text, "remesh with triangles smaller than the sheet is thick"))
-    return findings
+        yield Finding("thin-sheet", -1, text, "remesh with triangles smaller than the sheet is thick")
 
 
 def elongation(surface: Surface) -> Floats:
@@ -189,17 +187,15 @@ def judge(
     return [replace(each, remedy=remedy) for each in findings] + unmatched
 
 
-def _unfinished(records: Sequence[StageReport]) -> list[Finding]:
+def _unfinished(records: Sequence[StageReport]) -> Iterator[Finding]:
     """Make the warnings about stages that did not converge."""
-    if any(record["name"] == "exact" and record.get("converged") for record in records):
-        return []  # the optimal map of the mesh as it was is only where the one of its quarters began
-    findings = []
+    # The optimal map of the mesh as it was is only where that of its quarters began.
+    exact = any(record["name"] == "exact" and record.get("converged") for record in records)
     for record in records:
-        if record.get("converged") is False and record["name"] != "refine":
+        if record.get("converged") is False and record["name"] != "refine" and not exact:
             text = f"the stage {record['name']} did not converge: {record.get('ended') or 'most steps taken'}"
             text += f", {record['gave_up']}" if record.get("gave_up") else ""
-            findings.append(Finding("not-converged", -1, text, ""))
-    return findings
+            yield Finding("not-converged", -1, text, "")
 
 
 def _remedy(goal: Surface, refinable: bool) -> str:
