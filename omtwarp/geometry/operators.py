@@ -130,7 +130,9 @@ def circumcentric_coordinates(vertices: ArrayLike, faces: ArrayLike) -> Floats:
     return 0.5 * np.stack([cotangents[:, k] * (cotangents[:, k - 1] + cotangents[:, k - 2]) for k in range(3)], axis=1)
 
 
-def cotangent_laplacian(vertices: ArrayLike, faces: ArrayLike) -> sparse.csr_matrix:
+def cotangent_laplacian(
+    vertices: ArrayLike, faces: ArrayLike, bounds: tuple[float, float] | None = None
+) -> sparse.csr_matrix:
     """Return the matrix D of section 4.1: D_PQ = -(cot R + cot S) / 2, rows that sum to zero; [V, V], symmetric.
 
     Sign: positive semi-definite on every mesh, D = -div grad with the integrated divergence of equation 23; u · D u is
@@ -139,9 +141,11 @@ def cotangent_laplacian(vertices: ArrayLike, faces: ArrayLike) -> sparse.csr_mat
     Args:
         vertices: positions, shape [V, 3].
         faces: triangles, shape [F, 3].
+        bounds: the least and the largest cotangent that is taken as it is; all are by default.
     """
     points, triangles, _ = _corner_points(vertices, faces)
-    half = 0.5 * corner_cotangents(vertices, faces)
+    cotangents = corner_cotangents(vertices, faces)
+    half = 0.5 * (cotangents if bounds is None else np.clip(cotangents, *bounds))
     i, j = triangles[:, [1, 2, 0]].ravel(), triangles[:, [2, 0, 1]].ravel()
     size = len(points)
     weights = sparse.csr_matrix((half.ravel(), (i, j)), shape=(size, size))

@@ -22,10 +22,9 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from omtwarp.geometry.operators import corner_cotangents
+from omtwarp.geometry.operators import cotangent_laplacian
 from omtwarp.mesh.arrays import Floats, Ints, edge_keys, marked, norms
 from omtwarp.mesh.origins import Derived
 from omtwarp.mesh.quarter import QuarteredSurface
@@ -220,15 +219,9 @@ def _strip(outer: Floats, inner: Floats, first: int, second: int) -> NDArray[np.
 
 def _harmonic(shape: Floats, faces: NDArray[np.int64], loop: Floats) -> Floats:
     """Return harmonic positions of all vertices by a shape's cotangent weights, the loop held, shape [n + K, 3]."""
-    count, held = len(shape), len(loop)
-    # Weights are positive, so that a vertex lies among its neighbours.
-    halves = 0.5 * np.clip(corner_cotangents(shape, faces), 1e-3, 1e3)
-    one, other = np.roll(faces, -1, axis=1).ravel(), np.roll(faces, -2, axis=1).ravel()
-    weights = sparse.coo_array((halves.ravel(), (one, other)), shape=(count, count)).tocsr()
-    weights = weights + weights.T
-    laplacian = (sparse.diags_array(weights.sum(axis=1)) - weights).tocsr()
-    right = -(laplacian[held:, :held] @ loop)
-    inner = spsolve(laplacian[held:, held:].tocsc(), right).reshape(-1, 3)
+    held = len(loop)
+    laplacian = cotangent_laplacian(shape, faces, (1e-3, 1e3))  # positive: a vertex lies among its neighbours
+    inner = spsolve(laplacian[held:, held:].tocsc(), -(laplacian[held:, :held] @ loop)).reshape(-1, 3)
     return np.concatenate([loop, inner])
 
 
