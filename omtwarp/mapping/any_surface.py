@@ -26,16 +26,8 @@ from omtwarp.mesh.quarter import PARTS, quarter
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, triangle_areas
 from omtwarp.mesh.validate import mesh_arrays, unit_coordinates
 from omtwarp.metrics.distortion import measure_triangles
+from omtwarp.open_surfaces import held
 from omtwarp.open_surfaces.caps import disk_to_cap, hemisphere_to_disk, pack_caps
-from omtwarp.open_surfaces.held import (
-    AREA_WEIGHT,
-    exact_in_plane,
-    exact_on_cap,
-    match_in_plane,
-    shares_of_polygons,
-    untangle_in_plane,
-    untangle_on_cap,
-)
 from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetric_map
 from omtwarp.optimal.refinement import refinement_weight
 from omtwarp.options import (
@@ -158,7 +150,7 @@ def map_surface(
     if together:
         parts, domain = [_slit(part) for part in parts], Domain.HEMISPHERE
     maps = [_map_part(part, domain, fill_area, along, progress, chosen, shares, of_file) for part in parts]
-    caps: tuple[Floats, Floats] | None = None
+    caps: dict[str, Floats] = {}
     if together:
         maps, caps = _side_by_side(parts, maps, shares, chosen.exact)
     maps = _finished(maps, given, chosen.exact)
@@ -244,7 +236,7 @@ def _slit(part: Part) -> Part:
 
 def _side_by_side(
     parts: list[Part], maps: list[MapResult], weights: Floats | None, exact: bool
-) -> tuple[list[MapResult], tuple[Floats, Floats]]:
+) -> tuple[list[MapResult], dict[str, Floats]]:
     """Carry the maps of parts to disjoint caps, with areas in proportion to the parts' masses.
 
     The arrangement does not depend on the order of the parts.
@@ -256,7 +248,7 @@ def _side_by_side(
         exact: whether the maps are of quartered meshes, and each original triangle keeps its share of all parts.
 
     Returns:
-        The maps, and their caps' centres, shape [P, 3], and shares of the sphere, shape [P].
+        The maps, and the arrays of the map of all that say where their caps lie, by name.
 
     Raises:
         OmtwarpError: triangles reach from one cap to another, or turn over.
@@ -274,19 +266,18 @@ def _side_by_side(
     own = [triangle_areas(each.sphere, each.faces).sum() / triangle_areas(*_whole(each)[:2]).sum() for each in maps]
     wanted = np.array(masses) / np.array(own)
     goals = [_wanted_areas(each) if exact else None for each in maps]
-    rims = [points[boundary_loops(faces, len(points))[0]] for points, faces, _ in map(_whole, maps)] if exact else []
-    rims = [hemisphere_to_disk(rim) for rim in rims]
+    rims = [hemisphere_to_disk(points[boundary_loops(faces, len(points))[0]]) for points, faces, _ in map(_whole, maps)]
     centres, covered = pack_caps(wanted / wanted.sum())
     for _ in range(rounds_apart):
         shares = covered * wanted / wanted.sum()
         if exact:
-            shares = shares_of_polygons(rims, shares, wanted)
+            shares = held.shares_of_polygons(rims, shares, wanted)
         capped = [_on_cap(each, share, wanted=goal)[0] for each, share, goal in zip(maps, shares, goals, strict=True)]
         placed = [_placed(each, centre, share) for each, share, centre in zip(capped, shares, centres, strict=True)]
         reach = np.array([_reach(each, centre) for each, centre in zip(placed, centres, strict=True)])
         apart = np.arccos(np.clip(centres @ centres.T, -1.0, 1.0)) - reach[:, None] - reach
         if apart[np.triu_indices(len(maps), 1)].min() > 0.0:
-            return [placed[k] for k in back], (centres[back], shares[back])
+            return [placed[k] for k in back], {"cap_centres": centres[back], "cap_shares": shares[back]}
         covered *= less_covered
     raise OmtwarpError("triangles at the rims of parts reach into other parts: use finer meshes, or map each by itself")
 
@@ -587,16 +578,16 @@ def _projected(part: Part, half: Surface, result: MapResult, options: MapOptions
     else:
         laid, goal = hemisphere_to_disk(_whole(result)[0], conformal), half if wanted is None else _by_image(result)
         if isinstance(options.refine, AreaMatch):
-            disk, flips = match_in_plane(laid, goal, len(result.faces), options.refine.area)
+            disk, flips = held.match_in_plane(laid, goal, len(result.faces), options.refine.area)
         else:
-            weight = AREA_WEIGHT if options.refine is None else refinement_weight(options.refine)
-            disk, flips = untangle_in_plane(laid, goal, None if conformal else weight)
+            weight = held.AREA_WEIGHT if options.refine is None else refinement_weight(options.refine)
+            disk, flips = held.untangle_in_plane(laid, goal, None if conformal else weight)
         if flips and wanted is None:
             raise OmtwarpError(
                 f"{flips} triangles at the rim turn over where the hemisphere is laid flat: use a finer mesh"
             )
         if wanted is not None:
-            disk, error = exact_in_plane(disk, goal, wanted)
+            disk, error = held.exact_in_plane(disk, goal, wanted)
         result = result.with_arrays({"disk": disk[: len(result.vertices)]})
     measured = result.distortion("sphere" if result.disk is None else "disk").to_dict()
     projected: StageReport = {"name": result.domain, "seconds": perf_counter() - begun, "iterations": 0, **measured}
@@ -624,8 +615,8 @@ def _on_cap(
     """
     surface, error = _by_image(result), None
     cap = disk_to_cap(hemisphere_to_disk(_whole(result)[0], conformal), share, conformal)
-    points = untangle_on_cap(cap, surface)
+    points = held.untangle_on_cap(cap, surface)
     if wanted is not None:
-        points, error = exact_on_cap(points, surface, wanted)
+        points, error = held.exact_on_cap(points, surface, wanted)
     filled = None if result.filled_sphere is None else points
     return result.with_arrays({"sphere": points[: len(result.vertices)], "filled_sphere": filled}), error

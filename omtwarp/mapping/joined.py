@@ -17,7 +17,7 @@ from omtwarp.topology.kind import Part
 PLACED = ("vertices", "sphere", "conformal")  # arrays at vertices that a filled surface has, too
 
 
-def joined(maps: list[MapResult], vertex_count: int, caps: tuple[Floats, Floats] | None = None) -> MapResult:
+def joined(maps: list[MapResult], vertex_count: int, caps: Mapping[str, Floats]) -> MapResult:
     """Join the maps of all parts, each on a sphere of its own; ``part`` says which part a face belongs to.
 
     The input's vertices and faces keep their order. Vertices that split edges, and copies made by cuts, follow.
@@ -25,7 +25,7 @@ def joined(maps: list[MapResult], vertex_count: int, caps: tuple[Floats, Floats]
     Args:
         maps: of the parts, with vertices and faces of origins in the input.
         vertex_count: of the input.
-        caps: where parts lie side by side on one sphere, centres and shares of their caps.
+        caps: where parts lie side by side on one sphere, the arrays of their caps.
     """
     numbers, count = _numbers(maps, vertex_count)
     place = np.concatenate(numbers)
@@ -51,8 +51,7 @@ def joined(maps: list[MapResult], vertex_count: int, caps: tuple[Floats, Floats]
         "vertex_origin": vertex_origin,
         "split_edges": np.concatenate([n[part.arrays["split_edges"]] for n, part in zip(numbers, maps, strict=True)]),
         "part": np.repeat(np.arange(len(maps)), [len(part.faces) for part in maps])[order],
-        "cap_centres": None if caps is None else caps[0],
-        "cap_shares": None if caps is None else caps[1],
+        **caps,
         **_filling(maps, numbers, count, at_vertices),
         "domain": domains[0] if len(domains) == 1 else SEVERAL,
         "history": [],

@@ -122,10 +122,10 @@ def parts_of(vertices: ArrayLike, faces: ArrayLike, name: str = "") -> list[Part
         own = np.flatnonzero(labels == label)
         used, numbered = np.unique(triangles[own], return_inverse=True)
         numbered = numbered.reshape(-1, 3)
-        topology = Topology(numbered.astype(np.int64), len(used))
+        topology = Topology(numbered, len(used))
         loops = boundary_loops(numbered, len(used)) if (topology.edge_face_count == 1).any() else []
-        faces_of_part = np.asarray(numbered, dtype=np.int32)
-        parts.append(Part(used, own, points[used], faces_of_part, loops, topology.genus, given=len(points)))
+        faces_of_part, genus = numbered.astype(np.int32), topology.genus
+        parts.append(Part(used, own, points[used], faces_of_part, loops, genus, given=len(points)))
     return parts
 
 
