@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import fsum
 from time import perf_counter
@@ -226,11 +227,9 @@ def _slit(part: Part) -> Part:
         return part
     for share in slits:
         cut = slit_open(part.vertices, part.faces, share)
-        try:
+        with suppress(OmtwarpError):
             cut_handles(cut.vertices, cut.faces, part.genus)
             break
-        except OmtwarpError:
-            continue
     return part.remade(cut.vertices, cut.faces, cut)
 
 

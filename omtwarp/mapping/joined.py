@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import cast
 
 import numpy as np
@@ -31,28 +31,28 @@ def joined(maps: list[MapResult], vertex_count: int, caps: Mapping[str, Floats])
     place = np.concatenate(numbers)
     order = np.argsort(np.concatenate([part.arrays["face_origin"] for part in maps]), kind="stable")
 
-    def at_vertices(values: list[NDArray]) -> NDArray:
-        stacked = np.concatenate(values)
-        out = np.zeros((count, *stacked.shape[1:]), dtype=stacked.dtype)
-        out[place] = stacked
-        return out
-
-    arrays: dict[str, object] = {"arrays": {}}
+    rows: dict[str, NDArray] = {}
     for name, (_, (letter, *_)) in layout_on(maps[0].domain).items():
         values = [getattr(part, name) for part in maps]
         if letter in ("V", "F") and all(value is not None for value in values):
-            arrays[name] = at_vertices(values) if letter == "V" else np.concatenate(values)[order]
+            stacked = np.concatenate(values)
+            if letter == "F":
+                rows[name] = stacked[order]
+            else:
+                rows[name] = np.zeros((count, *stacked.shape[1:]), dtype=stacked.dtype)
+                rows[name][place] = stacked
     vertex_origin = np.full(count, -1, dtype=np.int64)
     vertex_origin[place] = np.concatenate([part.arrays["vertex_origin"] for part in maps])
     domains = sorted({part.domain for part in maps})
     report = _report(maps)
-    arrays |= {
+    arrays = rows | {
+        "arrays": {},
         "faces": np.concatenate([number[part.faces] for number, part in zip(numbers, maps, strict=True)])[order],
         "vertex_origin": vertex_origin,
         "split_edges": np.concatenate([n[part.arrays["split_edges"]] for n, part in zip(numbers, maps, strict=True)]),
         "part": np.repeat(np.arange(len(maps)), [len(part.faces) for part in maps])[order],
         **caps,
-        **_filling(maps, numbers, count, at_vertices),
+        **_filling(maps, numbers, count, rows),
         "domain": domains[0] if len(domains) == 1 else SEVERAL,
         "history": [],
         "report": report,
@@ -81,12 +81,12 @@ def _numbers(maps: list[MapResult], count: int) -> tuple[list[NDArray], int]:
 
 
 def _filling(
-    maps: list[MapResult], numbers: list[NDArray], count: int, at_vertices: Callable[[list[NDArray]], NDArray]
+    maps: list[MapResult], numbers: list[NDArray], count: int, at_vertices: Mapping[str, NDArray]
 ) -> dict[str, NDArray]:
     """Join the arrays about filled loops; there are none where no loop was filled."""
     if all(part.loops is None for part in maps):
         return {}
-    joint: dict[str, list[NDArray]] = {}
+    joint = {f"filled_{name}": [at_vertices[name]] for name in PLACED}
     none = np.zeros(0, dtype=np.int64)
     entries = numbered = 0
     for part, number in zip(maps, numbers, strict=True):
@@ -104,8 +104,6 @@ def _filling(
         for name, values in rows.items():
             joint.setdefault(name, []).append(values)
         count, entries, numbered = count + new, entries + len(whole["loops"]), numbered + len(whole["loop_ends"])
-    for name in PLACED:
-        joint[f"filled_{name}"].insert(0, at_vertices([part.arrays[name] for part in maps]))
     arrays = {name: np.concatenate(several) for name, several in joint.items() if any(map(len, several))}
     order = np.argsort(arrays["filled_loop"] >= 0, kind="stable")
     return arrays | {name: arrays[name][order] for name in ("filled_faces", "filled_loop")}
