@@ -132,8 +132,8 @@ def map_surface(
     loops = choose(CutAlong, cut_along)
     along = loops if cut else None
     vertices, faces = mesh_arrays(mesh)
-    count, of_file = len(np.asarray(vertices)), mesh.origins if isinstance(mesh, Surface) else None
-    parts = parts_of(vertices, faces)
+    parts, of_file = parts_of(vertices, faces), mesh.origins if isinstance(mesh, Surface) else None
+    count = len(np.asarray(vertices))
     together = together and len(parts) > 1
     if len(parts) == 1 and parts[0].is_sphere and domain in ("auto", "sphere"):
         return map_to_sphere(
