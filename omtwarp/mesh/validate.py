@@ -16,7 +16,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import ROUND_OFF, Floats, HasTriangles, Ints, cross, norms, real_numbers, whole_numbers
+from omtwarp.mesh.arrays import ROUND_OFF, Floats, HasTriangles, Ints, cross, marked, norms, real_numbers, whole_numbers
 
 REPAIR = "omtwarp.repair"
 """How the remedies name the package's own repair."""
@@ -362,8 +362,9 @@ class Topology:
     @cached_property
     def fans(self) -> NDArray[np.int64]:
         """Number of fans of faces, joined through edges, around every vertex, shape [V]; 0 where a vertex is unused."""
-        _, one_of_each = np.unique(self.fan_of_corner, return_index=True)
-        return np.bincount(self.faces.ravel()[one_of_each], minlength=self.vertex_count)
+        middle = np.empty(self.fan_of_corner.max(initial=-1) + 1, dtype=np.int64)
+        middle[self.fan_of_corner] = self.faces.ravel()
+        return np.bincount(middle, minlength=self.vertex_count)
 
     @cached_property
     def orientation(self) -> tuple[bool, NDArray[np.bool_]]:
@@ -398,7 +399,7 @@ class Topology:
     @cached_property
     def genus(self) -> int:
         """Handles of all pieces together, holes counted as filled: Euler's V - E + F = 2 (pieces - genus)."""
-        used = len(np.unique(self.faces))
+        used = int(marked(self.vertex_count, self.faces).sum())
         euler = used - len(self.edges) + len(self.faces) + self.holes[0]
         return self.components[0] - euler // 2
 
