@@ -389,7 +389,7 @@ def _library_entry(name: str, material: Material) -> list[str]:
     """Return the lines of a material's numbers."""
     red, green, blue, opacity = material.color
     phong = {"Ks": (0.0, 0.0, 0.0), "illum": (1.0,)} | dict(material.phong)
-    phong |= {"Ke": material.emission} if any(material.emission) else {}
+    phong |= {"Ke": material.emission} if any(material.emission) or material.emission_picture is not None else {}
     # Readers take a roughness in place of the shininess that a library had, which had none then
     plain = "Ns" in phong and (material.roughness, material.metallic) == (Material.roughness, Material.metallic)
     return [

@@ -88,6 +88,9 @@ def read_mtl(text: str, picture: Callable[..., Bytes | None]) -> dict[str, Mater
             materials[name] = Material(name=name)
         elif name in materials:
             materials[name] = _with(materials[name], key, values, picture)
+    for name, material in materials.items():
+        if material.emission_picture is not None and "Ke" not in dict(material.phong):
+            materials[name] = replace(material, emission=(1.0, 1.0, 1.0))  # the picture alone says what is sent out
     return materials
 
 

@@ -441,6 +441,20 @@ def test_light_that_is_sent_out_goes_from_obj_to_glb_and_back(tmp_path):
     assert read_painted_mesh(tmp_path / "b.obj").materials[1].emission == (0.25, 0.5, 1.0)
 
 
+@pytest.mark.parametrize(("factor", "emission"), [("", (1.0, 1.0, 1.0)), ("Ke 0 0 0\n", (0.0, 0.0, 0.0))])
+def test_a_picture_of_light_without_a_factor_shines_as_it_is(tmp_path, factor, emission):
+    path, *_ = two_halves(tmp_path, picture=True)
+    with open(tmp_path / "two.mtl", "a") as library:
+        library.write(f"map_Ke stripes.png\n{factor}")
+    mesh = read_painted_mesh(path)
+    assert mesh.materials[1].emission_picture is not None and mesh.materials[1].emission == emission
+    mesh.export(tmp_path / "a.glb")
+    again = read_painted_mesh(tmp_path / "a.glb")
+    assert again.materials[1].emission == emission
+    again.export(tmp_path / "b.obj")
+    assert read_painted_mesh(tmp_path / "b.obj").materials[1].emission == emission
+
+
 def test_several_libraries_may_be_named_in_a_line(tmp_path):
     path, *_ = two_halves(tmp_path)
     first, second = (tmp_path / "two.mtl").read_text().split("newmtl blue")
