@@ -2,7 +2,7 @@
 
 Sparse and quantised arrays of glTF files are written out as plain ones first (glTF 2.0, sections 3.6.2 and 3.11). The
 extension KHR_mesh_quantization stores positions and coordinates as whole numbers, divided by their largest value where
-they are normalised.
+they are normalised. KHR_texture_transform moves texture coordinates, which are moved when they are read.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 
 _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}  # by componentType
+_FLOAT = 5126  # single precision
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 
 
@@ -92,21 +93,53 @@ class GltfInput:
         wanted = [k for k, one in enumerate(accessors) if "sparse" in one or (k in scaled and one.get("normalized"))]
         if not wanted:
             return
-        content, views = b"", self.document.setdefault("bufferViews", [])
-        number = len(self.buffers)
+        arrays = []
         for k in wanted:
-            array = self._array(accessors[k])
+            arrays.append(self._array(accessors[k]))
             if k in scaled and accessors[k].get("normalized"):
-                array = _unit_range(array)
-                # Float: the componentType of single precision
-                accessors[k] |= {"componentType": 5126, "normalized": False}
+                arrays[-1] = _unit_range(arrays[-1])
+                accessors[k] |= {"componentType": _FLOAT, "normalized": False}
             for key in ("sparse", "byteOffset"):
                 accessors[k].pop(key, None)
-            accessors[k]["bufferView"] = len(views)
+        for k, view in zip(wanted, self._stored(arrays), strict=True):
+            accessors[k]["bufferView"] = view
+
+    def lay_out_pictures(self) -> None:
+        """Give triangles as their first coordinates those that their material's first picture is laid out by.
+
+        These are another set of the file's, or moved ones: offset + rotation · scale · uv with KHR_texture_transform.
+
+        Raises:
+            LookupError: the document refers to what is not there.
+        """
+        accessors, materials = self.document.get("accessors", []), self.document.get("materials", [])
+        known: dict[tuple[int, Layout], int] = {}
+        for primitive in (one for mesh in self.document.get("meshes", []) for one in mesh.get("primitives", [])):
+            uses = picture_uses(materials[primitive["material"]]) if "material" in primitive else {}
+            layout = next(map(layout_of, uses.values()), PLAIN_LAYOUT)
+            given = primitive.get("attributes", {}).get(f"TEXCOORD_{layout[0]}")
+            if layout == PLAIN_LAYOUT or given is None:
+                continue
+            if (given, layout) not in known:
+                _, offset, turn, (along, down) = layout
+                cosine, sine = np.cos(turn), np.sin(turn)
+                u, v = self._array(accessors[given]).astype(np.float64).T * [[along], [down]]
+                moved = np.stack([cosine * u + sine * v, cosine * v - sine * u], axis=1) + offset
+                (view,) = self._stored([moved.astype(np.float32)])
+                known[given, layout] = len(accessors)
+                accessors.append({"bufferView": view, "componentType": _FLOAT, "type": "VEC2", "count": len(moved)})
+            primitive["attributes"]["TEXCOORD_0"] = known[given, layout]
+
+    def _stored(self, arrays: list[Numbers]) -> list[int]:
+        """Add arrays to the file, in one more buffer; return the numbers of their views."""
+        content, views = b"", self.document.setdefault("bufferViews", [])
+        number, first = len(self.buffers), len(views)
+        for array in arrays:
             views.append({"buffer": number, "byteOffset": len(content), "byteLength": array.nbytes})
             content += array.tobytes() + bytes(-array.nbytes % 4)
         self.buffers.append({"byteLength": len(content)})
         self.known[number] = content
+        return list(range(first, len(views)))
 
     def picture(self, number: int) -> bytes | None:
         """Return the bytes of a picture; None for a format that is not read, and for a file that is not there."""
@@ -210,17 +243,37 @@ def _unit_range(array: Numbers) -> NDArray[np.float32]:
     return np.maximum(array.astype(np.float64) / most, -1.0).astype(np.float32)
 
 
+Layout: TypeAlias = tuple[int, tuple[float, float], float, tuple[float, float]]
+"""How a picture lies on triangles: the set of their coordinates, offset, angle in radians, and scale."""
+
+PLAIN_LAYOUT: Layout = (0, (0.0, 0.0), 0.0, (1.0, 1.0))
+
+
+def picture_uses(material: Document) -> dict[str, Document]:
+    """Return how a material uses pictures, by the names of their roles, in the order of :data:`ROLES`."""
+    uses = {**material.get("pbrMetallicRoughness", {}), **material}
+    return {role: uses[role] for role in ROLES if isinstance(uses.get(role), dict) and "index" in uses[role]}
+
+
+def layout_of(used: Document) -> Layout:
+    """Return how a picture lies by what a material says of its use."""
+    moved = used.get("extensions", {}).get("KHR_texture_transform", {})
+    (left, top), (along, down) = (map(float, moved.get(*pair)) for pair in (("offset", (0, 0)), ("scale", (1, 1))))
+    chosen = int(moved.get("texCoord", used.get("texCoord", 0)))
+    return chosen, (left, top), float(moved.get("rotation", 0.0)), (along, down)
+
+
 # Of what trimesh reads, those that open no other file themselves, as readers of archives and of simulations do.
 _SCENES = {"glb", "gltf", "dae", "3mf", "xaml", "ctm", "json"}
 ROLES = ("baseColorTexture", "metallicRoughnessTexture", "normalTexture", "occlusionTexture", "emissiveTexture")
 # Parts of glTF that are read, or that change nothing about triangles and little about their look.
-_READ = ("KHR_mesh_quantization", "EXT_texture_webp", "KHR_materials_", "KHR_lights_")
+_READ = ("KHR_mesh_quantization", "KHR_texture_transform", "EXT_texture_webp", "KHR_materials_", "KHR_lights_")
 # Parts that change where a picture lies or how it is stored, and nothing about triangles.
 _OF_PICTURES = ("KHR_texture_", "EXT_texture_", "MSFT_texture_")
 
 
 # What is said of the use of a picture and is not read, with the value at which it changes nothing.
-_LEFT_OUT: Document = {"texCoord": 0, "scale": 1, "strength": 1, "KHR_texture_transform": {}}
+_LEFT_OUT: Document = {"scale": 1, "strength": 1}
 
 
 def scene_formats() -> set[str]:
@@ -280,6 +333,8 @@ def load_scene(data: bytes, file: Path, suffix: str, *, pictures: bool = True) -
         if unknown:
             raise OmtwarpError(f"needs {unknown[0]}, which is not read: save it without compression and extensions")
         gltf.write_out_arrays()
+        if pictures:
+            gltf.lay_out_pictures()
         gltf.document.pop("images", None)
         for number, material in enumerate(gltf.document.get("materials", [])):
             material["name"] = str(number)
@@ -308,15 +363,12 @@ def gltf_pictures(data: bytes, file: Path, suffix: str) -> tuple[list[tuple[Docu
     pictures: list[tuple[Document, dict[str, bytes]]] = []
     lost: list[str] = []
     for material in gltf.document.get("materials", []):
-        uses: dict[str, object] = {**material.get("pbrMetallicRoughness", {}), **material}
         pictures.append((material, {}))
         lost += [name for name in material.get("extensions", {}) if name == "KHR_materials_emissive_strength"]
-        for role in ROLES:
-            used = uses.get(role)
-            if not isinstance(used, dict) or "index" not in used:
-                continue
-            given = used | used.get("extensions", {})
-            lost += [f"{name} of {role}" for name, usual in _LEFT_OUT.items() if given.get(name, usual) != usual]
+        uses = picture_uses(material)
+        for role, used in uses.items():
+            lost += [f"{name} of {role}" for name, usual in _LEFT_OUT.items() if used.get(name, usual) != usual]
+            lost += [f"coordinates of {role} alone"] * (layout_of(used) != layout_of(next(iter(uses.values()))))
             entry = gltf.document["textures"][used["index"]]  # as WebP where it has it so
             number = entry.get("extensions", {}).get("EXT_texture_webp", entry).get("source")
             content = None if number is None else picture(number)

@@ -184,7 +184,7 @@ def test_a_mirror_image_turns_its_faces(tmp_path, node):
 
 @pytest.mark.parametrize(
     ("name", "of_pictures"),
-    [("KHR_draco_mesh_compression", False), ("VENDOR_new", False), ("KHR_texture_transform", True)],
+    [("KHR_draco_mesh_compression", False), ("VENDOR_new", False), ("KHR_texture_basisu", True)],
 )
 def test_a_required_part_that_is_not_read_is_refused(tmp_path, name, of_pictures):
     file = File()

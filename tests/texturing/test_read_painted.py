@@ -382,8 +382,8 @@ def test_a_picture_of_two_opaque_materials_is_read_and_written_once(tmp_path):
     assert file.read_bytes().count(b"\x89PNG") == again.read_bytes().count(b"\x89PNG") == 1
 
 
-def glb_with(path, *, picture=None, material=None):
-    """Change what a GLB's first material, or the use of its picture, says."""
+def glb_with(path, *, picture=None, material=None, required=False, second=False):
+    """Change what a GLB's first material, or the use of its picture, says; make its coordinates the second set."""
     import pygltflib
 
     content = pygltflib.GLTF2().load(str(path))
@@ -392,17 +392,61 @@ def glb_with(path, *, picture=None, material=None):
         setattr(one, name, value)
     for name, value in (picture or {}).items():
         setattr(one.pbrMetallicRoughness.baseColorTexture, name, value)
+    content.extensionsRequired = ["KHR_texture_transform"] if required else []
+    if second:
+        attributes = content.meshes[0].primitives[0].attributes
+        attributes.TEXCOORD_0, attributes.TEXCOORD_1 = None, attributes.TEXCOORD_0
     content.save(str(path))
+
+
+@pytest.mark.parametrize("whole", [False, True])
+@pytest.mark.parametrize(
+    "moved",
+    [
+        {"offset": [0, 1], "rotation": np.pi / 2, "scale": [0.5, 0.5]},  # the lower left quarter, turned
+        {"offset": [0.1, -0.2], "rotation": 0.3, "scale": [3.0, -0.7]},
+        {"scale": [1, -1]},
+    ],
+)
+def test_moved_coordinates_of_a_glb_are_read_where_they_are_moved_to(tmp_path, moved, whole):
+    two_halves(tmp_path, picture=True)
+    mesh = read_painted_mesh(tmp_path / "two.obj")
+    replace(mesh, materials=(mesh.materials[1],), face_material=None).export(tmp_path / "a.glb")
+    before = read_painted_mesh(tmp_path / "a.glb")
+    glb_with(tmp_path / "a.glb", picture={"extensions": {"KHR_texture_transform": moved}}, required=whole)
+    after = read_painted_mesh(tmp_path / "a.glb")
+    # In the plane of complex numbers u + i v, with v downwards, counter-clockwise on the screen is times exp(-i angle).
+    u, v = before.uv[..., 0], 1.0 - before.uv[..., 1]
+    along, down = moved["scale"]
+    left, top = moved.get("offset", (0, 0))
+    place = np.exp(-1j * moved.get("rotation", 0.0)) * (along * u + 1j * down * v) + left + 1j * top
+    np.testing.assert_allclose(after.uv, np.stack([place.real, 1.0 - place.imag], axis=-1), atol=1e-6)
+    assert not [note for note in after.notes if note.startswith("left out")]
+
+
+def test_the_second_set_of_coordinates_of_a_glb_is_read_where_a_picture_wants_it(tmp_path):
+    two_halves(tmp_path, picture=True)
+    mesh = read_painted_mesh(tmp_path / "two.obj")
+    replace(mesh, materials=(mesh.materials[1],), face_material=None).export(tmp_path / "a.glb")
+    before = read_painted_mesh(tmp_path / "a.glb")
+    glb_with(tmp_path / "a.glb", picture={"texCoord": 1}, second=True)
+    after = read_painted_mesh(tmp_path / "a.glb")
+    np.testing.assert_array_equal(after.uv, before.uv)
+    assert after.notes == before.notes
 
 
 @pytest.mark.parametrize(
     ("picture", "material", "lost"),
     [
-        ({"texCoord": 1}, None, "texCoord of baseColorTexture"),
         (
             {"extensions": {"KHR_texture_transform": {"scale": [2, 2]}}},
+            {"emissiveTexture": {"index": 0}},
+            "coordinates of emissiveTexture alone",
+        ),
+        (
             None,
-            "KHR_texture_transform of baseColorTexture",
+            {"normalTexture": {"index": 0, "scale": 0.5, "texCoord": 1}},
+            "scale of normalTexture, coordinates of normalTexture alone",
         ),
         (
             None,
