@@ -266,6 +266,7 @@ def layout_of(used: Document) -> Layout:
 # Of what trimesh reads, those that open no other file themselves, as readers of archives and of simulations do.
 _SCENES = {"glb", "gltf", "dae", "3mf", "xaml", "ctm", "json"}
 ROLES = ("baseColorTexture", "metallicRoughnessTexture", "normalTexture", "occlusionTexture", "emissiveTexture")
+BRIGHTER = "KHR_materials_emissive_strength"  # the part of glTF for light brighter than 1
 # Parts of glTF that are read, or that change nothing about triangles and little about their look.
 _READ = ("KHR_mesh_quantization", "KHR_texture_transform", "EXT_texture_webp", "KHR_materials_", "KHR_lights_")
 # Parts that change where a picture lies or how it is stored, and nothing about triangles.
@@ -364,7 +365,6 @@ def gltf_pictures(data: bytes, file: Path, suffix: str) -> tuple[list[tuple[Docu
     lost: list[str] = []
     for material in gltf.document.get("materials", []):
         pictures.append((material, {}))
-        lost += [name for name in material.get("extensions", {}) if name == "KHR_materials_emissive_strength"]
         uses = picture_uses(material)
         for role, used in uses.items():
             lost += [f"{name} of {role}" for name, usual in _LEFT_OUT.items() if used.get(name, usual) != usual]

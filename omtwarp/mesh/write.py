@@ -164,10 +164,15 @@ class GltfFile:
         texture = names.Texture(sampler=0, source=source)
         if kind == "webp":
             texture = names.Texture(sampler=0, extensions={"EXT_texture_webp": {"source": source}})
-            for extensions in (content.extensionsUsed, content.extensionsRequired):
-                extensions[:] = ["EXT_texture_webp"]
+            self.use("EXT_texture_webp", required=True)
         content.textures.append(texture)
         return source
+
+    def use(self, extension: str, *, required: bool = False) -> None:
+        """Announce an extension of the format, without which the file can be read unless it is ``required``."""
+        for extensions in (self.content.extensionsUsed, self.content.extensionsRequired)[: 1 + required]:
+            if extension not in extensions:
+                extensions.append(extension)
 
     def encoded(self) -> bytes:
         """Return the whole file."""

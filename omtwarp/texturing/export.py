@@ -16,6 +16,7 @@ from omtwarp.colors import to_linear
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.output import as_path, companion, staged
 from omtwarp.mesh.arrays import ROUND_OFF, TINY, Bytes, Floats, Ints, normalised, summed
+from omtwarp.mesh.scenes import BRIGHTER
 from omtwarp.mesh.write import GltfFile, in_single_precision
 from omtwarp.options import TextureFormat
 from omtwarp.texturing.image import png_bytes, webp_bytes
@@ -311,7 +312,11 @@ def glb_bytes(model: Model, texture_format: TextureFormat) -> bytes:
         surface: dict[str, object] = {"baseColorFactor": linear(np.array(look.color)).tolist()}
         surface |= {"metallicFactor": look.metallic, "roughnessFactor": look.roughness}
         beside: dict[str, object] = {"name": look.name, "alphaMode": "OPAQUE" if look.opaque else "BLEND"}
-        beside |= {"emissiveFactor": [min(light, 1.0) for light in look.emission], "doubleSided": look.two_sided}
+        brightest = max(1.0, *look.emission)
+        beside |= {"emissiveFactor": [light / brightest for light in look.emission], "doubleSided": look.two_sided}
+        if brightest > 1.0:
+            beside["extensions"] = {BRIGHTER: {"emissiveStrength": brightest}}
+            file.use(BRIGHTER)
         for slot, own, ending, _ in SLOTS:
             picture, name = getattr(look, own), f"{look.name}-{ending}"
             if own == "picture" and look.plain:  # so that the coordinates belong to something

@@ -23,7 +23,7 @@ from omtwarp.mesh.arrays import Bytes, Floats, Ints, whole_numbers
 from omtwarp.mesh.ply import Column, ply_columns, polygons_of
 from omtwarp.mesh.polygons import fans, taken_together
 from omtwarp.mesh.read import coordinates, mesh_content, numbers_of, obj_text, read_mesh, require_counted_from_one, utf8
-from omtwarp.mesh.scenes import Document, gltf_pictures, load_scene, placed_meshes, scene_formats
+from omtwarp.mesh.scenes import BRIGHTER, Document, gltf_pictures, load_scene, placed_meshes, scene_formats
 from omtwarp.texturing.export import SLOTS, Material
 from omtwarp.texturing.image import as_bytes, decoded, read_image, with_opacity, without_full_opacity
 from omtwarp.texturing.painted import PaintedMesh, corners_of, joined_seams
@@ -476,7 +476,8 @@ def _of_gltf(material: Document, pictures: dict[str, Bytes], opaque: bool = Fals
         texel = with_opacity(picture[0]) / 255.0
         light = to_linear(np.array(color[:3])) * to_linear(texel[0, :3])
         color, picture = _color(np.append(to_srgb(light), color[3] * texel[0, 3])), None
-    red, green, blue = map(float, material.get("emissiveFactor", (0.0, 0.0, 0.0)))
+    brighter = material.get("extensions", {}).get(BRIGHTER, {}).get("emissiveStrength", 1.0)
+    red, green, blue = (float(light) * float(brighter) for light in material.get("emissiveFactor", (0.0, 0.0, 0.0)))
     return Material(
         name=material.get("name") or "material",
         color=color,

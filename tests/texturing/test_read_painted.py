@@ -448,11 +448,6 @@ def test_the_second_set_of_coordinates_of_a_glb_is_read_where_a_picture_wants_it
             {"normalTexture": {"index": 0, "scale": 0.5, "texCoord": 1}},
             "scale of normalTexture, coordinates of normalTexture alone",
         ),
-        (
-            None,
-            {"extensions": {"KHR_materials_emissive_strength": {"emissiveStrength": 4.0}}},
-            "KHR_materials_emissive_strength",
-        ),
         ({"texCoord": 0, "extensions": {"KHR_texture_transform": {}}}, None, ""),
     ],
 )
@@ -497,6 +492,22 @@ def test_a_picture_of_light_without_a_factor_shines_as_it_is(tmp_path, factor, e
     assert again.materials[1].emission == emission
     again.export(tmp_path / "b.obj")
     assert read_painted_mesh(tmp_path / "b.obj").materials[1].emission == emission
+
+
+@pytest.mark.parametrize("encoding", ["png", "webp"])
+def test_light_brighter_than_white_is_read_and_written(tmp_path, encoding):
+    two_halves(tmp_path, picture=True)
+    mesh = read_painted_mesh(tmp_path / "two.obj")
+    bright, dim = (
+        replace(mesh.materials[0], emission=(0.5, 4.0, 1.0)),
+        replace(mesh.materials[1], emission=(0.0, 0.1, 1.0)),
+    )
+    replace(mesh, materials=(bright, dim)).export(tmp_path / "a.glb", texture_format=encoding)
+    again = read_painted_mesh(tmp_path / "a.glb")
+    np.testing.assert_allclose([one.emission for one in again.materials], [bright.emission, dim.emission], rtol=1e-12)
+    assert not [note for note in again.notes if note.startswith("left out")]
+    there = trimesh.load_scene(tmp_path / "a.glb").geometry.values()  # trimesh does not know the extension
+    assert sum(len(one.faces) for one in there) == len(mesh.faces)
 
 
 def test_several_libraries_may_be_named_in_a_line(tmp_path):
