@@ -131,9 +131,8 @@ def coarse_surface(
     own = np.arange(surface.vertex_count)
     own = own if mirror is None else own[own <= mirror]
     cells = np.floor(along[own])
-    order = np.argsort(squared_norms(along[own] - cells - 0.5), kind="stable")
-    _, first = np.unique(cells[order], axis=0, return_index=True)
-    chosen = own[order[first]]
+    order = np.lexsort((squared_norms(along[own] - cells - 0.5), *cells.T[::-1]))
+    chosen = own[order[np.diff(cells[order], axis=0, prepend=np.nan).any(axis=1)]]
     if mirror is not None:
         chosen = np.union1d(chosen, mirror[chosen])
     try:
