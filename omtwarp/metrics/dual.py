@@ -12,7 +12,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -177,6 +177,25 @@ class MapDual(ABC):
     def bound(self, potential: Floats) -> Bound:
         """Return the lower bound on the cost that a potential ψ gives, with its c-transform φ."""
 
+    def bound_by(self, kernel: wp.Kernel, potential: Floats, sources: wp.array, inputs: list[object]) -> Bound:
+        """Return the bound of a potential whose c-transform a kernel computes at every x_i.
+
+        Args:
+            kernel: takes the x_i, c(x_i, y_i) - ψ(y_i), which are the values to beat, and the inputs.
+            potential: ψ at the y_i.
+            sources: the x_i on the device where the kernel runs, shape [V].
+            inputs: further arguments.
+        """
+        device, own = sources.device, self.cost - potential
+        minimum = (wp.float64, wp.int32, wp.vec3d)
+        lowest = [wp.empty(len(own), dtype=kind, device=device) for kind in minimum]
+        inputs = [*each(sources, sent(own, wp.float64, device)), *inputs]
+        # Points whose transforms are worth a launch of their own on another core: each takes 10 microseconds.
+        launch_parts(kernel, len(own), inputs, each(*lowest), device, 128)
+        proven, face, weights = (array.numpy() for array in lowest)
+        gap = own - proven
+        return Bound(potential, gap, float(self.mass @ gap), face.astype(np.int64), weights)
+
     @property
     def tolerance(self) -> float:
         """How far below the true minimum the search for it may stay."""
@@ -235,20 +254,25 @@ class TransportDual(MapDual):
         self.x, self.y = vectors(x, self.device), vectors(y, self.device)
         self.log = log_maps(y, x)
         self.cost = half_squares(x, y)
+        self.edge_terms = vectors(edge_bulges(y[surface.faces], self.log[surface.faces]), self.device)
         # Triangles near each other in space next to each other in the tree.
         triangles, corners = narrow_parts(y, surface.faces)
         order = order_by_halves((corners @ y[surface.faces[triangles]]).mean(axis=1))
-        parts, self._faces = triangles[order].astype(np.int32), surface.on(self.device).faces
-        self._parts = [sent(parts, wp.int32, self.device), sent(corners[order], wp.mat33d, self.device)]
-        self.edge_terms = vectors(edge_bulges(y[surface.faces], self.log[surface.faces]), self.device)
-        self._leaves = leaf_count(len(order))
-        offsets, segments = tree_segments(self._leaves)
+        leaves, samples = leaf_count(len(order)), kernels.SAMPLES * len(order)
+        tree = self._tree = kernels.Tree()
+        tree.points, tree.faces, tree.edge = self.y, surface.on(self.device).faces, self.edge_terms
+        tree.leaf_count, tree.triangles = leaves, sent(triangles[order].astype(np.int32), wp.int32, self.device)
+        tree.corners = sent(corners[order], wp.mat33d, self.device)
+        tree.places, tree.values = (wp.empty(samples, kind, device=self.device) for kind in (wp.vec3d, wp.float64))
+        node = (wp.vec3d, wp.vec3d, kernels.vec11d)
+        tree.centres, tree.axes, tree.models = (wp.empty(2 * leaves, kind, device=self.device) for kind in node)
+        offsets, segments = tree_segments(leaves)
         # The work of a node is in proportion to its leaves: every part of a launch gets nodes of all sizes.
-        nodes, spread = (interleaved(count, core_count()) for count in (2 * self._leaves, len(segments)))
+        nodes, spread = (interleaved(count, core_count()) for count in (2 * leaves, len(segments)))
         self._nodes, self._offsets = (sent(numbers, wp.int32, self.device) for numbers in (nodes, offsets))
         self._segments = sent(segments[spread], wp.vec2i, self.device)
-        # Paraboloids of the nodes, fitted to the first potential; raised above a later one, they bound that, too.
-        self._tree: list[wp.array] | None = None
+        # Whether there are paraboloids: fitted to the first potential, and raised above a later one, they bound it too.
+        self._fitted = False
 
     def admissible_differences(self) -> tuple[Floats, Floats]:
         """Return the least and the largest difference of ψ along every edge with which its ends swap no partners."""
@@ -258,34 +282,18 @@ class TransportDual(MapDual):
 
     def bound(self, potential: Floats) -> Bound:
         """Compute φ, the c-transform of ψ, at every x_i."""
-        parts, nodes = len(self._parts[0]), 2 * self._leaves
-        nodal = wp.array(potential, dtype=wp.float64, device=self.device)
-        mesh = [self.y, self._faces, nodal, self.edge_terms, *self._parts]
-        places = wp.empty(kernels.SAMPLES * parts, dtype=wp.vec3d, device=self.device)
-        values = wp.empty(kernels.SAMPLES * parts, dtype=wp.float64, device=self.device)
-        self._launch(kernels.sample_triangles, parts, mesh, [places, values])
-        samples = [places, values, parts, self._leaves]
-        if self._tree is None:
-            node = (wp.vec3d, wp.vec3d, kernels.vec11d)
-            self._tree = [wp.empty(nodes, dtype=kind, device=self.device) for kind in node]
-            launch_parts(kernels.fit_nodes, nodes, [*samples, Each(self._nodes)], self._tree, self.device)
-        tree, extremes = self._tree, wp.empty(self._segments.size, dtype=kernels.vec6d, device=self.device)
-        inputs = [*samples, *tree, self._offsets, Each(self._segments)]
+        tree = self._tree
+        tree.nodal = sent(potential, wp.float64, self.device)
+        wp.launch(kernels.sample_triangles, dim=len(tree.triangles), outputs=[tree], device=self.device)
+        if not self._fitted:
+            launch_parts(kernels.fit_nodes, len(self._nodes), [Each(self._nodes)], [tree], self.device)
+            self._fitted = True
+        extremes = wp.empty(self._segments.size, dtype=kernels.vec6d, device=self.device)
+        inputs = [self._offsets, Each(self._segments), tree]
         launch_parts(kernels.measure_segments, extremes.size, inputs, [extremes], self.device)
-        self._launch(kernels.bound_nodes, nodes, [self._offsets, extremes], [tree[2]])
-        own = self.cost - potential
-        seeds = wp.array(own, dtype=wp.float64, device=self.device)
-        minimum = (wp.float64, wp.int32, wp.vec3d)
-        lowest = [wp.empty(len(seeds), dtype=kind, device=self.device) for kind in minimum]
-        inputs = [*each(self.x, seeds), *mesh, places, values, self._leaves, self.tolerance, *tree]
-        # Points whose transforms are worth a launch of their own on another core: each takes 10 microseconds.
-        launch_parts(kernels.c_transform, len(seeds), inputs, each(*lowest), self.device, 128)
-        proven, face, weights = (array.numpy() for array in lowest)
-        gap = own - proven
-        return Bound(potential, gap, float(self.mass @ gap), face.astype(np.int64), weights)
-
-    def _launch(self, kernel: wp.Kernel, count: int, inputs: list[object], outputs: list[object]) -> None:
-        wp.launch(kernel, dim=count, inputs=inputs, outputs=outputs, device=self.device)
+        inputs = [self._offsets, extremes]
+        wp.launch(kernels.bound_nodes, dim=len(self._nodes), inputs=inputs, outputs=[tree], device=self.device)
+        return self.bound_by(kernels.c_transform, potential, self.x, [self.tolerance, tree])
 
 
 def log_maps(base: Floats, target: Floats) -> Floats:
@@ -373,15 +381,9 @@ class TorusDual(MapDual):
         nodes = wp.empty(2 * self._leaves, dtype=vec7d, device="cpu")
         inputs = [*mesh, self._slopes, len(self._faces), self._leaves]
         wp.launch(build_plane_nodes, dim=len(nodes), inputs=inputs, outputs=[nodes], device="cpu")
-        own = self.cost - potential
-        seeds, copies = sent(own, wp.float64), sent(self._copies(potential), wp.vec2d)
-        nearest = [wp.empty(len(own), dtype=kind, device="cpu") for kind in (wp.float64, wp.int32, wp.vec3d)]
-        inputs = [*each(self._home, seeds), copies, *mesh, nodes, self._leaves, self.tolerance]
-        launch_parts(best_images, len(own), inputs, each(*nearest), wp.get_device("cpu"))
-        proven, leaf, weights = (array.numpy() for array in nearest)
-        gap = own - proven
-        face = np.where(leaf >= 0, self._order[leaf], -1)
-        return Bound(potential, gap, float(self.mass @ gap), face, weights)
+        inputs = [sent(self._copies(potential), wp.vec2d), *mesh, nodes, self._leaves, self.tolerance]
+        found = self.bound_by(best_images, potential, self._home, inputs)
+        return replace(found, face=np.where(found.face >= 0, self._order[found.face], -1))
 
     def _copies(self, potential: Floats) -> Floats:
         """Return the lattice vectors that a best image may be shifted by, the shortest first, shape [N, 2]."""

@@ -9,7 +9,7 @@ of its edges. Triangles, or parts of those with long edges, are the leaves of a 
 """
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
-from omtwarp.geometry.spherical import geodesic_distance
+from omtwarp.geometry.spherical import corners_of, geodesic_distance
 from omtwarp.metrics.tree_kernels import SEGMENT, leaves_below, lowest_on_triangle, next_node, potential_at
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -23,6 +23,24 @@ vec11d = wp.types.vector(length=11, dtype=wp.float64)
 SAMPLES = wp.constant(6)  # of the potential in a triangle: as many as a quadratic function has coefficients
 
 
+@wp.struct
+class Tree:
+    """A potential on the triangles of a mesh, its samples on P leaves, and a paraboloid above it on each of N nodes."""
+
+    points: wp.array[wp.vec3d]  # of the mesh
+    faces: wp.array[wp.vec3i]
+    nodal: wp.array[wp.float64]  # ψ_k at the points
+    edge: wp.array[wp.vec3d]  # e_k of every face
+    leaf_count: wp.int32  # a power of two, of which the first P are taken; N is twice this
+    triangles: wp.array[wp.int32]  # that each leaf is a part of, [P]
+    corners: wp.array[wp.mat33d]  # its own in barycentric coordinates there, as rows, [P]
+    places: wp.array[wp.vec3d]  # of the samples of the leaves, one leaf after another, [SAMPLES P]
+    values: wp.array[wp.float64]  # ψ there
+    centres: wp.array[wp.vec3d]  # of the nodes, [N]
+    axes: wp.array[wp.vec3d]
+    models: wp.array[vec11d]
+
+
 @wp.func
 def half_squared_distance(x: wp.vec3d, y: wp.vec3d) -> wp.float64:
     """Return the cost c(x, y) = d(x, y)² / 2."""
@@ -31,8 +49,12 @@ def half_squared_distance(x: wp.vec3d, y: wp.vec3d) -> wp.float64:
 
 
 @wp.func
-def point_at(y0: wp.vec3d, y1: wp.vec3d, y2: wp.vec3d, b: wp.vec3d) -> wp.vec3d:
-    return wp.normalize(b[0] * y0 + b[1] * y1 + b[2] * y2)
+def sample_at(f: int, b: wp.vec3d, tree: Tree):
+    """Return the point of the sphere at barycentric coordinates b of a triangle of the mesh, and ψ there."""
+    face = tree.faces[f]
+    y0, y1, y2 = corners_of(tree.points, face)
+    nodal = wp.vec3d(tree.nodal[face[0]], tree.nodal[face[1]], tree.nodal[face[2]])
+    return wp.normalize(b[0] * y0 + b[1] * y1 + b[2] * y2), potential_at(nodal, tree.edge[f], b)
 
 
 @wp.func
@@ -86,39 +108,22 @@ def lowest_on_interval(slope: wp.float64, bend: wp.float64, low: wp.float64, hig
 
 @wp.kernel
 def sample_triangles(
-    points: wp.array[wp.vec3d],
-    faces: wp.array[wp.vec3i],
-    nodal: wp.array[wp.float64],
-    edge: wp.array[wp.vec3d],
-    # Leaves, the triangle that each is a part of, and its corners' barycentric coordinates there as rows:
-    triangles: wp.array[wp.int32],
-    corners: wp.array[wp.mat33d],
-    # Data out:
-    places_out: wp.array[wp.vec3d],
-    values_out: wp.array[wp.float64],
+    # Data in and out:
+    tree: Tree,
 ):
     """Place on the sphere, and potential there, of the six samples of every leaf."""
     leaf = wp.tid()
-    f = triangles[leaf]
-    face = faces[f]
-    values = wp.vec3d(nodal[face[0]], nodal[face[1]], nodal[face[2]])
     for s in range(SAMPLES):
-        b = sample_weights(s) @ corners[leaf]
-        places_out[SAMPLES * leaf + s] = point_at(points[face[0]], points[face[1]], points[face[2]], b)
-        values_out[SAMPLES * leaf + s] = potential_at(values, edge[f], b)
+        place, value = sample_at(tree.triangles[leaf], sample_weights(s) @ tree.corners[leaf], tree)
+        tree.places[SAMPLES * leaf + s] = place
+        tree.values[SAMPLES * leaf + s] = value
 
 
 @wp.kernel
 def fit_nodes(
-    places: wp.array[wp.vec3d],
-    values: wp.array[wp.float64],
-    face_count: int,
-    leaf_count: int,
     chosen: wp.array[wp.int32],
-    # Data out:
-    centre_out: wp.array[wp.vec3d],
-    axis_out: wp.array[wp.vec3d],
-    model_out: wp.array[vec11d],
+    # Data in and out:
+    tree: Tree,
 ):
     """Choose the centre c and the frame (axis, c × axis) of a node, and fit a paraboloid to the potential there.
 
@@ -130,10 +135,10 @@ def fit_nodes(
     node = chosen[place]
     model = vec11d()
     model[0] = -LARGE
-    model_out[node] = model
+    tree.models[node] = model
     if node == 0:
         return
-    first, last = leaves_below(node, leaf_count, face_count)
+    first, last = leaves_below(node, tree.leaf_count, tree.triangles.shape[0])
     if first > last:
         return
 
@@ -143,11 +148,11 @@ def fit_nodes(
     total = wp.vec3d()
     for k in range(fitted):
         f = first + ((2 * k + 1) * count) // (2 * fitted)
-        total += places[SAMPLES * f] + places[SAMPLES * f + 1] + places[SAMPLES * f + 2]
+        total += tree.places[SAMPLES * f] + tree.places[SAMPLES * f + 1] + tree.places[SAMPLES * f + 2]
     c = wp.normalize(total)
     # Length of the sum of a node's directions: less where they cancel, as over a whole great circle.
     if wp.length(total) < wp.float64(1.0e-9):
-        c = places[SAMPLES * first]
+        c = tree.places[SAMPLES * first]
     u = wp.vec3d(ONE, ZERO, ZERO)
     # Of a unit vector's x: another axis helps to make a frame where it is larger. Anything from 0.58 to 1 leaves one to
     # take.
@@ -163,7 +168,7 @@ def fit_nodes(
     for k in range(fitted):
         f = first + ((2 * k + 1) * count) // (2 * fitted)
         for s in range(3):
-            w = places[SAMPLES * f + s] - c
+            w = tree.places[SAMPLES * f + s] - c
             a0 = wp.dot(w, u)
             a1 = wp.dot(w, v)
             stretch += wp.vec2d(a0 * a0 - a1 * a1, TWO * a0 * a1)
@@ -182,11 +187,11 @@ def fit_nodes(
     for k in range(fitted):
         f = first + ((2 * k + 1) * count) // (2 * fitted)
         for s in range(SAMPLES):
-            w = (places[SAMPLES * f + s] - c) / size
+            w = (tree.places[SAMPLES * f + s] - c) / size
             a0 = wp.dot(w, u)
             a1 = wp.dot(w, v)
             row_of = vec6d(ONE, a0, a1, HALF * a0 * a0, a0 * a1, HALF * a1 * a1)
-            value = values[SAMPLES * f + s]
+            value = tree.values[SAMPLES * f + s]
             for i in range(6):
                 for j in range(i + 1):
                     gram[i, j] = gram[i, j] + row_of[i] * row_of[j]
@@ -199,24 +204,18 @@ def fit_nodes(
     # Second derivatives of a fit: more is a fit through rounding, and a constant bounds better.
     if not (wp.abs(fit[3]) + wp.abs(fit[4]) + wp.abs(fit[5]) < wp.float64(1.0e12)):
         fit = vec6d()
-    centre_out[node] = c
-    axis_out[node] = u
+    tree.centres[node] = c
+    tree.axes[node] = u
     for k in range(1, 6):
         model[k] = fit[k]
-    model_out[node] = model
+    tree.models[node] = model
 
 
 @wp.kernel
 def measure_segments(
-    places: wp.array[wp.vec3d],
-    values: wp.array[wp.float64],
-    face_count: int,
-    leaf_count: int,
-    centre: wp.array[wp.vec3d],
-    axis: wp.array[wp.vec3d],
-    model: wp.array[vec11d],
     offsets: wp.array[wp.int32],
     segments: wp.array[wp.vec2i],
+    tree: Tree,
     # Data out:
     extremes_out: wp.array[vec6d],
 ):
@@ -231,22 +230,22 @@ def measure_segments(
     number = segments[place][1]
     most = vec6d(-LARGE, ZERO, ZERO, ZERO, ZERO, ZERO)
     if node > 0:
-        first, last = leaves_below(node, leaf_count, face_count)
+        first, last = leaves_below(node, tree.leaf_count, tree.triangles.shape[0])
         first += SEGMENT * number
         last = wp.min(last, first + SEGMENT - 1)
-        c = centre[node]
-        u = axis[node]
+        c = tree.centres[node]
+        u = tree.axes[node]
         v = wp.cross(c, u)
-        fit = model[node]
+        fit = tree.models[node]
         for f in range(first, last + 1):
             above = wp.vec3d()
             for s in range(SAMPLES):
                 k = SAMPLES * f + s
-                w = places[k] - c
+                w = tree.places[k] - c
                 a0 = wp.dot(w, u)
                 a1 = wp.dot(w, v)
                 bent = HALF * (fit[3] * a0 * a0 + fit[5] * a1 * a1) + fit[4] * a0 * a1
-                over = values[k] - (fit[1] * a0 + fit[2] * a1 + bent)
+                over = tree.values[k] - (fit[1] * a0 + fit[2] * a1 + bent)
                 most = wp.max(most, vec6d(over, -a0, a0, -a1, a1, wp.length_sq(w)))
                 if s < 3:
                     above[s] = over
@@ -261,19 +260,19 @@ def bound_nodes(
     offsets: wp.array[wp.int32],
     extremes: wp.array[vec6d],
     # Data in and out:
-    model: wp.array[vec11d],
+    tree: Tree,
 ):
     """Set level, rectangle and radius of a node to the largest that its segments need."""
     node, _compiled_once = wp.tid()
     most = extremes[offsets[node]]
     for k in range(offsets[node] + 1, offsets[node + 1]):
         most = wp.max(most, extremes[k])
-    bounded = model[node]
+    bounded = tree.models[node]
     bounded[0] = most[0]
     for k in range(4):
         bounded[6 + k] = most[1 + k]
     bounded[10] = wp.sqrt(most[5])
-    model[node] = bounded
+    tree.models[node] = bounded
 
 
 @wp.func
@@ -338,25 +337,10 @@ def node_bound(x: wp.vec3d, c: wp.vec3d, axis: wp.vec3d, model: vec11d, enough: 
 
 @wp.kernel
 def c_transform(
-    # Queries:
     sources: wp.array[wp.vec3d],
     seeds: wp.array[wp.float64],
-    # Mesh:
-    points: wp.array[wp.vec3d],
-    faces: wp.array[wp.vec3i],
-    nodal: wp.array[wp.float64],
-    edge: wp.array[wp.vec3d],
-    # Leaves, as for ``sample_triangles``:
-    triangles: wp.array[wp.int32],
-    corners: wp.array[wp.mat33d],
-    places: wp.array[wp.vec3d],
-    values: wp.array[wp.float64],
-    leaf_count: int,
     tolerance: wp.float64,
-    # Tree:
-    centres: wp.array[wp.vec3d],
-    axes: wp.array[wp.vec3d],
-    models: wp.array[vec11d],
+    tree: Tree,
     # Data out:
     proven_out: wp.array[wp.float64],
     triangle_out: wp.array[wp.int32],
@@ -378,22 +362,22 @@ def c_transform(
     node = int(1)
     while node > 0:
         inside = bool(False)
-        model = models[node]
+        model = tree.models[node]
         if model[0] > -LARGE:
             enough = best - tolerance
-            bound = node_bound(x, centres[node], axes[node], model, enough)
+            bound = node_bound(x, tree.centres[node], tree.axes[node], model, enough)
             inside = bound < enough
             if not inside:
                 # Slack: lowers bounds of numbers of size 1 by fifty times float64's round-off
                 relied = wp.min(relied, bound - wp.float64(1.0e-14))
-        if inside and node >= leaf_count:
-            leaf = node - leaf_count
+        if inside and node >= tree.leaf_count:
+            leaf = node - tree.leaf_count
             corner = wp.vec3d()
             middle = wp.vec3d()
             for k in range(3):
                 one = SAMPLES * leaf + k
-                corner[k] = half_squared_distance(x, places[one]) - values[one]
-                middle[k] = half_squared_distance(x, places[one + 3]) - values[one + 3]
+                corner[k] = half_squared_distance(x, tree.places[one]) - tree.values[one]
+                middle[k] = half_squared_distance(x, tree.places[one + 3]) - tree.values[one + 3]
             bulge = wp.vec3d()
             for k in range(3):
                 bulge[k] = wp.float64(4.0) * middle[k] - TWO * (corner[k] + corner[(k + 1) % 3])
@@ -410,20 +394,16 @@ def c_transform(
                     best_weights = b
             b = lowest_on_triangle(corner, bulge)
             if potential_at(corner, bulge, b) < best:
-                f = triangles[leaf]
-                face = faces[f]
-                own = b @ corners[leaf]
-                psi = potential_at(wp.vec3d(nodal[face[0]], nodal[face[1]], nodal[face[2]]), edge[f], own)
-                z = point_at(points[face[0]], points[face[1]], points[face[2]], own)
+                z, psi = sample_at(tree.triangles[leaf], b @ tree.corners[leaf], tree)
                 value = half_squared_distance(x, z) - psi
                 if value < best:
                     best = value
                     best_leaf = leaf
                     best_weights = b
-        node = next_node(node, inside, leaf_count)
+        node = next_node(node, inside, tree.leaf_count)
     proven_out[i] = wp.min(best, relied)
     triangle_out[i] = -1
     if best_leaf >= 0:
-        triangle_out[i] = triangles[best_leaf]
-        best_weights = best_weights @ corners[best_leaf]
+        triangle_out[i] = tree.triangles[best_leaf]
+        best_weights = best_weights @ tree.corners[best_leaf]
     weights_out[i] = best_weights
