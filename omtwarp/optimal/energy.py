@@ -44,7 +44,7 @@ from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.cells import Cells, RingCells
 from omtwarp.optimal.kernels import area_errors, raise_diagonal, vertex_entries
-from omtwarp.optimal.shape import ShapeTerms
+from omtwarp.optimal.shape import DistortionEnergy, ShapeTerms
 from omtwarp.solvers.cholesky.saddle import COORDINATES, SaddleMatrix
 from omtwarp.solvers.factor import NotPositiveDefinite
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
@@ -185,7 +185,6 @@ class TransportEnergy:
         shape_weight: β.
         cost_weight: factor of the cost; with 0 only the shape counts.
         area_weight: λ of the shape.
-        workspace: memory on the host for factorisations and Hessians.
 
     Attributes:
         surface: what is mapped, V vertices, F faces and E edges.
@@ -209,8 +208,6 @@ class TransportEnergy:
         shape_weight: float,
         cost_weight: float = 1.0,
         area_weight: float = AREA_WEIGHT,
-        *,
-        workspace: Workspace | None = None,
     ):
         cells = RingCells(domain.surface, domain.device) if cells is None else cells
         self.domain, self.cells, self.vertex_cost, self.shape = domain, cells, cost, shape
@@ -218,7 +215,7 @@ class TransportEnergy:
         self.surface, self.device = domain.surface, domain.device
         self.has_local_steps = False
         self.reading = Reading(self.device)
-        self._workspace = workspace
+        self._workspace = shape.workspace if isinstance(shape, DistortionEnergy) else None
         self.wanted, self._covered = cells.wanted, float(cells.wanted.sum())
         self._wanted, self._masses = (
             wp.array(numbers, dtype=wp.float64, device=self.device)
@@ -292,12 +289,12 @@ class TransportEnergy:
         hessians = self.shape.hessian(points, terms.shape, self.area_weight)
         weight = wp.float64(self.shape_weight)
         masses = self.cells.masses(terms.areas, self.cost_weight / SPHERE_AREA)
-        metric = self.vertex_cost.hessian(points, masses, LEAST_EIGENVALUE)
-        diagonal = matrix.diagonal.reshape((-1, COORDINATES))
+        metric = self.vertex_cost.hessian(points, masses, LEAST_EIGENVALUE).view(wp.vec4d)
+        diagonal = matrix.diagonal.reshape((-1, COORDINATES)).view(wp.vec2d)
         inputs = [*mesh.vertex_corners, hessians, weight, metric, FIRST_THREAD]
         launch_parts(vertex_entries, matrix.vertices, inputs, [diagonal, matrix.inner], self.device)
         inputs = [Each(mesh.edges), mesh.faces, Each(mesh.edge_corners), hessians, weight]
-        launch_parts(gather_edge_blocks, len(mesh.edges), inputs, each(matrix.off_diagonal), self.device)
+        launch_parts(gather_edge_blocks, len(mesh.edges), inputs, each(matrix.off_diagonal.view(wp.vec4d)), self.device)
         if matrix.slopes.size:
             self.cells.slopes(self.domain.area_slopes(points), matrix.slopes)
 

@@ -107,13 +107,11 @@ def transport_gradient(
 def area_slopes(
     points: wp.array[wp.vec3d],
     faces: wp.array[wp.vec3i],
-    first: int,
     # Data out:
     slopes: wp.array2d[wp.vec2d],
 ):
     """Compute the derivatives of every solid angle by its corners, in their tangent bases, shape [F, 3]."""
     f, _compiled_once = wp.tid()
-    f += first
     for k in range(3):
         slopes[f, k] = tangent_coordinates(points[faces[f][k]], area_gradient(points, faces[f], k))
 
@@ -165,18 +163,17 @@ def vertex_entries(
     corners: wp.array[wp.int32],
     blocks: wp.array2d[wp.float64],
     weight: wp.float64,
-    metric: wp.array2d[wp.float64],
+    metric: wp.array[wp.vec4d],
     first: int,
     # Data out:
-    diagonal: wp.array2d[wp.float64],
+    diagonal: wp.array[wp.vec2d],
     inner: wp.array[wp.float64],
 ):
     """Compute the entries of every vertex: weight times those of the triangles around it, plus its own."""
     v = first + wp.tid()
-    block = weight * vertex_block(v, offsets, corners, blocks)
-    diagonal[v, 0] = block[0] + metric[v, 0]
-    diagonal[v, 1] = block[3] + metric[v, 3]
-    inner[v] = block[1] + metric[v, 1]
+    block = weight * vertex_block(v, offsets, corners, blocks) + metric[v]
+    diagonal[v] = wp.vec2d(block[0], block[3])
+    inner[v] = block[1]
 
 
 @wp.kernel
@@ -277,9 +274,9 @@ def cost_metric(
     softness: wp.float64,
     first: int,
     # Data out:
-    metric: wp.array2d[wp.float64],
+    metric: wp.array[wp.vec4d],
 ):
-    """Compute the second derivative of cost plus potential at every vertex, 2x2 in its tangent basis, shape [V, 4].
+    """Compute the second derivative of cost plus potential at every vertex, 2x2 in its tangent basis, shape [V].
 
     At the optimum of the squared distance it is 2 masses_v times the derivative of the inverse map y -> x, which is
     symmetric and positive there. This kernel fits that derivative to the neighbours of the vertex, makes it symmetric
@@ -295,6 +292,4 @@ def cost_metric(
         w = faces[corner // 3][(corner + 1) % 3]
         fit += neighbour_fit(y, x, softness, points[w], start[w])
     _pull, distance = logarithm(y, x)
-    entries = TWO * masses[v] * cost_slope(distance, softness) * raised_fit(fit, least)
-    for k in range(4):
-        metric[v, k] = entries[k]
+    metric[v] = TWO * masses[v] * cost_slope(distance, softness) * raised_fit(fit, least)

@@ -223,9 +223,9 @@ def plane_cost_metric(
     corners: wp.array[wp.int32],
     least: wp.float64,
     # Data out:
-    metric: wp.array2d[wp.float64],
+    metric: wp.array[wp.vec4d],
 ):
-    """Compute the derivative of the inverse map y -> x at every vertex, fitted to its neighbours, scaled, shape [V, 4].
+    """Compute the derivative of the inverse map y -> x at every vertex, fitted to its neighbours, scaled, shape [V].
 
     It is made symmetric and its eigenvalues raised to ``least``: see :func:`omtwarp.optimal.kernels.cost_metric`.
     """
@@ -241,9 +241,7 @@ def plane_cost_metric(
         e = start[w] - start[v] + apart
         weight = ONE / wp.max(wp.dot(d, d), TINY)
         fit += weighted_fit(weight, d[0], d[1], e[0], e[1])
-    entries = TWO * masses[v] * raised_fit(fit, least)
-    for k in range(4):
-        metric[v, k] = entries[k]
+    metric[v] = TWO * masses[v] * raised_fit(fit, least)
 
 
 class Plane(Domain):
@@ -261,9 +259,9 @@ class Plane(Domain):
         self.mesh = surface.on(device)
         self.shift = self.sent(shift)
 
-    def at_vertices(self, kernel: wp.Kernel, inputs: list[object], dtype: type, *more: int) -> wp.array:
-        """Return what a kernel computes at every vertex, shape [V, ...]."""
-        out = wp.empty((self.surface.vertex_count, *more), dtype=dtype, device=self.device)
+    def at_vertices(self, kernel: wp.Kernel, inputs: list[object], dtype: type) -> wp.array:
+        """Return what a kernel computes at every vertex, shape [V]."""
+        out = wp.empty(self.surface.vertex_count, dtype=dtype, device=self.device)
         wp.launch(kernel, dim=len(out), inputs=inputs, outputs=[out], device=self.device)
         return out
 
@@ -335,7 +333,7 @@ class PlaneCost:
         """Return the second derivative at the optimum, with raised eigenvalues, float64, shape [V, 4]."""
         plane, mesh = self._plane, self._plane.mesh
         inputs = [self._start, points, plane.shift, mesh.faces, masses, *mesh.vertex_corners, wp.float64(least)]
-        return plane.at_vertices(plane_cost_metric, inputs, wp.float64, 4)
+        return plane.at_vertices(plane_cost_metric, inputs, wp.vec4d).view(wp.float64)
 
 
 class PlaneShape:

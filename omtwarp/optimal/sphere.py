@@ -50,12 +50,11 @@ class Sphere(Domain):
     def area_slopes(self, points: wp.array) -> wp.array:
         """Return the derivatives of every solid angle by its corners, in their frames, vec2d, shape [F, 3]."""
         slopes = wp.empty((self.surface.face_count, 3), dtype=wp.vec2d, device=self.device)
-        return computed(area_slopes, [points, self._faces, FIRST_THREAD], slopes)
+        return computed(area_slopes, [points, Each(self._faces)], slopes)
 
     def coordinates(self, points: wp.array, vectors: wp.array) -> wp.array:
         """Return vectors, vec3d, shape [V], in the tangent bases at ``points``, float64, shape [V, 2]."""
-        out = wp.empty((len(vectors), 2), dtype=wp.float64, device=self.device)
-        return computed(to_tangent, each(points, vectors), out)
+        return computed(to_tangent, each(points, vectors), empty(len(vectors), wp.vec2d, self.device)).view(wp.float64)
 
     def vectors(self, points: wp.array, coordinates: wp.array) -> wp.array:
         """Return the vectors with these coordinates in the tangent bases at ``points``, vec3d, shape [V]."""
@@ -99,7 +98,7 @@ class GeodesicCost:
         self.start: Floats = start.numpy()
         self.softness = wp.float64(softness)
         self._mesh = surface.on(device)
-        self._metric = wp.empty((self._count, 4), dtype=wp.float64, device=device)
+        self._metric = wp.empty(self._count, dtype=wp.vec4d, device=device)
 
     def values(self, points: wp.array) -> wp.array:
         """Return the cost of every vertex, shape [V]."""
@@ -118,7 +117,7 @@ class GeodesicCost:
         """Return the second derivative at the optimum, with raised eigenvalues, float64, shape [V, 4]."""
         mesh = [self._start, points, self._mesh.faces, masses, *self._mesh.vertex_corners]
         inputs = [*mesh, wp.float64(least), self.softness, FIRST_THREAD]
-        return computed(cost_metric, inputs, self._metric)
+        return computed(cost_metric, inputs, self._metric).view(wp.float64)
 
 
 class NoCost(GeodesicCost):
@@ -157,7 +156,7 @@ def energy_on_sphere(
     """
     cost, shape = GeodesicCost(surface, start, device, softness), DistortionEnergy(surface, device)
     where = Sphere(surface, device) if domain is None else domain
-    energy = TransportEnergy(where, cells, cost, shape, shape_weight, 1.0, area_weight, workspace=shape.workspace)
+    energy = TransportEnergy(where, cells, cost, shape, shape_weight, 1.0, area_weight)
     energy.has_local_steps = isinstance(energy.cells, RingCells)
     return energy
 
@@ -185,8 +184,7 @@ class ShapeEnergy(TransportEnergy):
         distortion = DistortionEnergy(surface, device) if shape is None else shape
         kept = MeasuredRings(surface, device) if cells is None else cells
         cost = NoCost(surface, vectors(normalised(surface.vertices), device), device)
-        workspace = distortion.workspace if isinstance(distortion, DistortionEnergy) else None
-        super().__init__(Sphere(surface, device), kept, cost, distortion, 1.0, 0.0, area_weight, workspace=workspace)
+        super().__init__(Sphere(surface, device), kept, cost, distortion, 1.0, 0.0, area_weight)
         # The kernel of local steps knows the distortion alone.
         self.has_local_steps = isinstance(kept, RingCells) and shape is None
 

@@ -89,13 +89,11 @@ def to_tangent(
     sphere: wp.array[wp.vec3d],
     vectors: wp.array[wp.vec3d],
     # Data out:
-    coordinates: wp.array2d[wp.float64],
+    coordinates: wp.array[wp.vec2d],
 ):
-    """Compute the coordinates of vectors in the tangent bases that the Hessian is written in, shape [V, 2]."""
+    """Compute the coordinates of vectors in the tangent bases that the Hessian is written in, shape [V]."""
     i = wp.tid()
-    own = tangent_coordinates(sphere[i], vectors[i])
-    coordinates[i, 0] = own[0]
-    coordinates[i, 1] = own[1]
+    coordinates[i] = tangent_coordinates(sphere[i], vectors[i])
 
 
 @wp.kernel

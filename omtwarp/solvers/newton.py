@@ -77,13 +77,11 @@ def gather_vertex_blocks(
     corners: wp.array[wp.int32],
     blocks: wp.array2d[wp.float64],
     # Data out:
-    diagonal: wp.array2d[wp.float64],
+    diagonal: wp.array[wp.vec4d],
 ):
     """Compute the block of every vertex."""
     v = wp.tid()
-    block = vertex_block(v, offsets, corners, blocks)
-    for q in range(4):
-        diagonal[v, q] = block[q]
+    diagonal[v] = vertex_block(v, offsets, corners, blocks)
 
 
 @wp.kernel
@@ -94,13 +92,11 @@ def gather_edge_blocks(
     blocks: wp.array2d[wp.float64],
     weight: wp.float64,
     # Data out:
-    off_diagonal: wp.array2d[wp.float64],
+    off_diagonal: wp.array[wp.vec4d],
 ):
     """Compute the block of every edge, rows of its first end, times a weight."""
     e = wp.tid()
-    block = weight * edge_block(edges[e][0], corners[e], faces, blocks)
-    for q in range(4):
-        off_diagonal[e, q] = block[q]
+    off_diagonal[e] = weight * edge_block(edges[e][0], corners[e], faces, blocks)
 
 
 SUFFICIENT_DECREASE = 1e-4  # share of the decrease that the slope predicts (Nocedal and Wright 2006, chapter 3)
@@ -130,7 +126,7 @@ class PatchMatrix:
 
         self._sides = [Each(sent(edges, wp.vec2i)), sent(own, wp.vec3i), Each(sent(edge_corners, wp.vec2i))]
         self._rows = [Each(sent(offsets[:-1], wp.int32), more=1), sent(corners, wp.int32)]
-        self._blocks = [wp.empty((n, 4), dtype=wp.float64, device="cpu") for n in (count, len(edges))]
+        self._blocks = [wp.empty(n, dtype=wp.vec4d, device="cpu") for n in (count, len(edges))]
         factor = mesh_factor(
             count, edges, lambda: part_dissection(surface, patches.vertices[:count], edges), 2, Workspace()
         )
