@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from omtwarp.device.arrays import sent
 from omtwarp.device.start import KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.spherical import TINY
@@ -276,11 +277,6 @@ class Hierarchy:
     coarsest: Ints
 
 
-def integers(values: NDArray, device: wp.Device) -> wp.array:
-    """Copy an integer array to the device as int32."""
-    return wp.array(values, dtype=wp.int32, device=device)
-
-
 def simplify(surface: Surface, device: wp.Device, *, kinds: Ints | None = None) -> Hierarchy:
     """Remove vertices until four are left, or five where some are on a boundary.
 
@@ -300,10 +296,10 @@ def simplify(surface: Surface, device: wp.Device, *, kinds: Ints | None = None) 
     # Least mass of a face, relative to the mean: the mass of a sliver would be no barrier against its flip.
     masses = np.maximum(surface.face_areas, 1e-3 * surface.face_areas.mean())
     masses *= 4.0 * np.pi / masses.sum()
-    points: wp.array = wp.array(surface.scaled_vertices, dtype=wp.vec3d, device=device)
+    points = sent(surface.scaled_vertices, wp.vec3d, device)
     alive = np.arange(count, dtype=np.int32)
     kinds = np.full(count, Vertex.INSIDE) if kinds is None else kinds
-    device_kinds = integers(kinds, device)
+    device_kinds = sent(kinds, wp.int32, device)
     fewest = 5 if Vertex.POLE in kinds else 4
     levels: list[Level] = []
     removals: list[Removal] = []
@@ -313,17 +309,17 @@ def simplify(surface: Surface, device: wp.Device, *, kinds: Ints | None = None) 
         levels.append(Level(alive, compact, heads, thirds, half_edge_faces, masses))
         if len(alive) == fewest:
             break
-        adjacency = [integers(x, device) for x in (offsets, heads, thirds, half_edge_faces)]
-        mesh = [*adjacency, wp.array(masses, dtype=wp.float64, device=device), points]
+        adjacency = [sent(x, wp.int32, device) for x in (offsets, heads, thirds, half_edge_faces)]
+        mesh = [*adjacency, sent(masses, wp.float64, device), points]
         outputs = [wp.empty(len(alive), dtype=kind, device=device) for kind in (wp.float64, wp.int32)]
-        inputs = [integers(alive, device), device_kinds, *mesh]
+        inputs = [sent(alive, wp.int32, device), device_kinds, *mesh]
         wp.launch(propose_collapses, dim=len(alive), inputs=inputs, outputs=outputs, device=device)
         cost, target = (output.numpy() for output in outputs)
         chosen = _select(cost, levels[-1], count, len(removals))
         valences = np.diff(offsets)[alive[chosen]]
         shape = len(chosen), MAX_VALENCE
         outputs = [wp.zeros(shape, dtype=kind, device=device) for kind in (wp.int32, wp.float64)]
-        inputs = [integers(alive[chosen], device), integers(target[chosen], device), *mesh]
+        inputs = [*(sent(x[chosen], wp.int32, device) for x in (alive, target)), *mesh]
         wp.launch(gather_rings, dim=len(chosen), inputs=inputs, outputs=outputs, device=device)
         rings, fan_masses = (output.numpy() for output in outputs)
         keep = _without_repeated_diagonals(rings, valences, count)

@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.device.arrays import sent
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
@@ -29,7 +30,7 @@ from omtwarp.mesh.arrays import TINY, Floats, InOneLine, Ints, marked, real_numb
 from omtwarp.mesh.surface import MeshLike, Surface, as_surface, triangle_areas
 from omtwarp.options import Progress, tell
 from omtwarp.solvers.triangle import AREA_WEIGHT
-from omtwarp.start.decimation import MAX_VALENCE, Hierarchy, Level, Removal, Vertex, integers, simplify
+from omtwarp.start.decimation import MAX_VALENCE, Hierarchy, Level, Removal, Vertex, simplify
 from omtwarp.start.hierarchical_kernels import insert_on_equator, insert_vertices, relax_vertices
 from omtwarp.topology.kind import boundary_half_edges
 
@@ -165,7 +166,7 @@ class Embedding:
         colours = np.zeros(surface.vertex_count, dtype=np.int32)
         colours[level.vertices] = np.arange(len(level.vertices))
         self.sphere: wp.array = wp.array(start, dtype=wp.vec3d, device=device)
-        self.colours = integers(colours, device)
+        self.colours = sent(colours, wp.int32, device)
         self.enter(level)
 
     def place_tetrahedron(self, vertices: Ints, coarsest: Ints, sphere: Floats) -> None:
@@ -220,7 +221,7 @@ class Embedding:
             size = int(chosen.sum())
             if not size:
                 continue
-            rows = (integers(x[chosen], self.device) for x in (removal.vertices, removal.rings, removal.valences))
+            rows = (sent(x[chosen], wp.int32, self.device) for x in (removal.vertices, removal.rings, removal.valences))
             normals: wp.array = wp.empty(size * MAX_VALENCE, dtype=wp.vec3d, device=self.device)
             least: wp.array = wp.empty(size, dtype=wp.float64, device=self.device)
             inputs = [*rows, self.pole if kernel is insert_on_equator else normals, self.sphere, self.colours]
@@ -232,7 +233,7 @@ class Embedding:
         """Begin a level whose vertices are all placed."""
         self.level = level
         self.vertices, self.offsets, self.heads, self.thirds = (
-            integers(x, self.device) for x in (level.vertices, level.offsets, level.heads, level.thirds)
+            sent(x, wp.int32, self.device) for x in (level.vertices, level.offsets, level.heads, level.thirds)
         )
         self.coefficients = wp.array(self.coefficients_of(level), dtype=wp.vec4d, device=self.device)
         colour = self.colours.numpy()[level.vertices]
@@ -271,7 +272,7 @@ class Embedding:
         mesh = [self.vertices, self.offsets, self.heads, self.thirds, self.coefficients]
         kinds, moves = self.kinds[self.level.vertices[slots]], []
         for kind in (Vertex.INSIDE, Vertex.RIM):
-            own = integers(slots[kinds == kind], self.device)
+            own = sent(slots[kinds == kind], wp.int32, self.device)
             if not len(own):
                 continue
             self.kept.append(own)

@@ -7,7 +7,7 @@ from enum import IntEnum
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.device.sums import column_sum
-from omtwarp.geometry.spherical import TINY, logarithm
+from omtwarp.geometry.spherical import TINY, corners_of, logarithm
 from omtwarp.wavelets.kernels import triangle_near
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -192,21 +192,6 @@ def keep_accepted(
         points[i] = trial[i]
 
 
-@wp.func
-def centre(points: wp.array[wp.vec3d], face: wp.vec3i):
-    return wp.normalize(points[face[0]] + points[face[1]] + points[face[2]])
-
-
-@wp.func
-def area_error(points: wp.array[wp.vec3d], face: wp.vec3i, area: wp.float64, largest: wp.float64):
-    """Return area times D + 1/D - 2 of a triangle, D the area of its flat image over its own, at most ``largest``."""
-    p0 = points[face[0]]
-    image = HALF * wp.length(wp.cross(points[face[1]] - p0, points[face[2]] - p0))
-    # Least ratio, of areas: its reciprocal, and that times an area, stay finite
-    ratio = wp.max(image / area, wp.float64(1e-150))
-    return area * wp.min(ratio + ONE / ratio - TWO, largest)
-
-
 @wp.kernel
 def cost_and_force(
     start_centres: wp.array[wp.vec3d],
@@ -224,18 +209,22 @@ def cost_and_force(
 ):
     """Compute cost and area error of every triangle, and c × y with c the cost's derivative by its centre y.
 
+    The error is the area times D + 1/D - 2, D that of the flat image over its own, at most ``largest_error``.
     ``shares`` is the area that a unit of mass is to cover at every vertex, or empty where that is 1.
     """
     f = wp.tid()
     face = faces[f]
-    y = centre(points, face)
+    p0, p1, p2 = corners_of(points, face)
+    y = wp.normalize(p0 + p1 + p2)
     centres[f] = y
     pull, distance = logarithm(y, start_centres[f])
     mass = masses[f]
     wanted = mass
     if shares.shape[0] > 0:
         wanted = mass * (shares[face[0]] + shares[face[1]] + shares[face[2]]) / wp.float64(3.0)
-    measured[f, 1] = area_error(points, face, wanted, largest_error)
+    # Least ratio, of areas: its reciprocal, and that times an area, stay finite
+    ratio = wp.max(HALF * wp.length(wp.cross(p1 - p0, p2 - p0)) / wanted, wp.float64(1e-150))
+    measured[f, 1] = wanted * wp.min(ratio + ONE / ratio - TWO, largest_error)
     if geodesic == 1:
         # The gradient of the distance jumps at y = x; within the softening length it is taken as linear.
         soft = wp.sqrt(distance * distance + softening * softening)
