@@ -30,7 +30,7 @@ from omtwarp.mesh.arrays import TINY, Floats, InOneLine, Ints, marked, real_numb
 from omtwarp.mesh.surface import MeshLike, Surface, as_surface, triangle_areas
 from omtwarp.options import Progress, tell
 from omtwarp.solvers.triangle import AREA_WEIGHT
-from omtwarp.start.decimation import MAX_VALENCE, Hierarchy, Level, Removal, Vertex, simplify
+from omtwarp.start.decimation import Hierarchy, Level, Removal, Vertex, simplify
 from omtwarp.start.hierarchical_kernels import insert_on_equator, insert_vertices, relax_vertices
 from omtwarp.topology.kind import boundary_half_edges
 
@@ -217,14 +217,13 @@ class Embedding:
             The least determinant of a triangle around one of them.
         """
         worst, on_rim = np.inf, self.kinds[removal.vertices] == Vertex.RIM
-        for kernel, chosen in ((insert_vertices, ~on_rim), (insert_on_equator, on_rim)):
+        for kernel, chosen, pole in ((insert_vertices, ~on_rim, []), (insert_on_equator, on_rim, [self.pole])):
             size = int(chosen.sum())
             if not size:
                 continue
             rows = (sent(x[chosen], wp.int32, self.device) for x in (removal.vertices, removal.rings, removal.valences))
-            normals: wp.array = wp.empty(size * MAX_VALENCE, dtype=wp.vec3d, device=self.device)
             least: wp.array = wp.empty(size, dtype=wp.float64, device=self.device)
-            inputs = [*rows, self.pole if kernel is insert_on_equator else normals, self.sphere, self.colours]
+            inputs = [*rows, *pole, self.sphere, self.colours]
             wp.launch(kernel, dim=size, inputs=inputs, outputs=[least], device=self.device)
             worst = min(worst, float(least.numpy().min()))
         return worst

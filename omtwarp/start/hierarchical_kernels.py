@@ -6,7 +6,7 @@ from omtwarp.start.decimation import MAX_VALENCE
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-_MAX_VALENCE = wp.constant(MAX_VALENCE)
+Normals = wp.types.matrix(shape=(MAX_VALENCE, 3), dtype=wp.float64)
 # det[a, b, c] evaluated in float64 from unit vectors is right to about 3e-16: no move may bring a triangle nearer to 0
 # than this, unless it is already nearer.
 _SAFE_DETERMINANT = wp.constant(wp.float64(1.0e-12))
@@ -16,11 +16,11 @@ _HALVINGS = wp.constant(12)  # of a step of Newton's method at one vertex: short
 
 
 @wp.func
-def least_dot(x: wp.vec3d, normals: wp.array[wp.vec3d], begin: wp.int32, count: wp.int32) -> wp.float64:
+def least_dot(x: wp.vec3d, normals: Normals, count: wp.int32) -> wp.float64:
     """Return the sine of the angle between ``x`` and the nearest of the great circles with these normals, signed."""
     least = wp.float64(2.0)
     for k in range(count):
-        least = wp.min(least, wp.dot(x, normals[begin + k]))
+        least = wp.min(least, wp.dot(x, normals[k]))
     return least
 
 
@@ -54,8 +54,7 @@ def insert_vertices(
     removed: wp.array[wp.int32],
     rings: wp.array2d[wp.int32],
     valences: wp.array[wp.int32],
-    # Data in and out, the normals as a workspace:
-    normals: wp.array[wp.vec3d],
+    # Data in and out:
     sphere: wp.array[wp.vec3d],
     colours: wp.array[wp.int32],
     # Data out:
@@ -70,29 +69,29 @@ def insert_vertices(
     i, _compiled_once = wp.tid()
     v = removed[i]
     count = valences[i]
-    begin = i * _MAX_VALENCE
+    normals = Normals()
     for k in range(count):
         a = sphere[rings[i, k]]
         b = sphere[rings[i, (k + 1) % count]]
-        normals[begin + k] = wp.normalize(wp.cross(a, b - a))
+        normals[k] = wp.normalize(wp.cross(a, b - a))
     colours[v] = unused_colour(rings, i, count, colours)
 
     best = wp.vec3d()
     best_margin = wp.float64(-2.0)
     for p in range(count):
-        first = normals[begin + p]
+        first = normals[p]
         for q in range(p + 1, count):
-            second = normals[begin + q]
+            second = normals[q]
             x = wp.normalize(first + second)
-            margin = least_dot(x, normals, begin, count)
+            margin = least_dot(x, normals, count)
             if margin > best_margin:
                 best_margin = margin
                 best = x
             for r in range(q + 1, count):
-                y = wp.normalize(wp.cross(second - first, normals[begin + r] - first))
+                y = wp.normalize(wp.cross(second - first, normals[r] - first))
                 if wp.dot(y, first) < ZERO:
                     y = -y
-                margin = least_dot(y, normals, begin, count)
+                margin = least_dot(y, normals, count)
                 if margin > best_margin:
                     best_margin = margin
                     best = y

@@ -225,7 +225,6 @@ def insert(ring):
             wp.array([count], dtype=wp.int32, device=CPU),
             wp.array(rings, dtype=wp.int32, device=CPU),
             wp.array([count], dtype=wp.int32, device=CPU),
-            wp.zeros(MAX_VALENCE, dtype=wp.vec3d, device=CPU),
             sphere,
             colours,
         ],
