@@ -23,17 +23,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import Each, core_count, each, launch_parts
 from omtwarp.mesh.arrays import TINY, Floats, cross, dots, norms, squared_norms
 from omtwarp.mesh.surface import Surface
-from omtwarp.metrics import optimality_kernels as kernels
-from omtwarp.metrics.tree_kernels import (
-    best_images,
-    build_plane_nodes,
-    interleaved,
-    leaf_count,
-    narrow_parts,
-    order_by_halves,
-    tree_segments,
-    vec7d,
-)
+from omtwarp.metrics import optimality_kernels as kernels, tree_kernels as trees
 from omtwarp.solvers.poisson import EdgeLaplacianSolver
 
 
@@ -256,9 +246,9 @@ class TransportDual(MapDual):
         self.cost = half_squares(x, y)
         self.edge_terms = vectors(edge_bulges(y[surface.faces], self.log[surface.faces]), self.device)
         # Triangles near each other in space next to each other in the tree.
-        triangles, corners = narrow_parts(y, surface.faces)
-        order = order_by_halves((corners @ y[surface.faces[triangles]]).mean(axis=1))
-        leaves, samples = leaf_count(len(order)), kernels.SAMPLES * len(order)
+        triangles, corners = trees.narrow_parts(y, surface.faces)
+        order = trees.order_by_halves((corners @ y[surface.faces[triangles]]).mean(axis=1))
+        leaves, samples = trees.leaf_count(len(order)), kernels.SAMPLES * len(order)
         tree = self._tree = kernels.Tree()
         tree.points, tree.faces, tree.edge = self.y, surface.on(self.device).faces, self.edge_terms
         tree.leaf_count, tree.triangles = leaves, sent(triangles[order].astype(np.int32), wp.int32, self.device)
@@ -266,9 +256,9 @@ class TransportDual(MapDual):
         tree.places, tree.values = (wp.empty(samples, kind, device=self.device) for kind in (wp.vec3d, wp.float64))
         node = (wp.vec3d, wp.vec3d, kernels.vec11d)
         tree.centres, tree.axes, tree.models = (wp.empty(2 * leaves, kind, device=self.device) for kind in node)
-        offsets, segments = tree_segments(leaves)
+        offsets, segments = trees.tree_segments(leaves)
         # The work of a node is in proportion to its leaves: every part of a launch gets nodes of all sizes.
-        nodes, spread = (interleaved(count, core_count()) for count in (2 * leaves, len(segments)))
+        nodes, spread = (trees.interleaved(count, core_count()) for count in (2 * leaves, len(segments)))
         self._nodes, self._offsets = (sent(numbers, wp.int32, self.device) for numbers in (nodes, offsets))
         self._segments = sent(segments[spread], wp.vec2i, self.device)
         # Whether there are paraboloids: fitted to the first potential, and raised above a later one, they bound it too.
@@ -354,7 +344,7 @@ class TorusDual(MapDual):
         middle = corner.mean(axis=1)
         corner -= (np.floor(middle @ back) @ lattice)[:, None]
         # Triangles near each other in the plane next to each other in the tree.
-        self._order = order_by_halves(np.concatenate([corner.mean(axis=1), np.zeros((len(corner), 1))], axis=1))
+        self._order = trees.order_by_halves(np.concatenate([corner.mean(axis=1), np.zeros((len(corner), 1))], axis=1))
         corner = np.ascontiguousarray(corner[self._order])
         self._faces = surface.faces[self._order]
         slope = moved[self._faces]
@@ -364,7 +354,7 @@ class TorusDual(MapDual):
         self._corners, self._bulges = sent(corner, wp.vec2d), sent(bulges, wp.vec3d)
         self._slopes = sent((corner - slope).mean(axis=1), wp.vec2d)
         self._half_squares = 0.5 * squared_norms(corner)
-        self._leaves = leaf_count(len(corner))
+        self._leaves = trees.leaf_count(len(corner))
 
     def admissible_differences(self) -> tuple[Floats, Floats]:
         """Return the least and the largest difference of ψ along every edge with which its ends swap no partners."""
@@ -378,11 +368,11 @@ class TorusDual(MapDual):
     def bound(self, potential: Floats) -> Bound:
         """Compute φ at every x_i: the least of c(x_i, z) - ψ(z) over all of the torus."""
         mesh = [self._corners, sent(self._half_squares - potential[self._faces], wp.vec3d), self._bulges]
-        nodes = wp.empty(2 * self._leaves, dtype=vec7d, device="cpu")
+        nodes = wp.empty(2 * self._leaves, dtype=trees.vec7d, device="cpu")
         inputs = [*mesh, self._slopes, len(self._faces), self._leaves]
-        wp.launch(build_plane_nodes, dim=len(nodes), inputs=inputs, outputs=[nodes], device="cpu")
+        wp.launch(trees.build_plane_nodes, dim=len(nodes), inputs=inputs, outputs=[nodes], device="cpu")
         inputs = [sent(self._copies(potential), wp.vec2d), *mesh, nodes, self._leaves, self.tolerance]
-        found = self.bound_by(best_images, potential, self._home, inputs)
+        found = self.bound_by(trees.best_images, potential, self._home, inputs)
         return replace(found, face=np.where(found.face >= 0, self._order[found.face], -1))
 
     def _copies(self, potential: Floats) -> Floats:

@@ -58,7 +58,7 @@ from omtwarp.mesh.arrays import (
     whole_number,
 )
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_sphere, as_surface
-from omtwarp.metrics.dual import TorusDual, TransportDual, ascend, log_maps
+from omtwarp.metrics.dual import Bound, TorusDual, TransportDual, ascend, log_maps
 from omtwarp.options import Cost, CostLike, Progress, Record, tell
 from omtwarp.solvers.poisson import EdgeLaplacianSolver
 
@@ -210,13 +210,11 @@ def optimality(
     cost = 2.0 * float(mass @ dual.cost)
     if cost - 2.0 * best.excess < worth_raising * cost:
         ascent_steps = 0
-    best, steps = ascend(
-        dual,
-        best,
-        ascent_steps,
-        _excess_at(cost, enough),
-        lambda done, ascent: notify(STEPS_BEFORE + done, {"gap": 2.0 * ascent.excess / cost}),
-    )
+
+    def ascended(done: int, ascent: Bound) -> None:
+        notify(STEPS_BEFORE + done, {"gap": 2.0 * ascent.excess / cost})
+
+    best, steps = ascend(dual, best, ascent_steps, _excess_at(cost, enough), ascended)
     vertex_gap = 2.0 * mass * best.vertex_gap
     lower = max(cost - float(vertex_gap.sum()), 0.0)  # no plan costs less than nothing
     notify(total, {"gap": _excess(cost, lower)})

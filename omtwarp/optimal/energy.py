@@ -35,7 +35,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.device.arrays import Workspace, empty
+from omtwarp.device.arrays import Workspace, empty, sent
 from omtwarp.device.start import wp
 from omtwarp.device.sums import Reading, combine, scaled, sums_for
 from omtwarp.device.threads import FIRST_THREAD, Each, each, launch_parts
@@ -217,10 +217,8 @@ class TransportEnergy:
         self.reading = Reading(self.device)
         self._workspace = shape.workspace if isinstance(shape, DistortionEnergy) else None
         self.wanted, self._covered = cells.wanted, float(cells.wanted.sum())
-        self._wanted, self._masses = (
-            wp.array(numbers, dtype=wp.float64, device=self.device)
-            for numbers in (cells.wanted, self.surface.vertex_areas)
-        )
+        self._wanted = sent(cells.wanted, wp.float64, self.device)
+        self._masses = self.surface.on(self.device).vertex_areas
         sizes = self.surface.vertex_count, len(self.surface.edges), cells.multipliers, cells.slope_count
         self.matrix = SaddleMatrix(*sizes, self.device)
         self._total = wp.zeros(1, dtype=wp.float64, device=self.device)

@@ -36,6 +36,9 @@ from omtwarp.options import AreaMatch, Progress, Record, Refinement, parse_refin
 from omtwarp.solvers.triangle import AREA_WEIGHT
 
 LEAST_WEIGHT, MOST_WEIGHT = 1e-3, 1000.0  # between which the weight is looked for, by bisection of its logarithm
+# match:AREA looks for λ until the area distortion is within the tolerance below the one asked for, or for that many
+# trials.
+MATCH_TOLERANCE, MATCH_TRIALS = 1e-4, 16
 
 Map = TypeVar("Map")
 
@@ -46,8 +49,8 @@ def match_area(
     refine: Callable[[Map, float], Map],
     area_of: Callable[[Map], float],
     *,
-    tolerance: float,
-    trials: int,
+    tolerance: float = MATCH_TOLERANCE,
+    trials: int = MATCH_TRIALS,
     least: float = LEAST_WEIGHT,
 ) -> tuple[Map, float]:
     """Find the least weight whose refined map has at most an area distortion.
@@ -111,9 +114,6 @@ WEIGHTS = {Refinement.AREA: 1000.0, Refinement.BALANCED: AREA_WEIGHT, Refinement
 # to 2.26 with 10 and to 2.020 with 100, at six tenths of the angle distortion of the map given; a person from 2.031 to
 # 2.052 and, with 30, to 2.017. Areas around vertices are kept as well with all of them.
 LOST_AREA, RAISED_WEIGHTS = 1.05, (30.0, 100.0, 300.0)
-# match:AREA looks for λ until the area distortion is within the tolerance below the one asked for, or for that many
-# trials.
-MATCH_TOLERANCE, MATCH_TRIALS = 1e-4, 16
 
 
 @dataclass(frozen=True, repr=False)
@@ -297,15 +297,7 @@ class _Refinement:
             best = refine(best.sphere, MOST_WEIGHT)
             if self.area(best) > area:
                 return replace(best, converged=False)
-        best = match_area(
-            best,
-            area,
-            lambda before, weight: refine(before.sphere, weight),
-            self.area,
-            tolerance=MATCH_TOLERANCE,
-            trials=MATCH_TRIALS,
-            least=least,
-        )[0]
+        best = match_area(best, area, lambda before, weight: refine(before.sphere, weight), self.area, least=least)[0]
         missed = self.area(best) < area - max(self.tolerance, MATCH_TOLERANCE)  # maps are known to the first
         return replace(best, converged=False) if missed else best
 

@@ -14,13 +14,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.sums import Reading
 from omtwarp.device.threads import FIRST_THREAD, Each, computed, each, launch_parts
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
-from omtwarp.optimal.shape_kernels import (
-    distortion_summands,
-    gather_tangent,
-    triangle_gradient,
-    triangle_hessian,
-    triangle_terms,
-)
+from omtwarp.optimal import shape_kernels as kernels
 from omtwarp.solvers.triangle import triangle_frames
 
 
@@ -112,11 +106,11 @@ class DistortionEnergy:
         faces, frames, areas = self._mesh
         # Angle distortion less 2, D, det[s0, s1, s2] and needle barrier of every triangle.
         angles, ratio, volume, steepness = measured = [empty(self._count, wp.float64, self.device) for _ in range(4)]
-        launch_parts(triangle_terms, self._count, [points, *each(faces, frames)], each(*measured), self.device)
+        launch_parts(kernels.triangle_terms, self._count, [points, *each(faces, frames)], each(*measured), self.device)
         place, total = reading.place()
         reading.add(areas, ratio, total)
         excess, inverse = (empty(ratio.size, wp.float64, self.device) for _ in range(2))
-        launch_parts(distortion_summands, ratio.size, [Each(ratio), total], each(excess, inverse), self.device)
+        launch_parts(kernels.distortion_summands, ratio.size, [Each(ratio), total], each(excess, inverse), self.device)
         places = [place, *(reading.dot(areas, summand) for summand in (angles, excess, steepness, inverse))]
 
         def finish(numbers: NDArray[np.float64]) -> Terms:
@@ -131,9 +125,9 @@ class DistortionEnergy:
         assert isinstance(terms, Terms)
         corners = self._scratch(3 * self._count, 3).view(wp.vec3d)
         inputs = [points, *each(*self._mesh), self.pressures(terms, weight)]
-        launch_parts(triangle_gradient, self._count, inputs, [Each(corners, 3)], self.device)
+        launch_parts(kernels.triangle_gradient, self._count, inputs, [Each(corners, 3)], self.device)
         inputs = [points, *self._rows, corners, wp.float64(SPHERE_AREA), FIRST_THREAD]
-        return computed(gather_tangent, inputs, empty(self.surface.vertex_count, wp.vec3d, self.device))
+        return computed(kernels.gather_tangent, inputs, empty(self.surface.vertex_count, wp.vec3d, self.device))
 
     def hessian(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
         """Return the Hessian of every triangle in its corners' tangent bases, positive semidefinite, shape [F, 21].
@@ -142,7 +136,7 @@ class DistortionEnergy:
         """
         assert isinstance(terms, Terms)
         inputs = [points, *each(*self._mesh), self.pressures(terms, weight), wp.float64(SPHERE_AREA)]
-        return computed(triangle_hessian, inputs, self._scratch(self._count, 21))
+        return computed(kernels.triangle_hessian, inputs, self._scratch(self._count, 21))
 
     def pressures(self, terms: Terms, weight: float) -> wp.vec3d:
         """Return the factors of D, 1 / D and the needle barrier in the energy linearised by the image's total area."""

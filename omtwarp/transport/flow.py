@@ -27,18 +27,9 @@ from omtwarp.mesh.arrays import Floats, Ints, normalised, real_number, squared_n
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_sphere, as_surface
 from omtwarp.metrics.optimality import relative_curl
 from omtwarp.options import Cost, CostLike, Progress, Record, Scheme, SchemeLike, tell
+from omtwarp.transport import kernels
 from omtwarp.transport.cost import LARGEST_ERROR
-from omtwarp.transport.kernels import (
-    Ending,
-    FlowState,
-    advect_points,
-    begin_iteration,
-    cost_and_force,
-    judge_step,
-    keep_accepted,
-    turn_direction,
-    values_at_points,
-)
+from omtwarp.transport.kernels import Ending
 from omtwarp.wavelets import SphereHierarchy, SphereSampler, WaveletPreconditioner, level_for, sphere_hierarchy
 from omtwarp.wavelets.kernels import scale_values
 from omtwarp.wavelets.transform import WaveletFilter
@@ -242,7 +233,7 @@ class _Flow:
         self.product = [self.products[k : k + 1] for k in range(4)]
         self.sums = DeviceSum(device)
         self.sums.dot(self.gradient, self.image, self.product[0])  # makes room, for which iterations must not ask
-        self.state = wp.empty(1, dtype=FlowState, device=device)
+        self.state = wp.empty(1, dtype=kernels.FlowState, device=device)
         self.running, self.searching = (wp.zeros(1, dtype=wp.int32, device=device) for _ in range(2))
 
     def launch(self, kernel: wp.Kernel, dim: int, inputs: list[object], outputs: list[object]) -> None:
@@ -252,11 +243,11 @@ class _Flow:
         """Compute partial sums of the cost and the area error, and what :meth:`set_gradient` needs."""
         if self.targeted:
             inputs = [points, self.hints, *self.grid.sampler.triangles, self.grid.node_shares]
-            self.launch(values_at_points, self.count, inputs, [self.shares])
+            self.launch(kernels.values_at_points, self.count, inputs, [self.shares])
         options = [self.shares, int(self.geodesic), wp.float64(self.grid.spacing), wp.float64(LARGEST_ERROR)]
         inputs = [Each(self.start_centres), points, *each(self.faces, self.masses), *options]
         outputs = each(self.measured, self.turned, self.centres)
-        launch_parts(cost_and_force, self.face_count, inputs, outputs, self.device)
+        launch_parts(kernels.cost_and_force, self.face_count, inputs, outputs, self.device)
         return self.face_sums(self.measured)
 
     def set_gradient(self) -> None:
@@ -289,23 +280,23 @@ class _Flow:
         for (one, other), out in zip([*pairs, (self.previous, ascent)], self.product, strict=True):
             self.sums.dot(one, other, out)
         inputs = [self.products, self.guard.held, self.state]
-        self.launch(begin_iteration, 1, inputs, [self.records, self.running, self.searching])
+        self.launch(kernels.begin_iteration, 1, inputs, [self.records, self.running, self.searching])
         inputs = [self.gradient, ascent, self.state, self.direction]
-        self.launch(turn_direction, len(ascent), inputs, [self.previous])
+        self.launch(kernels.turn_direction, len(ascent), inputs, [self.previous])
         velocity = self.grid.sampler.node_gradient(self.direction)
         wp.capture_while(self.searching, self.search, velocity=velocity)
-        self.launch(keep_accepted, self.count, [self.trial, self.state], [self.points])
+        self.launch(kernels.keep_accepted, self.count, [self.trial, self.state], [self.points])
 
     def search(self, velocity: wp.array) -> None:
         """Try a step along the direction."""
         inputs = [Each(self.points), self.state, *self.grid.sampler.triangles, velocity]
-        launch_parts(advect_points, self.count, inputs, each(self.hints, self.trial), self.device)
+        launch_parts(kernels.advect_points, self.count, inputs, each(self.hints, self.trial), self.device)
         if self.guarded:
             # A step that flips triangles whose repair takes more rounds than this, each a ring further, is too long.
             # Scanned shapes took 48 at most.
             self.guard.hold(self.points, self.trial, 100)
         inputs = [self.measure(self.trial), wp.float64(SPHERE_AREA), self.state]
-        self.launch(judge_step, 1, inputs, [self.running, self.searching])
+        self.launch(kernels.judge_step, 1, inputs, [self.running, self.searching])
 
     def prepare(self, most: int, tolerance: float) -> None:
         """Measure the start, and set the state."""
