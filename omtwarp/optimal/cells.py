@@ -14,14 +14,13 @@ from abc import abstractmethod
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from omtwarp.device.arrays import Workspace
 from omtwarp.device.start import KERNEL_OPTIONS, wp
 from omtwarp.device.sums import SparseProduct, scaled
 from omtwarp.device.threads import FIRST_THREAD, launch_parts
 from omtwarp.location import combined
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Floats, Ints
 from omtwarp.mesh.quarter import PARTS, QuarteredSurface
 from omtwarp.mesh.surface import Surface
 from omtwarp.optimal.kernels import edge_slopes
@@ -80,9 +79,7 @@ class Cells:
     means: Callable[[wp.array], wp.array]
     masses: Callable[[wp.array, float], wp.array]
 
-    def __init__(
-        self, surface: Surface, of_triangles: NDArray[np.int32], wanted: Floats, slope_count: int, device: wp.Device
-    ):
+    def __init__(self, surface: Surface, of_triangles: Ints, wanted: Floats, slope_count: int, device: wp.Device):
         self._surface, self._device, self._mesh = surface, device, surface.on(device)
         self.wanted, self.multipliers, self.slope_count = wanted, len(wanted), slope_count
         belongs = combined(of_triangles, np.ones(of_triangles.shape), len(wanted))
@@ -165,7 +162,7 @@ class TriangleCells(Cells):
     def __init__(self, quartered: QuarteredSurface, device: wp.Device):
         surface = quartered.surface
         corners = surface.faces.reshape(-1, PARTS, 3)[:, :3, 0]
-        self.vertices: NDArray[np.int32] = np.concatenate([corners, quartered.middles], axis=1)
+        self.vertices: Ints = np.concatenate([corners, quartered.middles], axis=1)
         wanted = quartered.sum_of_parts(surface.face_areas)
         super().__init__(surface, quartered.parents[:, None], wanted, 2 * self.vertices.size, device)
         share = np.tile(np.repeat([CORNER_SHARE, MIDDLE_SHARE], 3), (len(self.vertices), 1))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from omtwarp.device.arrays import sent
 from omtwarp.device.start import wp
 from omtwarp.device.threads import core_count, load, run_all
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Floats, Ints
 from omtwarp.mesh.patches import Patches, grow, sides_of
 from omtwarp.mesh.surface import SPHERE_AREA, transposed_rows
 from omtwarp.mesh.validate import components_of
@@ -41,7 +41,7 @@ BLOCK = 256  # threads of a block: Warp's own number, for which modules are comp
 MAX_STEPS = 8  # Newton steps of the patches after each step of the whole map
 
 
-def freed_vertices(faces: NDArray[np.int32], gains: Floats, expected: float, part: float = 1.0) -> NDArray[np.bool_]:
+def freed_vertices(faces: Ints, gains: Floats, expected: float, part: float = 1.0) -> NDArray[np.bool_]:
     """Choose the vertices that local steps move, as a mask of shape [V]: none where none has anything to gain.
 
     Args:
@@ -196,11 +196,7 @@ def lanes_on(device: wp.Device) -> int:
 
 
 def launch_patches(
-    kernel: wp.Kernel,
-    sizes: NDArray[np.int32],
-    inputs: list[object],
-    outputs: list[object],
-    device: wp.Device | str = "cpu",
+    kernel: wp.Kernel, sizes: Ints, inputs: list[object], outputs: list[object], device: wp.Device | str = "cpu"
 ) -> None:
     """Launch a kernel over all patches: a block of a GPU for each, or a thread, on all cores of the host.
 
@@ -217,7 +213,7 @@ def launch_patches(
     cores = 1 if lanes > 1 or sizes.sum() < MIN_SHARED_TRIANGLES else min(core_count(), len(sizes))
     load(kernel, where)
 
-    def run(group: NDArray[np.int32]) -> None:
+    def run(group: Ints) -> None:
         arguments = [sent(group, wp.int32, where), *inputs]
         grid = (len(group), lanes)
         wp.launch(kernel, dim=grid, inputs=arguments, outputs=outputs, device=where, block_dim=BLOCK)

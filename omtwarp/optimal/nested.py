@@ -20,7 +20,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import is_bijective
 from omtwarp.geometry.axes import principal_axes, turned_towards
 from omtwarp.location import Locator
-from omtwarp.mesh.arrays import Floats, normalised, squared_norms
+from omtwarp.mesh.arrays import Floats, Ints, normalised, squared_norms
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.moser import moser_map
@@ -140,7 +140,7 @@ def coarse_surface(
     except QhullError as error:
         raise OmtwarpError("the points of the conformal map have no triangulation") from error
     used, corners = np.unique(hull, return_inverse=True)
-    faces: NDArray[np.int32] = corners.reshape(-1, 3).astype(np.int32)
+    faces: Ints = corners.reshape(-1, 3).astype(np.int32)
     used = chosen[used]
     kept = points[used]
     inwards = np.linalg.det(kept[faces]) < 0.0

@@ -10,10 +10,9 @@ not depend on the number of lanes.
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import corners_of, logarithm, oriented_volume
-from omtwarp.mesh import surface
 from omtwarp.optimal import energy
 from omtwarp.optimal.kernels import Fit, area_gradient, cost_slope, moving_cost, neighbour_fit, raised_fit
-from omtwarp.optimal.shape_kernels import distortion_gradient, distortion_hessian, distortion_terms
+from omtwarp.optimal.shape_kernels import SPHERE_AREA, distortion_gradient, distortion_hessian, distortion_terms
 from omtwarp.solvers import newton
 from omtwarp.solvers.cholesky.envelope import Envelope, add_block, clear_row, factorise_envelope, meet, solve_envelope
 from omtwarp.solvers.motion_kernels import keeps_volume
@@ -23,7 +22,6 @@ from omtwarp.untangling.kernels import solid_angle
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-SPHERE_AREA = wp.constant(wp.float64(surface.SPHERE_AREA))
 LEAST = wp.constant(wp.float64(energy.LEAST_EIGENVALUE))
 SUFFICIENT_DECREASE = wp.constant(wp.float64(newton.SUFFICIENT_DECREASE))
 MAX_HALVINGS = wp.constant(12)  # of a patch's step before the patch stays where it is

@@ -26,7 +26,7 @@ from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import flipped_faces
 from omtwarp.measures import mass_distortion
-from omtwarp.mesh.arrays import InOneLine, real_number, whole_number
+from omtwarp.mesh.arrays import Floats, InOneLine, real_number, whole_number
 from omtwarp.mesh.surface import MeshLike, Surface, as_sphere, as_surface
 from omtwarp.optimal.cells import RingCells
 from omtwarp.optimal.energy import Shape
@@ -129,7 +129,7 @@ class RefineResult(InOneLine):
         factorisations: how many sparse matrices were factorised.
     """
 
-    sphere: NDArray[np.float64]
+    sphere: Floats
     weight: float
     history: list[Record] = field(default_factory=list)
     converged: bool = False
@@ -223,7 +223,7 @@ def refine_map(
 
 def least_distortion(
     surface: Surface,
-    sphere: NDArray[np.float64],
+    sphere: Floats,
     weight: float,
     *,
     of_rings: float = 0.0,
@@ -266,7 +266,7 @@ class _Refinement:
     tolerance: float
     minimised: Callable[..., RefineResult]
 
-    def run(self, sphere: NDArray[np.float64], weight: float, of_triangles: float = AREA_WEIGHT) -> RefineResult:
+    def run(self, sphere: Floats, weight: float, of_triangles: float = AREA_WEIGHT) -> RefineResult:
         """Minimise the distortion at a weight, beginning with a flip-free map, shape [V, 3].
 
         Up to ``of_triangles`` the weight is that of the areas of triangles, the rest that of those around vertices.
@@ -274,7 +274,7 @@ class _Refinement:
         least = min(weight, of_triangles)
         return self.minimised(sphere, least, of_rings=weight - least)
 
-    def towards_area(self, sphere: NDArray[np.float64]) -> RefineResult:
+    def towards_area(self, sphere: Floats) -> RefineResult:
         """Refine at the weight of ``area``, with more of it on triangles where their areas would become worse."""
         largest = LOST_AREA * (self.area_of(sphere) - 2.0)
         refined = self.run(sphere, WEIGHTS[Refinement.AREA])
@@ -284,12 +284,12 @@ class _Refinement:
             refined = self.run(refined.sphere, WEIGHTS[Refinement.AREA], of_triangles)
         return refined
 
-    def match(self, sphere: NDArray[np.float64], area: float) -> RefineResult:
+    def match(self, sphere: Floats, area: float) -> RefineResult:
         """Find the weight whose refined map has the wanted area distortion, or the nearest map where none has.
 
         The nearest map is not converged.
         """
-        refine: Callable[[NDArray[np.float64], float], RefineResult] = self.run
+        refine: Callable[[Floats, float], RefineResult] = self.run
         least = LEAST_WEIGHT
         best = refine(sphere, MOST_WEIGHT)
         if self.area(best) > area:
@@ -305,6 +305,6 @@ class _Refinement:
         """Return the mean area distortion of the triangles of a refined map."""
         return self.area_of(refined.sphere)
 
-    def area_of(self, sphere: NDArray[np.float64]) -> float:
+    def area_of(self, sphere: Floats) -> float:
         """Return the mean area distortion of the triangles of a map."""
         return mass_distortion(self.surface, sphere, self.own)["mean"]

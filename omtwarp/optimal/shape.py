@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from omtwarp.device.arrays import Workspace, empty, sent
 from omtwarp.device.policy import shares_host_memory
 from omtwarp.device.start import wp
 from omtwarp.device.sums import Reading
 from omtwarp.device.threads import FIRST_THREAD, Each, computed, each, launch_parts
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal import shape_kernels as kernels
 from omtwarp.solvers.triangle import triangle_frames
@@ -101,7 +99,7 @@ class DistortionEnergy:
         reading = Reading(self.device)
         return self.begin(points, reading)(reading.read())
 
-    def begin(self, points: wp.array, reading: Reading) -> Callable[[NDArray[np.float64]], Terms]:
+    def begin(self, points: wp.array, reading: Reading) -> Callable[[Floats], Terms]:
         """Begin to compute what :meth:`terms` returns; return what makes it of the numbers that are read."""
         faces, frames, areas = self._mesh
         # Angle distortion less 2, D, det[s0, s1, s2] and needle barrier of every triangle.
@@ -113,7 +111,7 @@ class DistortionEnergy:
         launch_parts(kernels.distortion_summands, ratio.size, [Each(ratio), total], each(excess, inverse), self.device)
         places = [place, *(reading.dot(areas, summand) for summand in (angles, excess, steepness, inverse))]
 
-        def finish(numbers: NDArray[np.float64]) -> Terms:
+        def finish(numbers: Floats) -> Terms:
             whole, angle, area, needle, inverse_sum = (float(x) for x in numbers[places])
             angle, area, needle = (total / SPHERE_AREA for total in (angle, area, needle))
             return Terms(angle, area, volume, SPHERE_AREA / whole, inverse_sum, ratio, needle)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from omtwarp.device.arrays import Workspace, sent
 from omtwarp.device.start import KERNEL_OPTIONS, wp
 from omtwarp.device.threads import Each, computed
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.patches import Patches
 from omtwarp.mesh.surface import Surface, transposed_rows
 from omtwarp.solvers.cholesky import part_dissection
@@ -132,7 +132,7 @@ class PatchMatrix:
         )
         self._growth, self._factor = growth, factor
 
-    def factorise(self, blocks: NDArray[np.float64]) -> None:
+    def factorise(self, blocks: Floats) -> None:
         """Factorise the matrix of the blocks of triangles, [F, 21], with a diagonal that grows until it is definite.
 
         What is added is relative to each vertex, which does not depend on the basis of its tangent plane.
@@ -156,6 +156,6 @@ class PatchMatrix:
                 continue
         raise OmtwarpError("the distortion of the map is not finite")
 
-    def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
+    def solve(self, right: Floats) -> Floats:
         """Solve for tangent coordinates, shape [V, 2]."""
         return self._factor.solve(right)

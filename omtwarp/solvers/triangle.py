@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ZERO, wp
 from omtwarp.geometry.spherical import first_tangent
-from omtwarp.mesh.arrays import norms
+from omtwarp.mesh.arrays import Floats, norms
 from omtwarp.mesh.surface import Surface
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -25,9 +25,7 @@ EQUILATERAL_HEIGHT = np.sqrt(3.0) / 2.0  # over an edge
 AREA_WEIGHT = 10.0
 
 
-def triangle_frames(
-    surface: Surface, thinnest: float = 0.0, triangles: NDArray[np.integer] | None = None
-) -> NDArray[np.float64]:
+def triangle_frames(surface: Surface, thinnest: float = 0.0, triangles: NDArray[np.integer] | None = None) -> Floats:
     """Return the frames (1/l, -x/(l h), 1/h) of the scaled triangles, see :mod:`.triangle`.
 
     Args:
@@ -58,9 +56,7 @@ def triangle_frames(
     return frames
 
 
-def _thickened(
-    base: NDArray[np.float64], foot: NDArray[np.float64], height: NDArray[np.float64], thinnest: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _thickened(base: Floats, foot: Floats, height: Floats, thinnest: float) -> tuple[Floats, Floats, Floats]:
     """Widen thin triangles across their length, whichever corner comes first.
 
     A triangle is the image of an equilateral one under a linear map; of its singular values the smaller one is raised.

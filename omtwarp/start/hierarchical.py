@@ -231,10 +231,9 @@ class Embedding:
     def enter(self, level: Level) -> None:
         """Begin a level whose vertices are all placed."""
         self.level = level
-        self.vertices, self.offsets, self.heads, self.thirds = (
-            sent(x, wp.int32, self.device) for x in (level.vertices, level.offsets, level.heads, level.thirds)
-        )
-        self.coefficients = wp.array(self.coefficients_of(level), dtype=wp.vec4d, device=self.device)
+        rows = (level.vertices, level.offsets, level.heads, level.thirds)
+        coefficients = sent(self.coefficients_of(level), wp.vec4d, self.device)
+        self.mesh = [*(sent(numbers, wp.int32, self.device) for numbers in rows), coefficients]
         colour = self.colours.numpy()[level.vertices]
         self.kept: list[wp.array] = []  # what recorded launches read
         slots = np.split(np.argsort(colour, kind="stable"), np.cumsum(np.bincount(colour))[:-1])
@@ -268,14 +267,13 @@ class Embedding:
         area_weight, count = self.area_weight, len(self.level.vertices)
         if 4 * count <= len(self.sphere):
             area_weight = max(area_weight, COARSE_WEIGHT / count)
-        mesh = [self.vertices, self.offsets, self.heads, self.thirds, self.coefficients]
         kinds, moves = self.kinds[self.level.vertices[slots]], []
         for kind in (Vertex.INSIDE, Vertex.RIM):
             own = sent(slots[kinds == kind], wp.int32, self.device)
             if not len(own):
                 continue
             self.kept.append(own)
-            inputs, outputs = [own, *mesh, area_weight, self.pole, kind == Vertex.RIM], [self.sphere]
+            inputs, outputs = [own, *self.mesh, area_weight, self.pole, kind == Vertex.RIM], [self.sphere]
             move = wp.launch(
                 relax_vertices, dim=len(own), inputs=inputs, outputs=outputs, device=self.device, record_cmd=True
             )

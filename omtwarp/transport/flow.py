@@ -43,9 +43,6 @@ CURL_TOLERANCE = 2e-3
 COST_TOLERANCE = {"default": 1e-4, "plain": 3e-7}  # plain steps are short: small ones are not the last
 # No step is searched for whose expected gain is below this share of the cost.
 NEGLIGIBLE = {"default": 1e-7, "plain": 1e-10}
-# The flow ends when the area error has grown by more than AREA_LOSS of its first value plus AREA_PRICE times the share
-# of the cost that was gained: beyond that the cost falls at the expense of area.
-AREA_PRICE = 0.02
 # Where iterations are a graph on the device, the host reads the records of this many at a time.
 ITERATIONS_AT_ONCE = 10
 ENDINGS = {
@@ -300,8 +297,8 @@ class _Flow:
 
     def prepare(self, most: int, tolerance: float) -> None:
         """Measure the start, and set the state."""
-        # The flow ends when the area error has grown by more than AREA_LOSS of its first value plus AREA_PRICE times
-        # the share of the cost that was gained: beyond that the cost falls at the expense of area.
+        # The flow ends when the area error has grown by more than this share of its first value and the price of what
+        # was gained (omtwarp.transport.kernels.judge_step): beyond that the cost falls at the expense of area.
         area_loss = 0.1
         longest_step = 4.0
         # First steps, in units of a Newton step on a flat density, and of the plain scheme in squared spacings of
@@ -327,7 +324,6 @@ class _Flow:
             "longest": longest_step / scale if not self.plain else np.inf,
             "first_cost": cost,
             "largest_error": (1.0 + area_loss) * area_error,
-            "area_price": AREA_PRICE,
             "cost": cost,
             "area_error": area_error,
             **dict.fromkeys(("last_gain", "last_gains", "gains"), np.inf),

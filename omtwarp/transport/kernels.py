@@ -37,7 +37,6 @@ class FlowState:
     longest: wp.float64
     first_cost: wp.float64
     largest_error: wp.float64  # bound on the area error, without any gain
-    area_price: wp.float64  # how much that bound grows for a gain of the whole cost
     # Changes during the descent:
     cost: wp.float64
     area_error: wp.float64
@@ -146,7 +145,8 @@ def judge_step(
     # A step has to reach this share of the gain by the slope (Armijo).
     if cost <= s.cost + wp.float64(0.1) * s.slope * s.step:
         s.area_error = column_sum(measured, 1) / total_area
-        if s.area_error <= s.largest_error + s.area_price * (ONE - cost / s.first_cost):
+        price = wp.float64(0.02)  # how much the bound on the area error grows for a gain of the whole cost
+        if s.area_error <= s.largest_error + price * (ONE - cost / s.first_cost):
             s.accepted = 1
             over = 1
         elif s.shortened == 3:  # steps that lose too much area are halved so often
