@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from omtwarp.device.arrays import sent
-from omtwarp.device.start import KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
+from omtwarp.device.start import KERNEL_OPTIONS, LARGE, ONE, TWO, wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.spherical import TINY
-from omtwarp.mesh.arrays import Floats, Ints, edge_keys, marked
+from omtwarp.mesh.arrays import Floats, Ints, cross, edge_keys, marked, norms
 from omtwarp.mesh.patches import touching
 from omtwarp.mesh.surface import Surface
 
@@ -38,7 +38,7 @@ Ring = wp.types.vector(length=MAX_VALENCE, dtype=wp.int32)
 # Share of a star's mass that is divided evenly over its fan, the rest by area in space: more evens out the areas of
 # coarse levels, less follows those of the surface. Of 56 made surfaces the tenth with the worst areas begins at a
 # distortion of 2.34 with 0.001 and of 2.32 with this; their means are the same.
-EVEN_SHARE = wp.constant(wp.float64(0.2))
+EVEN_SHARE = 0.2
 # Candidates that take part in a round, the cheapest of all: more take fewer rounds, and go out of order (a person's
 # angle distortion is 10.66 with this, 11.25 with all).
 CHEAPER_SHARE = 0.6
@@ -142,8 +142,7 @@ def propose_collapses(
     offsets: wp.array[wp.int32],
     heads: wp.array[wp.int32],
     thirds: wp.array[wp.int32],
-    half_edge_faces: wp.array[wp.int32],
-    face_masses: wp.array[wp.float64],
+    star_masses: wp.array[wp.float64],
     points: wp.array[wp.vec3d],
     # Data out:
     cost: wp.array[wp.float64],
@@ -163,10 +162,8 @@ def propose_collapses(
     if valence >= 3 and valence <= _MAX_VALENCE:
         ring = ring_from(begin, begin, end, heads, thirds)
         if ring[0] >= 0:
-            mass = wp.float64(0.0)
             star_normal = wp.vec3d()
             for k in range(valence):
-                mass += face_masses[half_edge_faces[begin + k]]
                 star_normal += wp.cross(points[ring[k]] - points[v], points[ring[(k + 1) % valence]] - points[v])
             for apex in range(valence):
                 w = ring[apex]
@@ -178,7 +175,7 @@ def propose_collapses(
                         shape += shape_penalty(points[w], q, r, star_normal)
                     # Valences stay low, so that rings fit the arrays of fixed size and their kernels stay large.
                     crowd = wp.float64(wp.max(0, offsets[w + 1] - offsets[w] + valence - 4 - FREE_VALENCE))
-                    total = mass * shape / wp.float64(valence - 2) * (ONE + crowd * crowd)
+                    total = star_masses[v] * shape / wp.float64(valence - 2) * (ONE + crowd * crowd)
                     if total < best:
                         best = total
                         best_target = row_find(heads, begin, end, w)
@@ -193,37 +190,15 @@ def gather_rings(
     offsets: wp.array[wp.int32],
     heads: wp.array[wp.int32],
     thirds: wp.array[wp.int32],
-    half_edge_faces: wp.array[wp.int32],
-    face_masses: wp.array[wp.float64],
-    points: wp.array[wp.vec3d],
     # Data out:
     rings: wp.array2d[wp.int32],
-    fan_masses: wp.array2d[wp.float64],
 ):
-    """Compute the ring of every removed vertex, the vertex kept first, and its star's mass shared out over the new fan.
-
-    Shares go by area in space, plus an even part that leaves no triangle without mass.
-    """
+    """Compute the ring of every removed vertex, the vertex kept first."""
     i = wp.tid()
-    v = removed[i]
-    begin = offsets[v]
-    end = offsets[v + 1]
-    valence = end - begin
+    begin, end = offsets[removed[i]], offsets[removed[i] + 1]
     ring = ring_from(targets[i], begin, end, heads, thirds)
-    mass = wp.float64(0.0)
-    for k in range(valence):
+    for k in range(end - begin):
         rings[i, k] = ring[k]
-        mass += face_masses[half_edge_faces[begin + k]]
-    total = wp.float64(0.0)
-    for k in range(1, valence - 1):
-        total += wp.length(wp.cross(points[ring[k]] - points[ring[0]], points[ring[k + 1]] - points[ring[0]]))
-    even = EVEN_SHARE / wp.float64(valence - 2)
-    for k in range(1, valence - 1):
-        area = wp.length(wp.cross(points[ring[k]] - points[ring[0]], points[ring[k + 1]] - points[ring[0]]))
-        share = ONE / wp.float64(valence - 2)
-        if total > ZERO:
-            share = (ONE - EVEN_SHARE) * area / total + even
-        fan_masses[i, k - 1] = mass * share
 
 
 @dataclass
@@ -309,22 +284,23 @@ def simplify(surface: Surface, device: wp.Device, *, kinds: Ints | None = None) 
         levels.append(Level(alive, compact, heads, thirds, half_edge_faces, masses))
         if len(alive) == fewest:
             break
-        adjacency = [sent(x, wp.int32, device) for x in (offsets, heads, thirds, half_edge_faces)]
-        mesh = [*adjacency, sent(masses, wp.float64, device), points]
+        star_masses = np.bincount(np.repeat(np.arange(count), np.diff(offsets)), masses[half_edge_faces], count)
+        adjacency = [sent(x, wp.int32, device) for x in (offsets, heads, thirds)]
         outputs = [wp.empty(len(alive), dtype=kind, device=device) for kind in (wp.float64, wp.int32)]
-        inputs = [sent(alive, wp.int32, device), device_kinds, *mesh]
+        vertices, stars = sent(alive, wp.int32, device), sent(star_masses, wp.float64, device)
+        inputs = [vertices, device_kinds, *adjacency, stars, points]
         wp.launch(propose_collapses, dim=len(alive), inputs=inputs, outputs=outputs, device=device)
         cost, target = (output.numpy() for output in outputs)
         chosen = _select(cost, levels[-1], count, len(removals))
         valences = np.diff(offsets)[alive[chosen]]
-        shape = len(chosen), MAX_VALENCE
-        outputs = [wp.zeros(shape, dtype=kind, device=device) for kind in (wp.int32, wp.float64)]
-        inputs = [*(sent(x[chosen], wp.int32, device) for x in (alive, target)), *mesh]
-        wp.launch(gather_rings, dim=len(chosen), inputs=inputs, outputs=outputs, device=device)
-        rings, fan_masses = (output.numpy() for output in outputs)
+        found = wp.zeros((len(chosen), MAX_VALENCE), dtype=wp.int32, device=device)
+        inputs = [*(sent(x[chosen], wp.int32, device) for x in (alive, target)), *adjacency]
+        wp.launch(gather_rings, dim=len(chosen), inputs=inputs, outputs=[found], device=device)
+        rings = found.numpy()
         keep = _without_repeated_diagonals(rings, valences, count)
-        chosen, rings, valences, fan_masses = chosen[keep], rings[keep], valences[keep], fan_masses[keep]
+        chosen, rings, valences = chosen[keep], rings[keep], valences[keep]
         removal = Removal(alive[chosen], rings, valences)
+        fan_masses = star_masses[removal.vertices, None] * _fan_shares(surface.scaled_vertices[rings], valences)
         faces, masses = _refan(faces, masses, removal, fan_masses, count)
         alive = np.delete(alive, chosen)
         removals.append(removal)
@@ -392,6 +368,22 @@ def _without_repeated_diagonals(rings: Ints, valences: Ints, count: int) -> NDAr
     _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
     clashing = np.unique(row[first[inverse] != np.arange(len(keys))])
     return np.delete(np.arange(len(rings)), clashing)
+
+
+def _fan_shares(rings: Floats, valences: Ints) -> Floats:
+    """Return the share of a star's mass that every triangle of the fan in its place gets, shape [m, MAX_VALENCE - 2].
+
+    Shares go by area in space, plus an even part that leaves no triangle without mass.
+
+    Args:
+        rings: places of the neighbours, the vertex kept first, shape [m, MAX_VALENCE, 3].
+        valences: length of every ring, shape [m].
+    """
+    spokes, counts = rings[:, 1:] - rings[:, :1], (valences - 2)[:, None]
+    areas = norms(cross(spokes[:, :-1], spokes[:, 1:])) * (np.arange(MAX_VALENCE - 2) < counts)
+    total = np.cumsum(areas, axis=1)[:, -1:]  # one after the other
+    by_area = (1.0 - EVEN_SHARE) * areas / np.where(total > 0.0, total, 1.0) + EVEN_SHARE / counts
+    return np.where(total > 0.0, by_area, 1.0 / counts)
 
 
 def _refan(faces: Ints, masses: Floats, removal: Removal, fan_masses: Floats, count: int) -> tuple[Ints, Floats]:
