@@ -61,11 +61,9 @@ def sample_at(f: int, b: wp.vec3d, tree: Tree):
 def sample_weights(s: int) -> wp.vec3d:
     """Return barycentric coordinates of sample s of a triangle: its corners, then the middles of the edges (k, k+1)."""
     b = wp.vec3d()
-    if s < 3:
-        b[s] = ONE
-    else:
-        b[s - 3] = HALF
-        b[(s - 2) % 3] = HALF
+    b[s % 3] = HALF
+    other = (s + s // 3) % 3  # the corner itself, or the next one
+    b[other] = b[other] + HALF
     return b
 
 
@@ -381,13 +379,11 @@ def c_transform(
             bulge = wp.vec3d()
             for k in range(3):
                 bulge[k] = wp.float64(4.0) * middle[k] - TWO * (corner[k] + corner[(k + 1) % 3])
-                b = wp.vec3d()
-                b[k] = ONE
+                b = sample_weights(k)
                 value = corner[k]
                 if middle[k] < value:
                     value = middle[k]
-                    b[k] = HALF
-                    b[(k + 1) % 3] = HALF
+                    b = sample_weights(k + 3)
                 if value < best:
                     best = value
                     best_leaf = leaf

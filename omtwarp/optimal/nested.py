@@ -21,7 +21,7 @@ from omtwarp.flips.exact import is_bijective
 from omtwarp.geometry.axes import principal_axes, turned_towards
 from omtwarp.location import Locator
 from omtwarp.mesh.arrays import Floats, Ints, normalised, squared_norms
-from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
+from omtwarp.mesh.surface import SPHERE_AREA, Surface, sums_around, triangle_areas
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.moser import moser_map
 from omtwarp.optimal.refinement import least_distortion
@@ -146,11 +146,10 @@ def coarse_surface(
     inwards = np.linalg.det(kept[faces]) < 0.0
     faces[inwards] = faces[inwards][:, ::-1]
     place = Locator(kept, faces, device="cpu").find(points)
-    mass = np.zeros(len(used))
-    np.add.at(mass, faces[place.faces].ravel(), (surface.vertex_areas[:, None] * place.coordinates).ravel())
+    shares = surface.vertex_areas[:, None] * place.coordinates
+    mass = np.bincount(faces[place.faces].ravel(), shares.ravel(), len(used))
     areas = triangle_areas(kept, faces)
-    ring = np.bincount(faces.ravel(), np.repeat(areas, 3), len(used))
-    density = 3.0 * mass / ring
+    density = 3.0 * mass / sums_around(areas, faces, len(used))
     coarse = Surface(kept if places is None else places[used], faces, areas=areas * density[faces].mean(axis=1))
     return Coarse(coarse, used, partial(place.on_sphere, faces))
 

@@ -362,9 +362,8 @@ def _scramble(indices: Ints, round_index: int) -> NDArray[np.int64]:
 
 def _without_repeated_diagonals(rings: Ints, valences: Ints, count: int) -> NDArray[np.int64]:
     """Return the rows of ``rings`` such that no two fans add the same edge; of two that would, the first stays."""
-    slots = np.arange(2, MAX_VALENCE - 1)
-    row, column = np.nonzero(slots[None, :] < (valences - 1)[:, None])
-    keys = edge_keys(np.stack([rings[row, 0], rings[row, slots[column]]], axis=1), count)
+    row, k = np.nonzero(np.arange(MAX_VALENCE - 3) < (valences - 3)[:, None])
+    keys = edge_keys(np.stack([rings[row, 0], rings[row, k + 2]], axis=1), count)
     _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
     clashing = np.unique(row[first[inverse] != np.arange(len(keys))])
     return np.delete(np.arange(len(rings)), clashing)
@@ -389,8 +388,6 @@ def _fan_shares(rings: Floats, valences: Ints) -> Floats:
 def _refan(faces: Ints, masses: Floats, removal: Removal, fan_masses: Floats, count: int) -> tuple[Ints, Floats]:
     """Return the faces and masses after fans have replaced the stars of the removed vertices."""
     kept = ~touching(faces, marked(count, removal.vertices))
-    slots = np.arange(1, MAX_VALENCE - 1)
-    row, column = np.nonzero(slots[None, :] < (removal.valences - 1)[:, None])
-    slot = slots[column]
-    fans = np.stack([removal.rings[row, 0], removal.rings[row, slot], removal.rings[row, slot + 1]], axis=1)
-    return np.concatenate([faces[kept], fans]), np.concatenate([masses[kept], fan_masses[row, column]])
+    row, k = np.nonzero(np.arange(MAX_VALENCE - 2) < (removal.valences - 2)[:, None])
+    fans = np.stack([removal.rings[row, 0], removal.rings[row, k + 1], removal.rings[row, k + 2]], axis=1)
+    return np.concatenate([faces[kept], fans]), np.concatenate([masses[kept], fan_masses[row, k]])
