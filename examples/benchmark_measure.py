@@ -304,10 +304,11 @@ def recorded_launches(device: str) -> Iterator[dict[str, KernelRecord]]:
 def moved_bytes(threads: int, arguments: Sequence[object]) -> int:
     """Return the bytes that a launch over so many threads has to move.
 
-    It counts every array once, and at most sixteen elements per thread.
+    It counts every array once, those of structs too, and at most sixteen elements per thread.
     """
     total, seen = 0, set()
-    for argument in arguments:
+    held = ([a] if isinstance(a, wp.array) else getattr(a, "__dict__", {}).values() for a in arguments)
+    for argument in (one for several in held for one in several):
         if not isinstance(argument, wp.array) or argument.ptr in seen:
             continue
         seen.add(argument.ptr)
