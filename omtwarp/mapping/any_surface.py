@@ -265,7 +265,8 @@ def _side_by_side(
     own = [triangle_areas(each.sphere, each.faces).sum() / triangle_areas(*_whole(each)[:2]).sum() for each in maps]
     wanted = np.array(masses) / np.array(own)
     goals = [_wanted_areas(each) if exact else None for each in maps]
-    rims = [hemisphere_to_disk(points[boundary_loops(faces, len(points))[0]]) for points, faces, _ in map(_whole, maps)]
+    wholes = [_whole(each)[:2] for each in maps if exact]
+    rims = [hemisphere_to_disk(points[boundary_loops(faces, len(points))[0]]) for points, faces in wholes]
     centres, covered = pack_caps(wanted / wanted.sum())
     for _ in range(rounds_apart):
         shares = covered * wanted / wanted.sum()

@@ -171,10 +171,10 @@ def judge(
             on the sphere by default.
         parts: faces in a row that are one triangle of the input.
     """
-    if image is None:
-        image = triangle_areas(sphere, goal.faces)
     if Stage.OMT not in options.stages:
         return []
+    if image is None:
+        image = triangle_areas(sphere, goal.faces)
     mean, distorted = _area_distortion(goal, image, parts)
     unmatched, findings, uniform = [], [], uniform and not options.exact
     if isinstance(options.refine, AreaMatch) and (missed := not_matched(options.refine.area, mean)):

@@ -15,7 +15,7 @@ from omtwarp.optimal.energy import TransportEnergy
 from omtwarp.optimal.exact import restore_areas
 from omtwarp.optimal.nested import shape_term_by_law
 from omtwarp.optimal.plane import Plane, PlaneCost, PlaneShape
-from omtwarp.optimal.refinement import MATCH_TOLERANCE, MATCH_TRIALS, MOST_WEIGHT, match_area, refinement_weight
+from omtwarp.optimal.refinement import MOST_WEIGHT, match_area, refinement_weight
 from omtwarp.optimal.solver import GAIN, OptimalMap, minimise
 from omtwarp.options import AreaMatch, Progress, Refinement
 from omtwarp.solvers.triangle import AREA_WEIGHT
@@ -131,6 +131,4 @@ class TorusMaps:
             weight.area,
             lambda before, value: run(before.points, value),
             lambda before: before.history[-1]["area"],
-            tolerance=MATCH_TOLERANCE,
-            trials=MATCH_TRIALS,
         )
