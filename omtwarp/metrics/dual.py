@@ -9,10 +9,9 @@ steps along smoothed slopes.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 from omtwarp.device.arrays import sent, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.device.threads import Each, core_count, each, launch_parts
+from omtwarp.device.threads import each, launch_parts
 from omtwarp.mesh.arrays import TINY, Floats, cross, dots, norms, squared_norms
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics import optimality_kernels as kernels, tree_kernels as trees
@@ -144,47 +143,120 @@ class Bound:
     weights: Floats
 
 
-class MapDual(ABC):
-    """The dual problem of a map x_i -> y_i with masses m_i, on a sphere or a torus.
+class MapDual:
+    """The dual problem of a map x_i -> y_i with masses m_i, on a sphere or, in its universal cover, on a flat torus.
+
+    Args:
+        surface: the faces and edges, V vertices; positions are not used.
+        x: the x_i, unit vectors, or points of the plane with a third coordinate of zero, shape [V, 3].
+        y: the y_i, in the same way.
+        mass: the m_i, shape [V].
+        device: where kernels run.
+        shift: of a torus, what is added at the corners of triangles, shape [F, 3, 3].
+        lattice: vectors that the torus repeats along, as rows, shape [2, 3].
 
     Attributes:
-        surface: the faces and edges, V vertices; positions are not used.
-        mass: the m_i, shape [V].
+        surface, mass: as given.
         cost: c(x_i, y_i), shape [V].
-        tolerance: how far below the true minimum the search for it may stay.
+        log: log_y(x) at every vertex, shape [V, 3].
+        edge_terms: the quadratic terms of ψ on the edges of every triangle, vec3d, shape [F].
     """
 
-    surface: Surface
-    mass: Floats
-    cost: Floats
-    _solver: EdgeLaplacianSolver | None = None
+    def __init__(
+        self,
+        surface: Surface,
+        x: Floats,
+        y: Floats,
+        mass: Floats,
+        device: str | None,
+        shift: Floats | None = None,
+        lattice: Floats | None = None,
+    ):
+        self.device = resolve_device(device)
+        self.surface, self.mass, self._x, self._y, self._lattice = surface, mass, x, y, lattice
+        self._apart = np.zeros(3) if shift is None else edge_steps(surface, shift)
+        self.log, self.cost = self._logs(y, x), self._costs(x, y)
+        corners = y[surface.faces]
+        if shift is not None:
+            corners = corners + shift
+        logs, others = self.log[surface.faces], np.roll(corners, -1, axis=1)
+        ahead, back = self._logs(corners, others), self._logs(others, corners)
+        # Of ψ on the edges (k, k+1): those that a quadratic of the distance along the edge has whose slopes at the ends
+        # are -log, the two ends averaged.
+        bulges = -0.5 * (dots(np.roll(logs, -1, axis=1), back) + dots(logs, ahead))
+        if lattice is None:
+            triangles, parts = trees.narrow_parts(y, surface.faces)
+        else:
+            x = x - self._cells(x)
+            corners = corners - self._cells(corners.mean(axis=1))[:, None]
+            triangles, parts = np.arange(len(corners)), np.broadcast_to(np.eye(3), corners.shape)
+        # Triangles near each other in space next to each other in the tree.
+        order = trees.order_by_halves((parts @ corners[triangles]).mean(axis=1))
+        leaves, samples = trees.leaf_count(len(order)), kernels.SAMPLES * len(order)
+        tree = self._tree = kernels.Tree()
+        tree.flat, tree.images = lattice is not None, sent(corners, wp.mat33d, self.device)
+        tree.faces, self.edge_terms = surface.on(self.device).faces, vectors(bulges, self.device)
+        tree.edge, tree.leaf_count = self.edge_terms, leaves
+        tree.triangles = sent(triangles[order].astype(np.int32), wp.int32, self.device)
+        tree.corners = sent(parts[order], wp.mat33d, self.device)
+        tree.places, tree.values = (wp.empty(samples, kind, device=self.device) for kind in (wp.vec3d, wp.float64))
+        tree.centres, tree.axes = (wp.empty(2 * leaves, wp.vec3d, device=self.device) for _ in range(2))
+        tree.models, tree.extremes = (wp.empty(2 * leaves, kernels.vec6d, device=self.device) for _ in range(2))
+        self._fitted = False  # whether there are paraboloids, to the first potential; for others they are raised
+        self._sources = vectors(x, self.device)
+        self._solver: EdgeLaplacianSolver | None = None
 
-    @abstractmethod
+    def _cells(self, points: Floats) -> Floats:
+        """Return the vectors of the lattice from its first cell to those that hold points of the plane."""
+        assert self._lattice is not None
+        return np.floor(points @ np.linalg.pinv(self._lattice)) @ self._lattice
+
+    def _logs(self, base: Floats, target: Floats) -> Floats:
+        """Return the vectors that point from places to others and are as long as their distances."""
+        return log_maps(base, target) if self._lattice is None else target - base
+
+    def _costs(self, x: Floats, y: Floats) -> Floats:
+        """Return the cost c, half the squared distances of places."""
+        return half_squares(x, y) if self._lattice is None else 0.5 * squared_norms(x - y)
+
     def admissible_differences(self) -> tuple[Floats, Floats]:
         """Return the least and the largest difference of ψ along every edge with which its ends swap no partners."""
+        a, b = self.surface.edges.T
+        x, y, apart = self._x, self._y, self._apart
+        return self.cost[b] - self._costs(x[b] + apart, y[a]), self._costs(x[a], y[b] + apart) - self.cost[a]
 
-    @abstractmethod
     def bound(self, potential: Floats) -> Bound:
-        """Return the lower bound on the cost that a potential ψ gives, with its c-transform φ."""
-
-    def bound_by(self, kernel: wp.Kernel, potential: Floats, sources: wp.array, inputs: list[object]) -> Bound:
-        """Return the bound of a potential whose c-transform a kernel computes at every x_i.
-
-        Args:
-            kernel: takes the x_i, c(x_i, y_i) - ψ(y_i), which are the values to beat, and the inputs.
-            potential: ψ at the y_i.
-            sources: the x_i on the device where the kernel runs, shape [V].
-            inputs: further arguments.
-        """
-        device, own = sources.device, self.cost - potential
-        minimum = (wp.float64, wp.int32, wp.vec3d)
-        lowest = [wp.empty(len(own), dtype=kind, device=device) for kind in minimum]
-        inputs = [*each(sources, sent(own, wp.float64, device)), *inputs]
+        """Return the lower bound on the cost that a potential ψ gives, with its c-transform φ at every x_i."""
+        tree, device, own = self._tree, self.device, self.cost - potential
+        tree.nodal = sent(potential, wp.float64, device)
+        wp.launch(kernels.sample_triangles, dim=len(tree.triangles), outputs=[tree], device=device)
+        if not self._fitted:
+            wp.launch(kernels.fit_nodes, dim=(len(tree.models), 1), outputs=[tree], device=device)
+            self._fitted = True
+        tree.extremes.fill_(kernels.NOTHING)
+        wp.launch(kernels.raise_paraboloids, dim=len(tree.triangles), outputs=[tree], device=device)
+        lowest = [wp.empty(len(own), dtype=kind, device=device) for kind in (wp.float64, wp.int32, wp.vec3d)]
+        inputs = [vectors(self._copies(own), device), self.tolerance, tree]
+        inputs = [*each(self._sources, sent(own, wp.float64, device)), *inputs]
         # Points whose transforms are worth a launch of their own on another core: each takes 10 microseconds.
-        launch_parts(kernel, len(own), inputs, each(*lowest), device, 128)
+        launch_parts(kernels.c_transform, len(own), inputs, each(*lowest), device, 128)
         proven, face, weights = (array.numpy() for array in lowest)
         gap = own - proven
         return Bound(potential, gap, float(self.mass @ gap), face.astype(np.int64), weights)
+
+    def _copies(self, own: Floats) -> Floats:
+        """Return the vectors of the lattice that a best image may be shifted by, the shortest first, shape [N, 3].
+
+        Args:
+            own: c(x_i, y_i) - ψ(y_i), the values to beat.
+        """
+        if self._lattice is None:
+            return np.zeros((1, 3))
+        reach = float(np.sqrt(2.0 * (own + (self.cost - own).max()).max()))  # nothing farther is better
+        far = np.ceil(np.linalg.norm(np.linalg.pinv(self._lattice), axis=0) * reach).astype(int) + 1
+        steps = [(i, j) for i in range(-far[0], far[0] + 1) for j in range(-far[1], far[1] + 1)]
+        vectors = np.array(steps) @ self._lattice
+        return vectors[np.argsort(squared_norms(vectors), kind="stable")]
 
     @property
     def tolerance(self) -> float:
@@ -222,70 +294,6 @@ class MapDual(ABC):
         return self._solver.solve(slope)
 
 
-class TransportDual(MapDual):
-    """The dual problem of a map to the sphere.
-
-    Args:
-        surface: the faces, V vertices.
-        x: the x_i, unit vectors, shape [V, 3].
-        y: the y_i, unit vectors, shape [V, 3].
-        mass: the m_i, shape [V].
-        device: where kernels run.
-
-    Attributes:
-        x, y: the points on the device.
-        log: log_y(x) at every vertex, shape [V, 3].
-        edge_terms: the quadratic terms of ψ on the edges of every triangle, vec3d, shape [F].
-    """
-
-    def __init__(self, surface: Surface, x: Floats, y: Floats, mass: Floats, device: str | None):
-        self.device = resolve_device(device)
-        self.surface, self.mass = surface, mass
-        self.x, self.y = vectors(x, self.device), vectors(y, self.device)
-        self.log = log_maps(y, x)
-        self.cost = half_squares(x, y)
-        self.edge_terms = vectors(edge_bulges(y[surface.faces], self.log[surface.faces]), self.device)
-        # Triangles near each other in space next to each other in the tree.
-        triangles, corners = trees.narrow_parts(y, surface.faces)
-        order = trees.order_by_halves((corners @ y[surface.faces[triangles]]).mean(axis=1))
-        leaves, samples = trees.leaf_count(len(order)), kernels.SAMPLES * len(order)
-        tree = self._tree = kernels.Tree()
-        tree.points, tree.faces, tree.edge = self.y, surface.on(self.device).faces, self.edge_terms
-        tree.leaf_count, tree.triangles = leaves, sent(triangles[order].astype(np.int32), wp.int32, self.device)
-        tree.corners = sent(corners[order], wp.mat33d, self.device)
-        tree.places, tree.values = (wp.empty(samples, kind, device=self.device) for kind in (wp.vec3d, wp.float64))
-        node = (wp.vec3d, wp.vec3d, kernels.vec11d)
-        tree.centres, tree.axes, tree.models = (wp.empty(2 * leaves, kind, device=self.device) for kind in node)
-        offsets, segments = trees.tree_segments(leaves)
-        # The work of a node is in proportion to its leaves: every part of a launch gets nodes of all sizes.
-        nodes, spread = (trees.interleaved(count, core_count()) for count in (2 * leaves, len(segments)))
-        self._nodes, self._offsets = (sent(numbers, wp.int32, self.device) for numbers in (nodes, offsets))
-        self._segments = sent(segments[spread], wp.vec2i, self.device)
-        # Whether there are paraboloids: fitted to the first potential, and raised above a later one, they bound it too.
-        self._fitted = False
-
-    def admissible_differences(self) -> tuple[Floats, Floats]:
-        """Return the least and the largest difference of ψ along every edge with which its ends swap no partners."""
-        a, b = self.surface.edges.T
-        x, y = self.x.numpy(), self.y.numpy()
-        return self.cost[b] - half_squares(x[b], y[a]), half_squares(x[a], y[b]) - self.cost[a]
-
-    def bound(self, potential: Floats) -> Bound:
-        """Compute φ, the c-transform of ψ, at every x_i."""
-        tree = self._tree
-        tree.nodal = sent(potential, wp.float64, self.device)
-        wp.launch(kernels.sample_triangles, dim=len(tree.triangles), outputs=[tree], device=self.device)
-        if not self._fitted:
-            launch_parts(kernels.fit_nodes, len(self._nodes), [Each(self._nodes)], [tree], self.device)
-            self._fitted = True
-        extremes = wp.empty(self._segments.size, dtype=kernels.vec6d, device=self.device)
-        inputs = [self._offsets, Each(self._segments), tree]
-        launch_parts(kernels.measure_segments, extremes.size, inputs, [extremes], self.device)
-        inputs = [self._offsets, extremes]
-        wp.launch(kernels.bound_nodes, dim=len(self._nodes), inputs=inputs, outputs=[tree], device=self.device)
-        return self.bound_by(kernels.c_transform, potential, self.x, [self.tolerance, tree])
-
-
 def log_maps(base: Floats, target: Floats) -> Floats:
     """Return log_y(x), tangent vectors at unit vectors y that point to others x and are as long as their distances."""
     towards = target - dots(base, target)[..., None] * base
@@ -298,87 +306,15 @@ def half_squares(x: Floats, y: Floats) -> Floats:
     return 0.5 * np.arctan2(norms(cross(x, y)), dots(x, y)) ** 2
 
 
-def edge_bulges(corners: Floats, logs: Floats) -> Floats:
-    """Return the quadratic terms e of ψ on the edges (k, k+1) of triangles from its slopes -log at the corners, [F, 3].
-
-    They are those that a quadratic of the distance along the edge has with these slopes, its two ends averaged.
-    """
-    others, theirs = np.roll(corners, -1, axis=1), np.roll(logs, -1, axis=1)
-    ahead, back = log_maps(corners, others), log_maps(others, corners)
-    return -0.5 * (dots(theirs, back) + dots(logs, ahead))
-
-
 def edge_steps(surface: Surface, shift: NDArray) -> NDArray:
-    """Return what is added to the second end of every edge in the cover of the first, shape [E, 2].
+    """Return what is added to the second end of every edge in the cover of the first, shape [E, 2] or [E, 3].
 
     Args:
         surface: E edges and F faces.
-        shift: what is added at the corners of triangles, shape [F, 3, 2].
+        shift: what is added at the corners of triangles, shape [F, 3, 2] or [F, 3, 3].
     """
     corner = surface.edge_corners[:, 0].astype(np.int64)
     face, place = corner // 3, corner % 3
     one, two = (place + 1) % 3, (place + 2) % 3
     steps = shift[face, two] - shift[face, one]
     return np.where((surface.faces[face, one] == surface.edges[:, 0])[:, None], steps, -steps)
-
-
-class TorusDual(MapDual):
-    """The dual problem of a map to a flat torus, with c = |x - y|²/2 in its universal cover.
-
-    Args:
-        surface: V vertices; their areas are the masses.
-        x: the points that are transported, in the plane, shape [V, 2].
-        y: their images in the universal cover, shape [V, 2].
-        shift: what is added at the corners of triangles, shape [F, 3, 2].
-        lattice: vectors that the torus repeats along, as rows, shape [2, 2].
-    """
-
-    def __init__(self, surface: Surface, x: Floats, y: Floats, shift: Floats, lattice: Floats):
-        self.surface, self.mass, self._lattice = surface, surface.vertex_areas, lattice
-        self._x, self._y, self._shift = x, y, shift
-        moved = y - x
-        self.cost = 0.5 * squared_norms(moved)
-        back = np.linalg.inv(lattice)
-        self._home = sent(x - np.floor(x @ back) @ lattice, wp.vec2d)
-        corner = y[surface.faces] + shift
-        middle = corner.mean(axis=1)
-        corner -= (np.floor(middle @ back) @ lattice)[:, None]
-        # Triangles near each other in the plane next to each other in the tree.
-        self._order = trees.order_by_halves(np.concatenate([corner.mean(axis=1), np.zeros((len(corner), 1))], axis=1))
-        corner = np.ascontiguousarray(corner[self._order])
-        self._faces = surface.faces[self._order]
-        slope = moved[self._faces]
-        along = np.roll(corner, -1, axis=1) - corner
-        # |z|²/2 - ψ(z) on an edge: the first is what it is, and ψ has the slopes y - x at the ends of the edge.
-        bulges = -0.5 * squared_norms(along) - 0.5 * dots(slope - np.roll(slope, -1, axis=1), along)
-        self._corners, self._bulges = sent(corner, wp.vec2d), sent(bulges, wp.vec3d)
-        self._slopes = sent((corner - slope).mean(axis=1), wp.vec2d)
-        self._half_squares = 0.5 * squared_norms(corner)
-        self._leaves = trees.leaf_count(len(corner))
-
-    def admissible_differences(self) -> tuple[Floats, Floats]:
-        """Return the least and the largest difference of ψ along every edge with which its ends swap no partners."""
-        a, b = self.surface.edges.T
-        apart = edge_steps(self.surface, self._shift)
-        along, across = self._y[b] - self._y[a] + apart, self._x[b] - self._x[a] + apart
-        middle = 0.5 * dots(along, self._y[a] - self._x[a] + self._y[b] - self._x[b])
-        half = 0.5 * dots(along, across)
-        return middle - half, middle + half
-
-    def bound(self, potential: Floats) -> Bound:
-        """Compute φ at every x_i: the least of c(x_i, z) - ψ(z) over all of the torus."""
-        mesh = [self._corners, sent(self._half_squares - potential[self._faces], wp.vec3d), self._bulges]
-        nodes = wp.empty(2 * self._leaves, dtype=trees.vec7d, device="cpu")
-        inputs = [*mesh, self._slopes, len(self._faces), self._leaves]
-        wp.launch(trees.build_plane_nodes, dim=len(nodes), inputs=inputs, outputs=[nodes], device="cpu")
-        inputs = [sent(self._copies(potential), wp.vec2d), *mesh, nodes, self._leaves, self.tolerance]
-        found = self.bound_by(trees.best_images, potential, self._home, inputs)
-        return replace(found, face=np.where(found.face >= 0, self._order[found.face], -1))
-
-    def _copies(self, potential: Floats) -> Floats:
-        """Return the lattice vectors that a best image may be shifted by, the shortest first, shape [N, 2]."""
-        reach = float(np.sqrt(2.0 * (self.cost - potential + potential.max()).max()))  # nothing farther is better
-        far = np.ceil(np.linalg.norm(np.linalg.inv(self._lattice), axis=0) * reach).astype(int) + 1
-        steps = [(i, j) for i in range(-far[0], far[0] + 1) for j in range(-far[1], far[1] + 1)]
-        vectors = np.array(steps) @ self._lattice
-        return vectors[np.argsort(squared_norms(vectors), kind="stable")]

@@ -27,7 +27,7 @@ appendix A; the relative curl is ||J∇H|| / ||log_y(x)||.
 The target of that problem is the image of the masses, which is uniform as far as the map preserves area.
 
 **On a flat torus** the method is the same, with c = |x - z|²/2 over the copies of all triangles: in a plane the least
-value on a triangle is found exactly, and a branch of triangles is skipped only where it is proven not to contain it.
+value on a triangle is found exactly.
 
 **Exact optimum.** On small meshes, the optimal plan between two sets of points from the package POT.
 """
@@ -58,7 +58,7 @@ from omtwarp.mesh.arrays import (
     whole_number,
 )
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_sphere, as_surface
-from omtwarp.metrics.dual import Bound, TorusDual, TransportDual, ascend, log_maps
+from omtwarp.metrics.dual import Bound, MapDual, ascend, log_maps
 from omtwarp.options import Cost, CostLike, Progress, Record, tell
 from omtwarp.solvers.poisson import EdgeLaplacianSolver
 
@@ -198,7 +198,7 @@ def optimality(
         tell(progress, "optimality", step, total, details)
 
     notify(0, {})
-    dual = TransportDual(surface, x, y, mass, device)
+    dual = MapDual(surface, x, y, mass, device)
     curl = curl or _curl(surface, y[surface.faces], dual.log)
     notify(1, {})
     fitted, swapped = dual.initial_potential()
@@ -314,7 +314,8 @@ def torus_optimality(surface: Surface, x: Floats, y: Floats, shift: Floats, latt
     moved = y - x
     cost = float(surface.vertex_areas @ squared_norms(moved))
     curl = _curl(surface, y[surface.faces] + shift, moved).relative
-    dual = TorusDual(surface, x, y, shift, lattice)
+    x3, y3, shift3, lattice3 = (np.pad(a, [(0, 0)] * (a.ndim - 1) + [(0, 1)]) for a in (x, y, shift, lattice))
+    dual = MapDual(surface, x3, y3, surface.vertex_areas, "cpu", shift3, lattice3)
     fitted, _ = dual.initial_potential()
     best, taken = ascend(dual, dual.bound(fitted), ASCENT_STEPS, _excess_at(cost, GOOD_ENOUGH))
     lower = max(cost - 2.0 * best.excess, 0.0)

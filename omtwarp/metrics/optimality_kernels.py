@@ -1,35 +1,39 @@
-"""Kernels of the optimality report: the c-transform over a sphere covered by triangles.
+"""Kernels of the optimality report: the c-transform over a sphere or a flat torus covered by triangles.
 
 The potential ψ is quadratic on every triangle of the image mesh, in the barycentric coordinates b of the flat triangle,
 
-    ψ(b) = Σ_k b_k ψ_k + b_0 b_1 e_0 + b_1 b_2 e_1 + b_2 b_0 e_2,
+    ψ(b) = Σ_k b_k ψ_k + b_0 b_1 e_0 + b_1 b_2 e_1 + b_2 b_0 e_2.
 
-and the point of the sphere is p / |p| with p = Σ_k b_k y_k. The samples of a triangle are its corners and the middles
-of its edges. Triangles, or parts of those with long edges, are the leaves of a tree (:mod:`.tree_kernels`).
+The place there is p = Σ_k b_k y_k in the plane, of a torus's universal cover, and p / |p| on the sphere. The samples of
+a triangle are its corners and the middles of its edges. Triangles, or parts of those with long edges, are the leaves of
+a tree (:mod:`.tree_kernels`).
 """
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
-from omtwarp.geometry.spherical import corners_of, geodesic_distance
-from omtwarp.metrics.tree_kernels import SEGMENT, leaves_below, lowest_on_triangle, next_node, potential_at
+from omtwarp.geometry.spherical import geodesic_distance
+from omtwarp.metrics.tree_kernels import leaves_below, lowest_on_triangle, next_node, potential_at
 
 wp.set_module_options(KERNEL_OPTIONS)
 
 mat66d = wp.types.matrix(shape=(6, 6), dtype=wp.float64)
 vec6d = wp.types.vector(length=6, dtype=wp.float64)
-# Of a node: level, the two slopes and the second derivatives (0,0), (0,1) and (1,1) of its paraboloid, less the
-# least and the largest coordinate along both axes, and the largest distance from its centre.
-vec11d = wp.types.vector(length=11, dtype=wp.float64)
 
+NOTHING = vec6d(-LARGE, 0.0, 0.0, 0.0, 0.0, 0.0)  # extremes without triangles
 SAMPLES = wp.constant(6)  # of the potential in a triangle: as many as a quadratic function has coefficients
 
 
 @wp.struct
 class Tree:
-    """A potential on the triangles of a mesh, its samples on P leaves, and a paraboloid above it on each of N nodes."""
+    """A potential on F triangles, its samples on P leaves, and a paraboloid above it on each of N nodes.
 
-    points: wp.array[wp.vec3d]  # of the mesh
+    With a_k = w · axis_k at a place z = c + w below a node with the centre c, ψ(z) is at most
+    level + s_0 a_0 + s_1 a_1 + b_00 a_0² / 2 + b_01 a_0 a_1 + b_11 a_1² / 2.
+    """
+
+    flat: wp.bool  # whether the triangles lie in a plane, or else on the sphere
+    images: wp.array[wp.mat33d]  # corners of the triangles, as rows, [F]
     faces: wp.array[wp.vec3i]
-    nodal: wp.array[wp.float64]  # ψ_k at the points
+    nodal: wp.array[wp.float64]  # ψ at the vertices
     edge: wp.array[wp.vec3d]  # e_k of every face
     leaf_count: wp.int32  # a power of two, of which the first P are taken; N is twice this
     triangles: wp.array[wp.int32]  # that each leaf is a part of, [P]
@@ -37,24 +41,29 @@ class Tree:
     places: wp.array[wp.vec3d]  # of the samples of the leaves, one leaf after another, [SAMPLES P]
     values: wp.array[wp.float64]  # ψ there
     centres: wp.array[wp.vec3d]  # of the nodes, [N]
-    axes: wp.array[wp.vec3d]
-    models: wp.array[vec11d]
+    axes: wp.array[wp.vec3d]  # the first one, orthogonal to the normal; the second is orthogonal to both
+    models: wp.array[vec6d]  # any number, s_0, s_1, b_00, b_01, b_11
+    extremes: wp.array[vec6d]  # the level, -LARGE without triangles, and the largest -a_0, a_0, -a_1, a_1 and |w|²
 
 
 @wp.func
-def half_squared_distance(x: wp.vec3d, y: wp.vec3d) -> wp.float64:
-    """Return the cost c(x, y) = d(x, y)² / 2."""
-    d = geodesic_distance(x, y)
+def cost_of(x: wp.vec3d, z: wp.vec3d, flat: bool) -> wp.float64:
+    """Return the cost c(x, z), half the squared distance in the plane or on the sphere."""
+    if flat:
+        return HALF * wp.length_sq(x - z)
+    d = geodesic_distance(x, z)
     return HALF * d * d
 
 
 @wp.func
 def sample_at(f: int, b: wp.vec3d, tree: Tree):
-    """Return the point of the sphere at barycentric coordinates b of a triangle of the mesh, and ψ there."""
+    """Return the place at barycentric coordinates b of a triangle of the mesh, and ψ there."""
     face = tree.faces[f]
-    y0, y1, y2 = corners_of(tree.points, face)
+    place = b @ tree.images[f]
+    if not tree.flat:
+        place = wp.normalize(place)
     nodal = wp.vec3d(tree.nodal[face[0]], tree.nodal[face[1]], tree.nodal[face[2]])
-    return wp.normalize(b[0] * y0 + b[1] * y1 + b[2] * y2), potential_at(nodal, tree.edge[f], b)
+    return place, potential_at(nodal, tree.edge[f], b)
 
 
 @wp.func
@@ -65,6 +74,19 @@ def sample_weights(s: int) -> wp.vec3d:
     other = (s + s // 3) % 3  # the corner itself, or the next one
     b[other] = b[other] + HALF
     return b
+
+
+@wp.kernel
+def sample_triangles(
+    # Data in and out:
+    tree: Tree,
+):
+    """Find the places of the six samples of every leaf, and the potential there."""
+    leaf = wp.tid()
+    for s in range(SAMPLES):
+        place, value = sample_at(tree.triangles[leaf], sample_weights(s) @ tree.corners[leaf], tree)
+        tree.places[SAMPLES * leaf + s] = place
+        tree.values[SAMPLES * leaf + s] = value
 
 
 @wp.func
@@ -94,6 +116,125 @@ def solve_definite(matrix: mat66d, right: vec6d) -> vec6d:
 
 
 @wp.func
+def normal_at(place: wp.vec3d, flat: bool) -> wp.vec3d:
+    """Return the normal of the plane or the sphere."""
+    if flat:
+        return wp.vec3d(ZERO, ZERO, ONE)
+    return place
+
+
+@wp.func
+def terms_at(w: wp.vec3d, axis: wp.vec3d, other: wp.vec3d) -> vec6d:
+    """Return what the coefficients of a paraboloid are multiplied by: 1, a_0, a_1, a_0² / 2, a_0 a_1 and a_1² / 2."""
+    a0 = wp.dot(w, axis)
+    a1 = wp.dot(w, other)
+    return vec6d(ONE, a0, a1, HALF * a0 * a0, a0 * a1, HALF * a1 * a1)
+
+
+@wp.kernel
+def fit_nodes(
+    # Data in and out:
+    tree: Tree,
+):
+    """Choose the centre of a node and its axes, and fit a paraboloid to the potential there."""
+    node, _compiled_once = wp.tid()
+    if node == 0:
+        return
+    first, last = leaves_below(node, tree.leaf_count, tree.triangles.shape[0])
+    if first > last:
+        return
+    count = last - first + 1
+    # Triangles of a node that its paraboloid is fitted to; the level that makes it a bound uses all of them.
+    fitted = wp.min(count, 4)
+    c = wp.vec3d()
+    for k in range(fitted):
+        f = first + ((2 * k + 1) * count) // (2 * fitted)
+        for s in range(3):
+            c += tree.places[SAMPLES * f + s] / wp.float64(3 * fitted)
+    if not tree.flat:
+        # Length of the mean of a node's directions: less where they cancel, as over a whole great circle.
+        if wp.length(c) < wp.float64(1.0e-9):
+            c = tree.places[SAMPLES * first]
+        c = wp.normalize(c)
+    normal = normal_at(c, tree.flat)
+    axis = wp.vec3d(ONE, ZERO, ZERO)
+    # Of a unit vector's x: another axis helps to make a frame where it is larger. Anything from 0.58 to 1 leaves one to
+    # take.
+    if wp.abs(normal[0]) > wp.float64(0.6):
+        axis = wp.vec3d(ZERO, ONE, ZERO)
+    axis = wp.normalize(wp.cross(axis, normal))
+    other = wp.cross(normal, axis)
+    # The first axis is the direction in which the node is longest.
+    # Squared radius: a node of one point is no smaller, so that it can be divided by.
+    size = wp.float64(1.0e-30)
+    stretch = wp.vec2d()
+    for k in range(fitted):
+        f = first + ((2 * k + 1) * count) // (2 * fitted)
+        for s in range(3):
+            w = tree.places[SAMPLES * f + s] - c
+            a0 = wp.dot(w, axis)
+            a1 = wp.dot(w, other)
+            stretch += wp.vec2d(a0 * a0 - a1 * a1, TWO * a0 * a1)
+            size = wp.max(size, wp.length_sq(w))
+    size = wp.sqrt(size)
+    angle = HALF * wp.atan2(stretch[1], stretch[0])
+    axis = wp.cos(angle) * axis + wp.sin(angle) * other
+    other = wp.cross(normal, axis)
+    # Least squares over samples, in units of the node's size. On one triangle it interpolates. Relative, added to the
+    # diagonal of the normal equations of a fit, which few or collinear points leave singular.
+    gram = wp.identity(n=6, dtype=wp.float64) * (wp.float64(1.0e-10) * wp.float64(fitted))
+    right = vec6d()
+    for k in range(fitted):
+        f = first + ((2 * k + 1) * count) // (2 * fitted)
+        for s in range(SAMPLES):
+            row = terms_at((tree.places[SAMPLES * f + s] - c) / size, axis, other)
+            gram += wp.outer(row, row)
+            right += tree.values[SAMPLES * f + s] * row
+    scale = ONE / size
+    square = scale * scale
+    fit = wp.cw_mul(solve_definite(gram, right), vec6d(ONE, scale, scale, square, square, square))
+    # Second derivatives of a fit: more is a fit through rounding, and a constant bounds better.
+    if not (wp.abs(fit[3]) + wp.abs(fit[4]) + wp.abs(fit[5]) < wp.float64(1.0e12)):
+        fit = vec6d()
+    fit[0] = ZERO
+    tree.centres[node] = c
+    tree.axes[node] = axis
+    tree.models[node] = fit
+
+
+@wp.kernel
+def raise_paraboloids(
+    # Data in and out:
+    tree: Tree,
+):
+    """Raise the paraboloids of the nodes above a leaf so that they bound the potential there, and widen the nodes.
+
+    They are upper bounds at all samples, and between them to third order, as far as the residual of ψ is a quadratic in
+    barycentric coordinates.
+    """
+    leaf = wp.tid()
+    node = tree.leaf_count + leaf
+    while node > 0:
+        c = tree.centres[node]
+        axis = tree.axes[node]
+        other = wp.cross(normal_at(c, tree.flat), axis)
+        most = vec6d(-LARGE, ZERO, ZERO, ZERO, ZERO, ZERO)
+        above = wp.vec3d()
+        for s in range(SAMPLES):
+            w = tree.places[SAMPLES * leaf + s] - c
+            terms = terms_at(w, axis, other)
+            over = tree.values[SAMPLES * leaf + s] - wp.dot(tree.models[node], terms)
+            most = wp.max(most, vec6d(over, -terms[1], terms[1], -terms[2], terms[2], wp.length_sq(w)))
+            if s < 3:
+                above[s] = over
+            else:
+                # No quadratic on the triangle exceeds its coefficients in Bernstein's form.
+                most[0] = wp.max(most[0], TWO * over - HALF * (above[s - 3] + above[(s - 2) % 3]))
+        wp.atomic_max(tree.extremes, node, most)
+        node = node // 2
+
+
+@wp.func
 def lowest_on_interval(slope: wp.float64, bend: wp.float64, low: wp.float64, high: wp.float64) -> wp.float64:
     """Return the least value of slope s + bend s²/2 over low <= s <= high."""
     at_low = low * (slope + HALF * bend * low)
@@ -104,222 +245,60 @@ def lowest_on_interval(slope: wp.float64, bend: wp.float64, low: wp.float64, hig
     return least
 
 
-@wp.kernel
-def sample_triangles(
-    # Data in and out:
-    tree: Tree,
-):
-    """Place on the sphere, and potential there, of the six samples of every leaf."""
-    leaf = wp.tid()
-    for s in range(SAMPLES):
-        place, value = sample_at(tree.triangles[leaf], sample_weights(s) @ tree.corners[leaf], tree)
-        tree.places[SAMPLES * leaf + s] = place
-        tree.values[SAMPLES * leaf + s] = value
-
-
-@wp.kernel
-def fit_nodes(
-    chosen: wp.array[wp.int32],
-    # Data in and out:
-    tree: Tree,
-):
-    """Choose the centre c and the frame (axis, c × axis) of a node, and fit a paraboloid to the potential there.
-
-    With w the part of z - c tangent at c, every sample z below the node will have w in the node's rectangle and
-    ψ(z) <= level + slope · w + w · B w / 2. Slope and B are fitted to some of the triangles. The level is -LARGE, as it
-    stays for nodes without triangles.
-    """
-    place, _compiled_once = wp.tid()
-    node = chosen[place]
-    model = vec11d()
-    model[0] = -LARGE
-    tree.models[node] = model
-    if node == 0:
-        return
-    first, last = leaves_below(node, tree.leaf_count, tree.triangles.shape[0])
-    if first > last:
-        return
-
-    count = last - first + 1
-    # Triangles of a node that its paraboloid is fitted to; the level that makes it a bound uses all of them.
-    fitted = wp.min(count, 4)
-    total = wp.vec3d()
-    for k in range(fitted):
-        f = first + ((2 * k + 1) * count) // (2 * fitted)
-        total += tree.places[SAMPLES * f] + tree.places[SAMPLES * f + 1] + tree.places[SAMPLES * f + 2]
-    c = wp.normalize(total)
-    # Length of the sum of a node's directions: less where they cancel, as over a whole great circle.
-    if wp.length(total) < wp.float64(1.0e-9):
-        c = tree.places[SAMPLES * first]
-    u = wp.vec3d(ONE, ZERO, ZERO)
-    # Of a unit vector's x: another axis helps to make a frame where it is larger. Anything from 0.58 to 1 leaves one to
-    # take.
-    if wp.abs(c[0]) > wp.float64(0.6):
-        u = wp.vec3d(ZERO, ONE, ZERO)
-    u = wp.normalize(wp.cross(u, c))
-    v = wp.cross(c, u)
-
-    # The first axis is the direction in which the node is longest.
-    # Squared radius: a node of one point is no smaller, so that it can be divided by.
-    size = wp.float64(1.0e-30)
-    stretch = wp.vec2d()
-    for k in range(fitted):
-        f = first + ((2 * k + 1) * count) // (2 * fitted)
-        for s in range(3):
-            w = tree.places[SAMPLES * f + s] - c
-            a0 = wp.dot(w, u)
-            a1 = wp.dot(w, v)
-            stretch += wp.vec2d(a0 * a0 - a1 * a1, TWO * a0 * a1)
-            size = wp.max(size, wp.length_sq(w))
-    size = wp.sqrt(size)
-    angle = HALF * wp.atan2(stretch[1], stretch[0])
-    u = wp.cos(angle) * u + wp.sin(angle) * v
-    v = wp.cross(c, u)
-    # Least squares over samples, in units of the node's size. On one triangle it interpolates.
-    gram = mat66d()
-    right = vec6d()
-    for k in range(6):
-        # Relative, added to the diagonal of the normal equations of a fit, which few or collinear points leave
-        # singular.
-        gram[k, k] = wp.float64(1.0e-10) * wp.float64(fitted)
-    for k in range(fitted):
-        f = first + ((2 * k + 1) * count) // (2 * fitted)
-        for s in range(SAMPLES):
-            w = (tree.places[SAMPLES * f + s] - c) / size
-            a0 = wp.dot(w, u)
-            a1 = wp.dot(w, v)
-            row_of = vec6d(ONE, a0, a1, HALF * a0 * a0, a0 * a1, HALF * a1 * a1)
-            value = tree.values[SAMPLES * f + s]
-            for i in range(6):
-                for j in range(i + 1):
-                    gram[i, j] = gram[i, j] + row_of[i] * row_of[j]
-                right[i] = right[i] + value * row_of[i]
-    fit = solve_definite(gram, right)
-    for k in range(3):
-        fit[3 + k] = fit[3 + k] / (size * size)
-    for k in range(1, 3):
-        fit[k] = fit[k] / size
-    # Second derivatives of a fit: more is a fit through rounding, and a constant bounds better.
-    if not (wp.abs(fit[3]) + wp.abs(fit[4]) + wp.abs(fit[5]) < wp.float64(1.0e12)):
-        fit = vec6d()
-    tree.centres[node] = c
-    tree.axes[node] = u
-    for k in range(1, 6):
-        model[k] = fit[k]
-    tree.models[node] = model
-
-
-@wp.kernel
-def measure_segments(
-    offsets: wp.array[wp.int32],
-    segments: wp.array[wp.vec2i],
-    tree: Tree,
-    # Data out:
-    extremes_out: wp.array[vec6d],
-):
-    """Find what the samples of some of a node's triangles need: level, rectangle and squared radius.
-
-    A segment is a node and a number: it stands for as many as ``SEGMENT`` of the node's triangles, so that no thread
-    goes through those of half a mesh. The level makes the paraboloid an upper bound at all samples, and between them to
-    third order, as far as the residual of ψ is a quadratic in barycentric coordinates.
-    """
-    place, _compiled_once = wp.tid()
-    node = segments[place][0]
-    number = segments[place][1]
-    most = vec6d(-LARGE, ZERO, ZERO, ZERO, ZERO, ZERO)
-    if node > 0:
-        first, last = leaves_below(node, tree.leaf_count, tree.triangles.shape[0])
-        first += SEGMENT * number
-        last = wp.min(last, first + SEGMENT - 1)
-        c = tree.centres[node]
-        u = tree.axes[node]
-        v = wp.cross(c, u)
-        fit = tree.models[node]
-        for f in range(first, last + 1):
-            above = wp.vec3d()
-            for s in range(SAMPLES):
-                k = SAMPLES * f + s
-                w = tree.places[k] - c
-                a0 = wp.dot(w, u)
-                a1 = wp.dot(w, v)
-                bent = HALF * (fit[3] * a0 * a0 + fit[5] * a1 * a1) + fit[4] * a0 * a1
-                over = tree.values[k] - (fit[1] * a0 + fit[2] * a1 + bent)
-                most = wp.max(most, vec6d(over, -a0, a0, -a1, a1, wp.length_sq(w)))
-                if s < 3:
-                    above[s] = over
-                else:
-                    # No quadratic on the triangle exceeds its coefficients in Bernstein's form.
-                    most[0] = wp.max(most[0], TWO * over - HALF * (above[s - 3] + above[(s - 2) % 3]))
-    extremes_out[offsets[node] + number] = most
-
-
-@wp.kernel
-def bound_nodes(
-    offsets: wp.array[wp.int32],
-    extremes: wp.array[vec6d],
-    # Data in and out:
-    tree: Tree,
-):
-    """Set level, rectangle and radius of a node to the largest that its segments need."""
-    node, _compiled_once = wp.tid()
-    most = extremes[offsets[node]]
-    for k in range(offsets[node] + 1, offsets[node + 1]):
-        most = wp.max(most, extremes[k])
-    bounded = tree.models[node]
-    bounded[0] = most[0]
-    for k in range(4):
-        bounded[6 + k] = most[1 + k]
-    bounded[10] = wp.sqrt(most[5])
-    tree.models[node] = bounded
-
-
 @wp.func
-def node_bound(x: wp.vec3d, c: wp.vec3d, axis: wp.vec3d, model: vec11d, enough: wp.float64) -> wp.float64:
+def node_bound(x: wp.vec3d, node: int, enough: wp.float64, tree: Tree) -> wp.float64:
     """Return a lower bound on c(x, z) - ψ(z) over all samples z of a node.
 
-    With v = 1 - x · z, θ²/2 = Σ (2v)^n / (n² C(2n, n)): it and all its derivatives grow with v. So it lies above the
-    parabola with its value and slope κ = θ / sin θ at the centre's v and with its second derivative at the least v
-    within the node, of which four terms of the series are a lower bound. With w the part of z - c tangent at c and
-    q = |z - c|² >= |w|², x · (z - c) = t · w - q (x · c) / 2; what is left is a quadratic in w, whose least value over
-    the rectangle is inside or on a side, and a remainder of third order. Where a bound by the first derivative alone
-    reaches ``enough``, that is returned.
+    With v = |x - z|²/2, c = v in a plane, and c = Σ (2v)^n / (n² C(2n, n)) on the sphere, which grows with v as all its
+    derivatives do: c lies above the parabola with its value and slope κ at the centre's v and with its second
+    derivative at the least v within the node, of which four terms of the series are a lower bound. With w = z - c,
+    v - v(c) = (c - x) · w + |w|²/2, where on the sphere c · w = -|w|²/2; what is left is a quadratic in w, whose least
+    value over the rectangle is inside or on a side, and a remainder of third order. Where a bound by the first
+    derivative alone reaches ``enough``, that is returned.
     """
-    radius = model[10]
-    cosine = wp.dot(x, c)
-    v = HALF * wp.length_sq(x - c)
-    # 1 - cos θ, a thousandth of a radian short of the antipode, where the squared distance has no second derivative.
-    if radius > ONE or v > wp.float64(1.999999):
-        return -LARGE  # next to the antipode the slope is infinite
-    sine = wp.sqrt(v * (TWO - v))
-    angle = TWO * wp.asin(wp.sqrt(HALF * v))
+    c = tree.centres[node]
+    extremes = tree.extremes[node]
+    model = tree.models[node]
+    squared = extremes[5]
+    radius = wp.sqrt(squared)
+    away = c - x
+    v = HALF * wp.length_sq(away)
+    base = v - extremes[0]
     kappa = ONE
-    # Smallest sine, below, θ / sin θ is 1 to the last digit
-    if sine > wp.float64(1.0e-12):
-        kappa = angle / sine
-    t0 = wp.dot(x, axis)
-    t1 = wp.dot(x, wp.cross(c, axis))
-    down = wp.max(-cosine, ZERO)
-    least = wp.max(v - radius * (sine + HALF * radius * down), ZERO)
-    curve = wp.float64(1.0 / 3.0) + least * (
-        wp.float64(4.0 / 15.0) + least * (wp.float64(6.0 / 35.0) + wp.float64(32.0 / 315.0) * least)
-    )
-    normal = kappa * cosine
-    if normal < ZERO:
-        normal = normal / (ONE - wp.float64(0.25) * radius * radius)  # q = |w|² / (1 - q / 4)
-    base = HALF * angle * angle - model[0] - HALF * curve * sine * radius * radius * radius * wp.abs(cosine)
-    g0 = -(kappa * t0 + model[1])
-    g1 = -(kappa * t1 + model[2])
-    h00 = normal + curve * t0 * t0 - model[3]
+    curve = ZERO
+    normal = normal_at(c, tree.flat)
+    if not tree.flat:
+        # 1 - cos θ, a thousandth of a radian short of the antipode, where the squared distance has no second
+        # derivative.
+        if radius > ONE or v > wp.float64(1.999999):
+            return -LARGE  # next to the antipode the slope is infinite
+        sine = wp.sqrt(v * (TWO - v))
+        angle = TWO * wp.asin(wp.sqrt(HALF * v))
+        # Smallest sine, below, θ / sin θ is 1 to the last digit
+        if sine > wp.float64(1.0e-12):
+            kappa = angle / sine
+        least = wp.max(v - radius * (sine + HALF * radius * wp.max(v - ONE, ZERO)), ZERO)
+        curve = wp.float64(1.0 / 3.0) + least * (
+            wp.float64(4.0 / 15.0) + least * (wp.float64(6.0 / 35.0) + wp.float64(32.0 / 315.0) * least)
+        )
+        base += HALF * angle * angle - v - HALF * curve * sine * radius * squared * wp.abs(ONE - v)
+    own = kappa * (ONE - wp.dot(away, normal))
+    if own < ZERO:
+        own /= ONE - wp.float64(0.25) * squared  # |w|² is the square of its part along the sphere over 1 - |w|²/4
+    t0 = wp.dot(away, tree.axes[node])
+    t1 = wp.dot(away, wp.cross(normal, tree.axes[node]))
+    g0 = kappa * t0 - model[1]
+    g1 = kappa * t1 - model[2]
+    h00 = own + curve * t0 * t0 - model[3]
     h01 = curve * t0 * t1 - model[4]
-    h11 = normal + curve * t1 * t1 - model[5]
-    mean = HALF * (h00 + h11)
+    h11 = own + curve * t1 * t1 - model[5]
     half = HALF * (h00 - h11)
-    spread = wp.sqrt(half * half + h01 * h01)
-    simple = base - radius * wp.sqrt(g0 * g0 + g1 * g1) + HALF * wp.min(mean - spread, ZERO) * radius * radius
+    bent = HALF * (h00 + h11) - wp.sqrt(half * half + h01 * h01)
+    simple = base - radius * wp.sqrt(g0 * g0 + g1 * g1) + HALF * wp.min(bent, ZERO) * squared
     if simple >= enough:
         return simple
-    low0, high0 = -model[6], model[7]
-    low1, high1 = -model[8], model[9]
+    low0, high0 = -extremes[1], extremes[2]
+    low1, high1 = -extremes[3], extremes[4]
     det = h00 * h11 - h01 * h01
     if h00 > ZERO and det > ZERO:
         w0 = (h01 * g1 - h11 * g0) / det
@@ -337,6 +316,7 @@ def node_bound(x: wp.vec3d, c: wp.vec3d, axis: wp.vec3d, model: vec11d, enough: 
 def c_transform(
     sources: wp.array[wp.vec3d],
     seeds: wp.array[wp.float64],
+    copies: wp.array[wp.vec3d],
     tolerance: wp.float64,
     tree: Tree,
     # Data out:
@@ -344,7 +324,7 @@ def c_transform(
     triangle_out: wp.array[wp.int32],
     weights_out: wp.array[wp.vec3d],
 ):
-    """Compute φ(x) = min of c(x, z) - ψ(z) over the sphere.
+    """Compute φ(x) = min of c(x, z) - ψ(z) over all triangles, or in a plane over the copies of all.
 
     A branch is skipped where its bound proves that it has no value below the best so far minus the tolerance. In a
     triangle that is not skipped the quadratic through the values at the six samples says where the
@@ -352,51 +332,51 @@ def c_transform(
     that were relied upon: no sample has a value below it, and it is at most the tolerance below what was found.
     """
     i, _compiled_once = wp.tid()
-    x = sources[i]
     best = seeds[i]
     best_leaf = int(-1)
     best_weights = wp.vec3d()
     relied = LARGE
-    node = int(1)
-    while node > 0:
-        inside = bool(False)
-        model = tree.models[node]
-        if model[0] > -LARGE:
-            enough = best - tolerance
-            bound = node_bound(x, tree.centres[node], tree.axes[node], model, enough)
-            inside = bound < enough
-            if not inside:
-                # Slack: lowers bounds of numbers of size 1 by fifty times float64's round-off
-                relied = wp.min(relied, bound - wp.float64(1.0e-14))
-        if inside and node >= tree.leaf_count:
-            leaf = node - tree.leaf_count
-            corner = wp.vec3d()
-            middle = wp.vec3d()
-            for k in range(3):
-                one = SAMPLES * leaf + k
-                corner[k] = half_squared_distance(x, tree.places[one]) - tree.values[one]
-                middle[k] = half_squared_distance(x, tree.places[one + 3]) - tree.values[one + 3]
-            bulge = wp.vec3d()
-            for k in range(3):
-                bulge[k] = wp.float64(4.0) * middle[k] - TWO * (corner[k] + corner[(k + 1) % 3])
-                b = sample_weights(k)
-                value = corner[k]
-                if middle[k] < value:
-                    value = middle[k]
-                    b = sample_weights(k + 3)
-                if value < best:
-                    best = value
-                    best_leaf = leaf
-                    best_weights = b
-            b = lowest_on_triangle(corner, bulge)
-            if potential_at(corner, bulge, b) < best:
-                z, psi = sample_at(tree.triangles[leaf], b @ tree.corners[leaf], tree)
-                value = half_squared_distance(x, z) - psi
-                if value < best:
-                    best = value
-                    best_leaf = leaf
-                    best_weights = b
-        node = next_node(node, inside, tree.leaf_count)
+    for copy in range(copies.shape[0]):
+        x = sources[i] - copies[copy]
+        node = int(1)
+        while node > 0:
+            inside = bool(False)
+            if tree.extremes[node][0] > -LARGE:
+                enough = best - tolerance
+                bound = node_bound(x, node, enough, tree)
+                inside = bound < enough
+                if not inside:
+                    # Slack: lowers bounds of numbers of size 1 by fifty times float64's round-off
+                    relied = wp.min(relied, bound - wp.float64(1.0e-14))
+            if inside and node >= tree.leaf_count:
+                leaf = node - tree.leaf_count
+                corner = wp.vec3d()
+                middle = wp.vec3d()
+                for k in range(3):
+                    one = SAMPLES * leaf + k
+                    corner[k] = cost_of(x, tree.places[one], tree.flat) - tree.values[one]
+                    middle[k] = cost_of(x, tree.places[one + 3], tree.flat) - tree.values[one + 3]
+                bulge = wp.vec3d()
+                for k in range(3):
+                    bulge[k] = wp.float64(4.0) * middle[k] - TWO * (corner[k] + corner[(k + 1) % 3])
+                    b = sample_weights(k)
+                    value = corner[k]
+                    if middle[k] < value:
+                        value = middle[k]
+                        b = sample_weights(k + 3)
+                    if value < best:
+                        best = value
+                        best_leaf = leaf
+                        best_weights = b
+                b = lowest_on_triangle(corner, bulge)
+                if potential_at(corner, bulge, b) < best:
+                    z, psi = sample_at(tree.triangles[leaf], b @ tree.corners[leaf], tree)
+                    value = cost_of(x, z, tree.flat) - psi
+                    if value < best:
+                        best = value
+                        best_leaf = leaf
+                        best_weights = b
+            node = next_node(node, inside, tree.leaf_count)
     proven_out[i] = wp.min(best, relied)
     triangle_out[i] = -1
     if best_leaf >= 0:

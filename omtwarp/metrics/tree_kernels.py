@@ -1,13 +1,9 @@
-"""Binary trees of triangles, in which the least value of a function over all of them is looked for; those of the plane.
+"""Binary trees of triangles, in which the least value of a function over all of them is looked for.
 
 Triangles, or parts of them, are the leaves of a complete binary tree in heap order, in which node k has the children 2k
 and 2k + 1. On a triangle the function is quadratic in barycentric coordinates b,
 
     Σ_k b_k f_k + b_0 b_1 e_0 + b_1 b_2 e_1 + b_2 b_0 e_2.
-
-In the plane, of a torus's universal cover, the potential ψ is such a function on every image triangle with corners p_k.
-With U = |z|²/2 - ψ(z), which has the same form, |x - z|²/2 - ψ(z) = |x|²/2 + U(z) - x · z: to find its least value is
-to minimise U less a linear function.
 """
 
 from __future__ import annotations
@@ -23,9 +19,6 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 LONGEST_EDGE = 0.25
 """Longest edge of a leaf of the tree, an arc: bounds of nodes err by the third power of their radii."""
-SEGMENT = wp.constant(256)  # triangles below a node that one thread goes through at most, a power of two
-# Of a node: a slope, the least value of U less the slope, and the least and the largest coordinate along both axes.
-vec7d = wp.types.vector(length=7, dtype=wp.float64)
 
 
 @wp.func
@@ -119,133 +112,9 @@ def order_by_halves(points: Floats) -> Ints:
     return order[order < len(points)].astype(np.int32)
 
 
-def interleaved(count: int, parts: int) -> Ints:
-    """Return the numbers below ``count``, first every ``parts``-th one, then those that follow them, and so on."""
-    return np.concatenate([np.arange(first, count, parts, dtype=np.int32) for first in range(parts)])
-
-
-def tree_segments(leaves: int) -> tuple[Ints, Ints]:
-    """Cut the leaves below every node of a complete binary tree in heap order into segments.
-
-    Args:
-        leaves: a power of two.
-
-    Returns:
-        The first segment of every node, and the number of all segments at the end, shape [2 leaves + 1]; and of every
-        segment its node and its number there, shape [S, 2].
-    """
-    nodes = np.arange(2 * leaves)
-    below = leaves >> np.frexp(np.maximum(nodes, 1))[1] - 1
-    counts = np.maximum(below // int(SEGMENT), 1)
-    counts[0] = 1  # no node
-    offsets = np.concatenate([[0], np.cumsum(counts)])
-    node = np.repeat(nodes, counts)
-    segments = np.stack([node, np.arange(len(node)) - offsets[node]], axis=1)
-    return offsets.astype(np.int32), segments.astype(np.int32)
-
-
 def leaf_count(items: int) -> int:
     """Return the smallest power of two that is at least 2 and at least ``items``."""
     return 1 << max(items - 1, 1).bit_length()
-
-
-@wp.func
-def lowered(x: wp.vec2d, corners: wp.array2d[wp.vec2d], heights: wp.array[wp.vec3d], f: int) -> wp.vec3d:
-    """Return U(z) - x · z at the corners of a triangle."""
-    return heights[f] - wp.vec3d(wp.dot(x, corners[f, 0]), wp.dot(x, corners[f, 1]), wp.dot(x, corners[f, 2]))
-
-
-@wp.kernel
-def build_plane_nodes(
-    corners: wp.array2d[wp.vec2d],
-    heights: wp.array[wp.vec3d],
-    bulges: wp.array[wp.vec3d],
-    slopes: wp.array[wp.vec2d],
-    face_count: int,
-    leaf_count: int,
-    # Data out:
-    nodes: wp.array[vec7d],
-):
-    """Find a rectangle that holds the triangles below a node, and a linear function below U on them."""
-    node = wp.tid()
-    model = vec7d()
-    model[2] = LARGE
-    nodes[node] = model
-    if node == 0:
-        return
-    first, last = leaves_below(node, leaf_count, face_count)
-    if first > last:
-        return
-    slope = wp.vec2d()
-    for f in range(first, last + 1):
-        slope += slopes[f]
-    slope = slope / wp.float64(last - first + 1)
-    least = LARGE
-    low = corners[first, 0]
-    high = corners[first, 0]
-    for f in range(first, last + 1):
-        above = lowered(slope, corners, heights, f)
-        least = wp.min(least, potential_at(above, bulges[f], lowest_on_triangle(above, bulges[f])))
-        for k in range(3):
-            low = wp.min(low, corners[f, k])
-            high = wp.max(high, corners[f, k])
-    nodes[node] = vec7d(slope[0], slope[1], least, low[0], high[0], low[1], high[1])
-
-
-@wp.kernel
-def best_images(
-    points: wp.array[wp.vec2d],
-    seeds: wp.array[wp.float64],
-    copies: wp.array[wp.vec2d],
-    corners: wp.array2d[wp.vec2d],
-    heights: wp.array[wp.vec3d],
-    bulges: wp.array[wp.vec3d],
-    nodes: wp.array[vec7d],
-    leaf_count: int,
-    tolerance: wp.float64,
-    # Data out:
-    proven: wp.array[wp.float64],
-    leaf: wp.array[wp.int32],
-    shares: wp.array[wp.vec3d],
-):
-    """Compute φ(x), the least |x - z|²/2 - ψ(z) over the copies of all triangles.
-
-    A branch is skipped where its bound proves that it has no value below the best so far less the tolerance. ``proven``
-    is the lower of the least value found and of all bounds that were relied upon. ``leaf`` is -1 where nothing lower
-    than the seed was found.
-    """
-    i = wp.tid()
-    best = seeds[i] + ZERO
-    best_leaf = int(-1)
-    best_shares = wp.vec3d()
-    relied = LARGE
-    for copy in range(copies.shape[0]):
-        x = points[i] - copies[copy]
-        own = HALF * wp.dot(x, x)
-        node = int(1)
-        while node > 0:
-            inside = bool(False)
-            model = nodes[node]
-            if model[2] < LARGE:
-                dx = model[0] - x[0]
-                dy = model[1] - x[1]
-                bound = own + model[2] + wp.min(dx * model[3], dx * model[4]) + wp.min(dy * model[5], dy * model[6])
-                inside = bound < best - tolerance
-                if not inside:
-                    relied = wp.min(relied, bound - wp.float64(1.0e-14))  # that rounding may add
-            if inside and node >= leaf_count:
-                f = node - leaf_count
-                above = lowered(x, corners, heights, f)
-                at = lowest_on_triangle(above, bulges[f])
-                value = own + potential_at(above, bulges[f], at)
-                if value < best:
-                    best = value
-                    best_leaf = f
-                    best_shares = at
-            node = next_node(node, inside, leaf_count)
-    proven[i] = wp.min(best, relied)
-    leaf[i] = best_leaf
-    shares[i] = best_shares
 
 
 def narrow_parts(points: Floats, faces: Ints) -> tuple[NDArray[np.int64], Floats]:

@@ -10,9 +10,9 @@ from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.metrics import dual as problem
-from omtwarp.metrics.dual import TransportDual
+from omtwarp.metrics.dual import MapDual
 from omtwarp.metrics.optimality import map_optimality, optimality, relative_curl
-from omtwarp.metrics.tree_kernels import LONGEST_EDGE, SEGMENT, narrow_parts, order_by_halves, tree_segments
+from omtwarp.metrics.tree_kernels import LONGEST_EDGE, narrow_parts, order_by_halves
 
 
 def latitude_map(frequency: int, shift: float = 0.6, twist: float = 0.0):
@@ -118,7 +118,7 @@ def test_the_minimum_is_found_over_the_whole_sphere(roughness, monkeypatch):
     rng = np.random.default_rng(1)
     surface = Surface(y, faces)
     monkeypatch.setattr(problem, "TOLERANCE", 0.0)
-    dual = TransportDual(surface, x, y, masses, "cpu")
+    dual = MapDual(surface, x, y, masses, "cpu")
     potential = dual.initial_potential()[0] + roughness * rng.normal(size=len(y))
     found = dual.bound(potential)
     terms = dual.edge_terms.numpy()
@@ -141,10 +141,42 @@ def test_the_minimum_is_found_over_the_whole_sphere(roughness, monkeypatch):
     np.testing.assert_allclose(transform, np.where(found.face >= 0, attained, dual.cost - potential), atol=1e-12)
     # With a tolerance no more than that is conceded.
     monkeypatch.setattr(problem, "TOLERANCE", 0.02)
-    loose = TransportDual(surface, x, y, masses, "cpu")
+    loose = MapDual(surface, x, y, masses, "cpu")
     quick = loose.bound(potential)
     conceded = quick.vertex_gap - found.vertex_gap
     assert conceded.min() >= -1e-12 and conceded.max() <= loose.tolerance + 1e-12
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 10_000), rough=st.floats(0.0, 0.3), spread=st.floats(0.0, 0.3))
+def test_the_minimum_is_found_over_all_of_a_torus(seed, rough, spread):
+    """An exhaustive search through copies of 45 points in every triangle finds nothing lower, and the least there."""
+    rng = np.random.default_rng(seed)
+    side, count = 2.0, 6
+    lattice = np.array([[side, 0.0, 0.0], [0.3 * side, side, 0.0]])
+    i, j = (k.ravel() for k in np.meshgrid(np.arange(count), np.arange(count), indexing="ij"))
+    y = np.column_stack([i, j]) / count @ lattice
+    number = lambda i, j: (i % count) * count + j % count  # noqa: E731
+    ends = [[(i, j), (i + 1, j), (i + 1, j + 1)], [(i, j), (i + 1, j + 1), (i, j + 1)]]
+    faces = np.concatenate([np.column_stack([number(*corner) for corner in face]) for face in ends]).astype(np.int32)
+    wraps = [np.stack([np.column_stack(corner) // count for corner in face], axis=1) for face in ends]
+    shift = np.concatenate(wraps) @ lattice
+    x = y + spread * rng.normal(size=y.shape) * [1.0, 1.0, 0.0]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(problem, "TOLERANCE", 0.0)
+        dual = MapDual(Surface(y, faces), x, y, np.ones(len(y)), "cpu", shift, lattice)
+        potential = rough * rng.normal(size=len(y))
+        transform = dual.cost - potential - dual.bound(potential).vertex_gap
+    steps = [(8 - a - b, a, b) for a in range(9) for b in range(9 - a)]
+    b = np.array(steps) / 8
+    psi = potential[faces] @ b.T + dual.edge_terms.numpy() @ (b * np.roll(b, -1, axis=1)).T
+    corners = y[faces] + shift
+    copies = [(m, n) for m in range(-3, 4) for n in range(-3, 4)] @ lattice
+    z = (b @ corners)[None] + copies[:, None, None]
+    least = np.array([(0.5 * ((own - z) ** 2).sum(axis=-1) - psi).min() for own in x])
+    found = np.minimum(least, dual.cost - potential)
+    assert (transform <= found + 1e-12).all()
+    assert (found - transform).max() < 0.02
 
 
 def fan(count, tilt=0.0):
@@ -174,7 +206,7 @@ def test_triangles_of_any_width_are_bounded(count, tilt, seed, rough):
     x /= np.linalg.norm(x, axis=1)[:, None]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(problem, "TOLERANCE", 0.0)
-        dual = TransportDual(Surface(y, faces), x, y, np.ones(len(y)), "cpu")
+        dual = MapDual(Surface(y, faces), x, y, np.ones(len(y)), "cpu")
         potential = rough * rng.normal(size=len(y))
         transform = dual.cost - potential - dual.bound(potential).vertex_gap
     samples = np.einsum("sk,pkj->psj", np.concatenate([np.eye(3), 0.5 * (1.0 - np.eye(3))]), corners)
@@ -185,20 +217,6 @@ def test_triangles_of_any_width_are_bounded(count, tilt, seed, rough):
     psi += np.einsum("psk,psk,pk->ps", samples, np.roll(samples, -1, axis=2), dual.edge_terms.numpy()[triangles])
     least = (0.5 * geodesic(x[:, None, None, :], z[None]) ** 2 - psi[None]).reshape(len(x), -1).min(axis=1)
     assert (transform <= np.minimum(least, dual.cost - potential) + 1e-12).all()
-
-
-@pytest.mark.parametrize("leaves", [2, 64, 256, 2048])
-def test_segments_are_the_leaves_below_a_node_once(leaves):
-    """No thread goes through more than SEGMENT triangles; found by walking down from the node to its leaves."""
-    offsets, segments = tree_segments(leaves)
-    size = int(SEGMENT)
-    assert len(segments) == offsets[-1] and len(offsets) == 2 * leaves + 1
-    for node in range(1, 2 * leaves):
-        below = [node]
-        while below[0] < leaves:
-            below = [child for parent in below for child in (2 * parent, 2 * parent + 1)]
-        own = segments[offsets[node] : offsets[node + 1]]
-        np.testing.assert_array_equal(own, [[node, k] for k in range(-(-len(below) // size))])
 
 
 @settings(max_examples=20, deadline=None)
