@@ -13,7 +13,7 @@ from tests.hostile.hostile_meshes import bipyramid, large_face, urchin
 
 # Of one repair: the start, Moser's flow and the turns of limbs may take one each.
 MOST_REPAIRS = 3.0
-MOST_STEPS = 40  # of Newton's method
+MOST_STEPS = 24  # of Newton's method
 
 
 @pytest.fixture

@@ -556,7 +556,7 @@ def test_real_meshes_by_the_judge(name):
 
 @pytest.mark.parametrize("seed", [None, 9013])
 def test_spheres_of_few_triangles_converge(seed):
-    """A sphere of 80 triangles, and one with noise, take more than the 40 steps that fine meshes may take."""
+    """A sphere of 80 triangles, and one with noise, take more than the 24 steps that fine meshes may take."""
     sphere = icosphere(2)
     noise = 1.0 if seed is None else np.exp(0.06 * np.random.default_rng(seed).normal(size=(sphere.vertex_count, 1)))
     report = map_to_sphere((sphere.vertices * noise, sphere.faces), device="cpu", optimality=False).report

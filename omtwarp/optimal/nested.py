@@ -44,7 +44,9 @@ VERTICES_PER_COARSE = 8
 LEAST_COARSE, MOST_COARSE = 200, 20_000  # vertices of the coarse triangulation
 # Part of an embedding that is added to places in space, so that no coarse triangle is without area.
 APART = 0.01
-STEPS = 40  # most of a minimisation
+# Most of a minimisation: more trade time for areas. Of sixty made surfaces one, a needle, takes more, and with 24 none
+# takes ten times as long as is usual for its size.
+STEPS = 24
 # Weight of area against angle, and tolerance and most steps, of smoothing an embedding: its slivers stop the
 # minimisation; more smoothing costs time and gains nothing. With a weight of 10 four more of 120 made surfaces end with
 # a warning.
