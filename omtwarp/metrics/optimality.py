@@ -148,7 +148,6 @@ def optimality(
     potential: ArrayLike | None = None,
     ascent_steps: int = ASCENT_STEPS,
     enough: float = GOOD_ENOUGH,
-    curl: Curl | None = None,
     device: str | None = "auto",
     progress: Progress | None = None,
 ) -> Optimality:
@@ -166,7 +165,6 @@ def optimality(
         ascent_steps: at most this many improvements of the potential; none where the first bound is below a twentieth
             of the cost.
         enough: the gap at which the improvements end.
-        curl: what :func:`map_curl` returned for this map and the squared cost, if that is known.
         device: where kernels run.
         progress: called as ``progress("optimality", step, most steps, {"gap": gap})``.
 
@@ -199,7 +197,7 @@ def optimality(
 
     notify(0, {})
     dual = MapDual(surface, x, y, mass, device)
-    curl = curl or _curl(surface, y[surface.faces], dual.log)
+    curl = _curl(surface, y[surface.faces], dual.log)
     notify(1, {})
     fitted, swapped = dual.initial_potential()
     notify(2, {})
@@ -311,11 +309,11 @@ def torus_optimality(surface: Surface, x: Floats, y: Floats, shift: Floats, latt
         shift: what is added at the corners of triangles, shape [F, 3, 2].
         lattice: vectors that the torus repeats along, as rows, shape [2, 2].
     """
+    x, y, shift, lattice = (np.pad(a, [(0, 0)] * (a.ndim - 1) + [(0, 1)]) for a in (x, y, shift, lattice))
     moved = y - x
     cost = float(surface.vertex_areas @ squared_norms(moved))
     curl = _curl(surface, y[surface.faces] + shift, moved).relative
-    x3, y3, shift3, lattice3 = (np.pad(a, [(0, 0)] * (a.ndim - 1) + [(0, 1)]) for a in (x, y, shift, lattice))
-    dual = MapDual(surface, x3, y3, surface.vertex_areas, "cpu", shift3, lattice3)
+    dual = MapDual(surface, x, y, surface.vertex_areas, "cpu", shift, lattice)
     fitted, _ = dual.initial_potential()
     best, taken = ascend(dual, dual.bound(fitted), ASCENT_STEPS, _excess_at(cost, GOOD_ENOUGH))
     lower = max(cost - 2.0 * best.excess, 0.0)
@@ -328,16 +326,15 @@ def torus_optimality(surface: Surface, x: Floats, y: Floats, shift: Floats, latt
     return TorusOptimality(**numbers, ascent_steps=taken, wrapped=wrapped)
 
 
-def _curl(surface: Surface, corners: Floats, moved: Floats) -> Curl:
+def _curl(surface: Surface, places: Floats, moved: Floats) -> Curl:
     """Compute the part of a displacement on image triangles that is the rotated gradient of a function.
 
     Args:
         surface: F faces.
-        corners: of the image triangles, shape [F, 3, 3], or [F, 3, 2] in the plane.
-        moved: the displacement of every vertex, in the same coordinates.
+        places: of the corners of image triangles, shape [F, 3, 3].
+        moved: the displacement of every vertex, shape [V, 3].
     """
-    flat = [(0, 0)] * 2 + [(0, 3 - corners.shape[2])]
-    places, field = np.pad(corners, flat), np.pad(moved[surface.faces], flat).mean(axis=1)
+    field = moved[surface.faces].mean(axis=1)
     normal = cross(places[:, 1] - places[:, 0], places[:, 2] - places[:, 0])
     doubled = np.maximum(norms(normal)[..., None], TINY)
     field -= dots(field, normal)[..., None] / doubled**2 * normal
@@ -377,24 +374,12 @@ def relative_curl(
     Raises:
         OmtwarpError: the mesh, a map or the cost cannot be used.
     """
-    return map_curl(surface, sphere, start=start, cost=cost, device=device).relative
-
-
-def map_curl(
-    surface: MeshLike,
-    sphere: ArrayLike | wp.array,
-    *,
-    start: ArrayLike | wp.array,
-    cost: CostLike = Cost.SQUARED,
-    device: str | None = "auto",
-) -> Curl:
-    """Compute the part of the displacement that is no gradient; arguments and errors as of :func:`relative_curl`."""
     surface, cost = as_surface(surface), choose(Cost, cost)
     x, y = (p.numpy() if isinstance(p, wp.array) else as_sphere(p, surface) for p in (start, sphere))
     log = log_maps(y, x)
     if cost == Cost.GEODESIC:
         log = normalised(log)
-    return _curl(surface, y[surface.faces], log)
+    return _curl(surface, y[surface.faces], log).relative
 
 
 def _masses(given: ArrayLike, count: int) -> Floats:
