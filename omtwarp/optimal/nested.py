@@ -106,8 +106,21 @@ class Coarse:
     carried: Callable[[Floats], Floats]
 
 
+def coarse_counts(vertex_count: int) -> list[int]:
+    """Return about how many vertices coarse triangulations have, the coarsest first, each an eighth of the next."""
+    counts = [int(np.clip(vertex_count / VERTICES_PER_COARSE, LEAST_COARSE, MOST_COARSE))]
+    while counts[0] >= VERTICES_PER_COARSE * LEAST_COARSE:
+        counts.insert(0, counts[0] // VERTICES_PER_COARSE)
+    return counts
+
+
 def coarse_surface(
-    surface: Surface, points: Floats, places: Floats | None = None, mirror: NDArray[np.int64] | None = None
+    surface: Surface,
+    points: Floats,
+    *,
+    count: int | None = None,
+    places: Floats | None = None,
+    mirror: NDArray[np.int64] | None = None,
 ) -> Coarse:
     """Triangulate some of a surface's points on the sphere.
 
@@ -118,6 +131,7 @@ def coarse_surface(
     Args:
         surface: closed, V vertices.
         points: unit vectors, shape [V, 3]; triangles may be flipped there.
+        count: about how many vertices it has; an eighth of all by default.
         places: those of the triangulation's vertices, by which distortion is measured, shape [V, 3]; the points by
             default.
         mirror: the copy of every vertex of a double, which lies where the vertex does: both are taken, shape [V].
@@ -127,7 +141,7 @@ def coarse_surface(
     """
     from scipy.spatial import ConvexHull, QhullError  # takes a twentieth of a second to import
 
-    count = int(np.clip(surface.vertex_count / VERTICES_PER_COARSE, LEAST_COARSE, MOST_COARSE))
+    count = count or coarse_counts(surface.vertex_count)[-1]
     vertices = surface.scaled_vertices - surface.vertex_areas @ surface.scaled_vertices / SPHERE_AREA
     along = vertices @ principal_axes(surface).frame.T / np.sqrt(SPHERE_AREA / count)
     own = np.arange(surface.vertex_count)
@@ -159,7 +173,9 @@ def coarse_surface(
 def nested_start(
     surface: Surface, start: Floats, *, mirror: NDArray[np.int64] | None = None, device: str | None = "auto"
 ) -> Floats:
-    """Return a map near the optimal one, made from the optimal map of a coarse triangulation of the points x.
+    """Return a map near the optimal one, made from the optimal maps of coarse triangulations of the points x.
+
+    The coarsest begins with Moser's map, each finer one with the map of the one before.
 
     Args:
         surface: closed, V vertices.
@@ -170,10 +186,14 @@ def nested_start(
     Raises:
         OmtwarpError: points coincide, or the map has flipped triangles that could not be repaired.
     """
-    coarse = coarse_surface(surface, start, mirror=mirror)
-    points = coarse.surface.vertices
-    first = untangled(coarse.surface, moser_map(coarse.surface, points, device=device).sphere, device=device)
-    return _carried(surface, coarse, first, points, device)
+    carried: Floats | None = None
+    for count in coarse_counts(surface.vertex_count):
+        coarse = coarse_surface(surface, start, count=count, mirror=mirror)
+        points = coarse.surface.vertices
+        first = moser_map(coarse.surface, points, device=device).sphere if carried is None else carried[coarse.vertices]
+        carried = _carried(coarse, untangled(coarse.surface, first, device=device), points, device)
+    assert carried is not None
+    return untangled(surface, carried, device=device)
 
 
 def embedded_start(
@@ -211,24 +231,20 @@ def embedded_start(
         pass  # the flow flips more than can be repaired: the map before stays
     if surface.vertex_count >= VERTICES_PER_COARSE * LEAST_COARSE and not double:
         try:
-            coarse = coarse_surface(surface, sphere, surface.scaled_vertices + APART * sphere)
+            coarse = coarse_surface(surface, sphere, places=surface.scaled_vertices + APART * sphere)
             points = start[coarse.vertices]
             first = embedded_start(coarse.surface, points, sphere[coarse.vertices], device=device)
-            sphere = _carried(surface, coarse, first, points, device)
+            sphere = untangled(surface, _carried(coarse, first, points, device), device=device)
         except OmtwarpError:
             pass  # the carried map has flips that cannot be repaired: steps begin on the mesh itself
     return smoothed(surface, turned_back(surface, sphere, start, device=device), device=device)
 
 
-def _carried(surface: Surface, coarse: Coarse, first: Floats, start: Floats, device: str | None) -> Floats:
-    """Return the optimal map of a triangulation from a first one, carried to the surface.
-
-    Raises:
-        OmtwarpError: it has flipped triangles that could not be repaired.
-    """
+def _carried(coarse: Coarse, first: Floats, start: Floats, device: str | None) -> Floats:
+    """Return the optimal map of a triangulation from a first one, carried to the surface; triangles may be flipped."""
     solve = partial(optimal_map, coarse.surface, start=start, device=device)
     optimal, _ = minimised(coarse.surface, first, start, solve, device=device)
-    return untangled(surface, coarse.carried(optimal.sphere), device=device)
+    return coarse.carried(optimal.sphere)
 
 
 def smoothed(surface: Surface, sphere: Floats, *, device: str | None = "auto") -> Floats:
