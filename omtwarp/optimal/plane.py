@@ -4,7 +4,8 @@ A map of least cost to a torus is the gradient of a convex function |x|²/2 + φ
 moved to the nearest copy of its image (D. Cordero-Erausquin, "Sur le transport de mesures périodiques", Comptes Rendus
 329, 1999): y_v - x_v in the universal cover stands in place of a geodesic.
 
-The corner k of face f lies at ``points[faces[f][k]] + shift[f, k]`` in the plane.
+The corner k of face f lies at ``points[faces[f][k]] + shift[f, k]`` in the plane. Kernels of triangles on the sphere
+take them at height 1, one triangle after the other: there det[a, b, c] is twice a triangle's signed area.
 """
 
 from __future__ import annotations
@@ -14,138 +15,74 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.device.arrays import sent
-from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
+from omtwarp.device.arrays import empty, sent
+from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, wp
 from omtwarp.device.sums import Reading
-from omtwarp.device.threads import computed, each
+from omtwarp.device.threads import Each, computed, each, launch_parts
 from omtwarp.geometry.spherical import TINY, oriented_volume
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.optimal import shape_kernels as kernels
 from omtwarp.optimal.energy import Domain, ShapeTerms
 from omtwarp.optimal.kernels import Fit, raised_fit, weighted_fit
-from omtwarp.optimal.shape_kernels import distortion_gradient, distortion_hessian, distortion_terms
-from omtwarp.solvers.motion_kernels import keeps_volume
+from omtwarp.solvers.motion_kernels import triangle_trouble
 from omtwarp.solvers.triangle import triangle_frames
 
 wp.set_module_options(KERNEL_OPTIONS)
 
 
-@wp.func
-def corner_place(points: wp.array[wp.vec2d], shift: wp.array2d[wp.vec2d], faces: wp.array[wp.vec3i], f: int, k: int):
-    """Return where the corner k of a triangle lies in the plane."""
-    return points[faces[f][k]] + shift[f, k]
-
-
-@wp.func
-def corners_above(points: wp.array[wp.vec2d], shift: wp.array2d[wp.vec2d], faces: wp.array[wp.vec3i], f: int):
-    """Return a triangle's corners at height 1: there det[a, b, c] is twice its signed area."""
-    a = corner_place(points, shift, faces, f, 0)
-    b = corner_place(points, shift, faces, f, 1)
-    c = corner_place(points, shift, faces, f, 2)
-    return wp.vec3d(a[0], a[1], ONE), wp.vec3d(b[0], b[1], ONE), wp.vec3d(c[0], c[1], ONE)
-
-
 @wp.kernel
-def plane_distortions(
+def lift_corners(
     points: wp.array[wp.vec2d],
     shift: wp.array2d[wp.vec2d],
     faces: wp.array[wp.vec3i],
-    frames: wp.array[wp.vec3d],
     # Data out:
-    angle: wp.array[wp.float64],
-    area: wp.array[wp.float64],
+    lifted: wp.array2d[wp.vec3d],
 ):
-    """Compute every triangle's distortions of angle and of area, each less 2; infinite where it is turned over."""
+    """Compute every triangle's corners at height 1, shape [F, 3]."""
     f = wp.tid()
-    a, b, c = corners_above(points, shift, faces, f)
-    of_angle, d, volume, _upright = distortion_terms(frames[f], a, b, c)
-    angle[f] = wp.where(volume > ZERO, of_angle, wp.float64(wp.inf))
-    area[f] = wp.where(volume > ZERO, (d - ONE) * (d - ONE) / d, wp.float64(wp.inf))
-
-
-@wp.kernel
-def plane_gradients(
-    points: wp.array[wp.vec2d],
-    shift: wp.array2d[wp.vec2d],
-    faces: wp.array[wp.vec3i],
-    frames: wp.array[wp.vec3d],
-    weights: wp.array[wp.float64],
-    area_weight: wp.float64,
-    # Data out:
-    gradients: wp.array2d[wp.vec2d],
-):
-    """Compute the gradient of weighted distortion by the corners, shape [F, 3]."""
-    f = wp.tid()
-    a, b, c = corners_above(points, shift, faces, f)
-    rows = distortion_gradient(frames[f], weights[f], a, b, c, wp.vec3d(area_weight, area_weight, ZERO))
     for k in range(3):
-        gradients[f, k] = wp.vec2d(rows[k, 0], rows[k, 1])
-
-
-@wp.kernel
-def plane_hessians(
-    points: wp.array[wp.vec2d],
-    shift: wp.array2d[wp.vec2d],
-    faces: wp.array[wp.vec3i],
-    frames: wp.array[wp.vec3d],
-    weights: wp.array[wp.float64],
-    area_weight: wp.float64,
-    # Data out:
-    hessians: wp.array2d[wp.float64],
-):
-    """Compute positive semidefinite Hessians of the distortion, entries on and above the diagonal, shape [F, 21].
-
-    With the Jacobian J and its determinant D the energy is |J|² / D + λ (D + 1 / D): see
-    :func:`omtwarp.optimal.shape_kernels.triangle_hessian`.
-    """
-    f = wp.tid()
-    a, b, c = corners_above(points, shift, faces, f)
-    axis, pressures = wp.vec3d(ONE, ZERO, ZERO), wp.vec3d(area_weight, area_weight, ZERO)
-    distortion_hessian(f, frames[f], weights[f], a, b, c, wp.matrix_from_rows(axis, axis, axis), pressures, hessians)
+        place = points[faces[f][k]] + shift[f, k]
+        lifted[f, k] = wp.vec3d(place[0], place[1], ONE)
 
 
 @wp.kernel
 def sum_at_vertices(
     offsets: wp.array[wp.int32],
     corners: wp.array[wp.int32],
-    values: wp.array[wp.vec2d],
+    values: wp.array[wp.vec3d],
     # Data out:
     sums: wp.array[wp.vec2d],
 ):
-    """Sum the values of the corners around every vertex."""
+    """Sum the values of the corners around every vertex, without their part across the plane."""
     v = wp.tid()
-    total = wp.vec2d()
+    total = wp.vec3d()
     for k in range(offsets[v], offsets[v + 1]):
         total += values[corners[k]]
-    sums[v] = total
+    sums[v] = wp.vec2d(total[0], total[1])
 
 
 @wp.kernel
 def plane_areas(
-    points: wp.array[wp.vec2d],
-    shift: wp.array2d[wp.vec2d],
-    faces: wp.array[wp.vec3i],
+    lifted: wp.array[wp.vec3d],
     # Data out:
     areas: wp.array[wp.float64],
 ):
     """Compute every triangle's signed area, shape [F]."""
     f = wp.tid()
-    a, b, c = corners_above(points, shift, faces, f)
-    areas[f] = HALF * oriented_volume(a, b, c)
+    areas[f] = HALF * oriented_volume(lifted[3 * f], lifted[3 * f + 1], lifted[3 * f + 2])
 
 
 @wp.kernel
 def plane_area_slopes(
-    points: wp.array[wp.vec2d],
-    shift: wp.array2d[wp.vec2d],
-    faces: wp.array[wp.vec3i],
+    lifted: wp.array[wp.vec3d],
     # Data out:
     slopes: wp.array2d[wp.vec2d],
 ):
     """Compute the derivatives of every area by its corners, shape [F, 3]."""
     f = wp.tid()
     for k in range(3):
-        side = corner_place(points, shift, faces, f, (k + 2) % 3) - corner_place(points, shift, faces, f, (k + 1) % 3)
+        side = lifted[3 * f + (k + 2) % 3] - lifted[3 * f + (k + 1) % 3]
         slopes[f, k] = HALF * wp.vec2d(-side[1], side[0])
 
 
@@ -201,18 +138,6 @@ def move_in_plane(
 
 
 @wp.kernel
-def plane_trouble(
-    areas: wp.array[wp.float64],
-    before: wp.array[wp.float64],
-    # Data out:
-    trouble: wp.array[wp.float64],
-):
-    """Mark with 1 where a step turns a triangle over or takes nearly all its area, shape [F]."""
-    f = wp.tid()
-    trouble[f] = wp.where(keeps_volume(areas[f], before[f]), ZERO, ONE)
-
-
-@wp.kernel
 def plane_cost_metric(
     start: wp.array[wp.vec2d],
     points: wp.array[wp.vec2d],
@@ -252,12 +177,17 @@ class Plane(Domain):
         shift: of the corners of every triangle from where their vertices lie, across the seam of a torus's universal
             cover, shape [F, 3, 2].
         device: a Warp device.
+
+    Attributes:
+        corners: the places of every triangle's corners among those of all, one after the other, vec3i, shape [F].
     """
 
     def __init__(self, surface: Surface, shift: Floats, device: wp.Device):
         self.surface, self.device = surface, device
         self.mesh = surface.on(device)
         self.shift = self.sent(shift)
+        numbers = np.arange(3 * surface.face_count, dtype=np.int32)
+        self.corners = Each(sent(numbers, wp.vec3i, device))
 
     def at_vertices(self, kernel: wp.Kernel, inputs: list[object], dtype: type) -> wp.array:
         """Return what a kernel computes at every vertex, shape [V]."""
@@ -265,12 +195,10 @@ class Plane(Domain):
         wp.launch(kernel, dim=len(out), inputs=inputs, outputs=[out], device=self.device)
         return out
 
-    def of_triangles(
-        self, kernel: wp.Kernel, points: wp.array, inputs: list[object], dtype: type, *more: int
-    ) -> wp.array:
-        """Return what a kernel computes of every triangle of a map, shape [F, ...]."""
-        out = wp.empty((self.surface.face_count, *more), dtype=dtype, device=self.device)
-        return computed(kernel, [points, *each(self.shift, self.mesh.faces), *inputs], out)
+    def lifted(self, points: wp.array) -> wp.array:
+        """Return the corners of all triangles of a map at height 1, vec3d, shape [3F]."""
+        out = wp.empty((self.surface.face_count, 3), dtype=wp.vec3d, device=self.device)
+        return computed(lift_corners, [points, *each(self.shift, self.mesh.faces)], out).flatten()
 
     def sent(self, values: Floats) -> wp.array:
         """Return points or vectors, shape [V, 2], as vec2d."""
@@ -282,11 +210,13 @@ class Plane(Domain):
 
     def areas(self, points: wp.array) -> wp.array:
         """Return the signed area of every triangle, float64, shape [F]."""
-        return self.of_triangles(plane_areas, points, [], wp.float64)
+        areas = empty(self.surface.face_count, wp.float64, self.device)
+        return computed(plane_areas, [Each(self.lifted(points), 3)], areas)
 
     def area_slopes(self, points: wp.array) -> wp.array:
         """Return the derivatives of every area by its corners, vec2d, shape [F, 3]."""
-        return self.of_triangles(plane_area_slopes, points, [], wp.vec2d, 3)
+        slopes = wp.empty((self.surface.face_count, 3), dtype=wp.vec2d, device=self.device)
+        return computed(plane_area_slopes, [Each(self.lifted(points), 3)], slopes)
 
     def coordinates(self, points: wp.array, vectors: wp.array) -> wp.array:
         """Return the vectors, float64, shape [V, 2]: in the plane all frames are the axes."""
@@ -302,7 +232,7 @@ class Plane(Domain):
 
     def spoilt(self, moved: wp.array, volume: wp.array) -> wp.array:
         """Return 1 for every triangle that a step turns over or nearly flattens, 0 for others, float64, shape [F]."""
-        return computed(plane_trouble, each(self.areas(moved), volume), wp.empty_like(volume))
+        return computed(triangle_trouble, [self.lifted(moved), self.corners, Each(volume)], wp.empty_like(volume))
 
 
 class PlaneCost:
@@ -345,25 +275,30 @@ class PlaneShape:
 
     def __init__(self, plane: Plane):
         self._plane, surface = plane, plane.surface
-        self._frames = sent(triangle_frames(surface), wp.vec3d, plane.device)
+        frames = sent(triangle_frames(surface), wp.vec3d, plane.device)
         self._weights = sent(surface.face_areas / SPHERE_AREA, wp.float64, plane.device)
+        self._mesh = [plane.corners, *each(frames, self._weights)]
+        self._unscaled = wp.full(1, SPHERE_AREA, dtype=wp.float64, device=plane.device)
 
     def begin(self, points: wp.array, reading: Reading) -> Callable[[Floats], ShapeTerms]:
-        """Begin to measure the distortion of a map, whose ``d_volume`` are the signed areas of triangles."""
-        plane, areas = self._plane, self._plane.areas(points)
-        distortions = [wp.empty_like(areas) for _ in range(2)]
-        inputs = [points, plane.shift, plane.mesh.faces, self._frames]
-        wp.launch(plane_distortions, dim=len(areas), inputs=inputs, outputs=distortions, device=plane.device)
-        mean_angle, mean_area = (reading.dot(self._weights, distortion) for distortion in distortions)
-        return lambda numbers: ShapeTerms(float(numbers[mean_angle]), float(numbers[mean_area]), areas)
+        """Begin to measure the distortion of a map, whose ``d_volume`` are twice the signed areas of triangles."""
+        device, count = self._plane.device, len(self._weights)
+        angle, ratio, volume, area, unused = (empty(count, wp.float64, device) for _ in range(5))
+        inputs, outputs = [self._plane.lifted(points), *self._mesh[:2]], each(angle, ratio, volume, unused)
+        launch_parts(kernels.triangle_terms, count, inputs, outputs, device)
+        launch_parts(kernels.distortion_summands, count, [Each(ratio), self._unscaled], each(area, unused), device)
+        mean_angle, mean_area = (reading.dot(self._weights, distortion) for distortion in (angle, area))
+        return lambda numbers: ShapeTerms(float(numbers[mean_angle]), float(numbers[mean_area]), volume)
 
     def gradient(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
         """Return the gradient by the vertices, vec2d, shape [V]."""
-        plane, weights = self._plane, [*each(self._frames, self._weights), wp.float64(weight)]
-        gradients = plane.of_triangles(plane_gradients, points, weights, wp.vec2d, 3)
-        return plane.at_vertices(sum_at_vertices, [*plane.mesh.vertex_corners, gradients.flatten()], wp.vec2d)
+        plane, corners = self._plane, wp.empty(3 * len(self._weights), dtype=wp.vec3d, device=self._plane.device)
+        inputs = [plane.lifted(points), *self._mesh, wp.vec3d(weight, weight, 0.0)]
+        launch_parts(kernels.triangle_gradient, len(self._weights), inputs, [Each(corners, 3)], plane.device)
+        return plane.at_vertices(sum_at_vertices, [*plane.mesh.vertex_corners, corners], wp.vec2d)
 
     def hessian(self, points: wp.array, terms: ShapeTerms, weight: float) -> wp.array:
         """Return every triangle's Hessian, as :meth:`omtwarp.optimal.energy.Shape.hessian` describes it."""
-        weights = [*each(self._frames, self._weights), wp.float64(weight)]
-        return self._plane.of_triangles(plane_hessians, points, weights, wp.float64, 21)
+        hessians = wp.empty((len(self._weights), 21), dtype=wp.float64, device=self._plane.device)
+        inputs = [self._plane.lifted(points), *self._mesh, wp.vec3d(weight, weight, 0.0), wp.float64(1.0), True]
+        return computed(kernels.triangle_hessian, inputs, hessians)

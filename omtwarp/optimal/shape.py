@@ -133,7 +133,7 @@ class DistortionEnergy:
         Of each 6x6 matrix the entries on and above the diagonal, row by row. Valid until the workspace is taken again.
         """
         assert isinstance(terms, Terms)
-        inputs = [points, *each(*self._mesh), self.pressures(terms, weight), wp.float64(SPHERE_AREA)]
+        inputs = [points, *each(*self._mesh), self.pressures(terms, weight), wp.float64(SPHERE_AREA), False]
         return computed(kernels.triangle_hessian, inputs, self._scratch(self._count, 21))
 
     def pressures(self, terms: Terms, weight: float) -> wp.vec3d:

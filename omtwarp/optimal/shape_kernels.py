@@ -249,10 +249,13 @@ def triangle_hessian(
     areas: wp.array[wp.float64],
     pressures: wp.vec3d,
     divisor: wp.float64,
+    flat: bool,
     # Data out:
     hessian: wp.array2d[wp.float64],
 ):
     """Compute the Hessian of A [fro / D + p0 D + p1 / D + p2 needle] in tangent bases, divided, shape [F, 21].
+
+    Where corners are ``flat``, at height 1 over a plane, the axes of the plane stand in place of tangent bases.
 
     The energy depends on the singular values of the Jacobian alone, so that its second derivative by the Jacobian has
     known eigenvectors (Smith, De Goes, Kim: "Analytic eigensystems for isotropic distortion energies", 2019): twist,
@@ -260,7 +263,11 @@ def triangle_hessian(
     """
     t, _compiled_once = wp.tid()
     a, b, c = corners_of(sphere, faces[t])
-    distortion_hessian(t, frames[t], areas[t] / divisor, a, b, c, first_tangents(a, b, c), pressures, hessian)
+    axes = first_tangents(a, b, c)
+    if flat:
+        axis = wp.vec3d(ONE, ZERO, ZERO)
+        axes = wp.matrix_from_rows(axis, axis, axis)
+    distortion_hessian(t, frames[t], areas[t] / divisor, a, b, c, axes, pressures, hessian)
 
 
 SPHERE_AREA = wp.constant(wp.float64(surface.SPHERE_AREA))  # of the unit sphere, 4π
