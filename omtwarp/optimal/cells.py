@@ -168,7 +168,6 @@ class TriangleCells(Cells):
         share = np.tile(np.repeat([CORNER_SHARE, MIDDLE_SHARE], 3), (len(self.vertices), 1))
         shares = combined(self.vertices, share, surface.vertex_count)
         self.means, self.masses = SparseProduct(shares, device), SparseProduct(shares.T, device)
-        self._factor: SaddlePointFactor | None = None
 
     def slopes(self, of_triangles: wp.array, out: wp.array) -> None:
         """Write the derivatives by every triangle's six vertices."""
@@ -176,7 +175,5 @@ class TriangleCells(Cells):
         wp.launch(cell_slopes, dim=self.multipliers, inputs=[of_triangles], outputs=[slopes], device=self._device)
 
     def factor(self, workspace: Workspace | None = None) -> SaddlePointFactor:
-        """Return what factorises matrices with a multiplier for every triangle: the same object at every call."""
-        if self._factor is None:
-            self._factor = cell_saddle_factor(self._surface.scaled_vertices, self._surface.edges, self.vertices)
-        return self._factor
+        """Return what factorises matrices with a multiplier for every triangle."""
+        return cell_saddle_factor(self._surface.scaled_vertices, self._surface.edges, self.vertices)

@@ -30,6 +30,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -223,8 +224,13 @@ class TransportEnergy:
         self.matrix = SaddleMatrix(*sizes, self.device)
         self._total = wp.zeros(1, dtype=wp.float64, device=self.device)
 
+    @cached_property
+    def factor(self) -> SaddlePointFactor:
+        """What factorises the matrices of :meth:`blocks`, made when it is first used."""
+        return self.saddle_factor()
+
     def saddle_factor(self) -> SaddlePointFactor:
-        """Return an object that factorises the matrices of :meth:`blocks`."""
+        """Make what factorises the matrices of :meth:`blocks`."""
         return self.domain.factor(self.cells, self._workspace)
 
     def terms(self, points: wp.array, multipliers: wp.array | None = None) -> MapTerms:
@@ -258,9 +264,9 @@ class TransportEnergy:
         cost = self.cost_weight / self._covered * terms.charged
         return cost + terms.pressed + self.shape_weight * terms.shape.total(self.area_weight)
 
-    def area_errors(self, terms: MapTerms) -> tuple[float, float]:
-        """Return the root mean square (weighted by area) and the largest of the relative errors a_c / A_c - 1."""
-        return float(np.sqrt(terms.squares / self._covered)), terms.largest
+    def area_rms(self, terms: MapTerms) -> float:
+        """Return the root mean square of the relative errors a_c / A_c - 1, weighted by area."""
+        return float(np.sqrt(terms.squares / self._covered))
 
     def cost(self, terms: MapTerms) -> float:
         """Return the transport cost Σ m_v d(x_v, y_v)², where the masses sum to 4π."""
@@ -296,11 +302,10 @@ class TransportEnergy:
         if matrix.slopes.size:
             self.cells.slopes(self.domain.area_slopes(points), matrix.slopes)
 
-    def factorise(self, factor: SaddlePointFactor, points: wp.array, terms: MapTerms, compliance: wp.array) -> None:
+    def factorise(self, points: wp.array, terms: MapTerms, compliance: wp.array) -> None:
         """Factorise the matrix of a map, with a larger diagonal where rounding made a pivot's sign wrong.
 
         Args:
-            factor: as of :meth:`saddle_factor`.
             points, terms: as of :meth:`blocks`.
             compliance: how far areas may be off, C of the saddle-point system, float64 on the device, shape [N].
 
@@ -317,22 +322,19 @@ class TransportEnergy:
             inputs = [self._total, wp.float64(added / count), wp.float64(part)]
             wp.launch(raise_diagonal, dim=count, inputs=inputs, outputs=[matrix.diagonal], device=self.device)
             try:
-                factor.factorise(matrix)
+                self.factor.factorise(matrix)
             except NotPositiveDefinite:
                 added = 0.0
                 continue
             return
         raise OmtwarpError("the second derivative of what is minimised is not finite")
 
-    def newton_step(
-        self, factor: SaddlePointFactor, gradient: wp.array | None, missing: wp.array | None
-    ) -> tuple[wp.array, wp.array]:
+    def newton_step(self, gradient: wp.array | None, missing: wp.array | None) -> tuple[wp.array, wp.array]:
         """Return the right-hand side and the solution of a system: coordinates, multipliers, [2 V + N].
 
         Coordinates are in the frames of the map that :meth:`factorise` was called for.
 
         Args:
-            factor: of the system.
             gradient: with its sign turned the first right-hand side, shape [V]; none for 0.
             missing: the second, likewise, shape [N].
         """
@@ -343,7 +345,7 @@ class TransportEnergy:
             scaled(coordinates.flatten(), -1.0, right[:first])
         if missing is not None:
             scaled(missing, -1.0, right[first:])
-        return right, factor.solve(right)
+        return right, self.factor.solve(right)
 
     def direction(self, solution: wp.array) -> wp.array:
         """Return the step of every vertex, vec3d, or vec2d in the plane, shape [V], from a system's solution."""

@@ -32,7 +32,6 @@ from omtwarp.optimal.solver import GAIN, OptimalMap, minimise, softness
 from omtwarp.optimal.sphere import Sphere, energy_on_sphere
 from omtwarp.optimal.steps import FlipFreeSteps
 from omtwarp.options import Cost, CostLike, Progress
-from omtwarp.solvers.mesh_factor import SaddlePointFactor
 
 ROUNDS = 30  # largest number of steps
 STIFFNESS = 1e7  # weight of areas relative to cost and shape, which only choose among the steps that correct areas
@@ -63,17 +62,16 @@ def restore_areas(
     points = energy.domain.sent(given)
     terms = energy.terms(points)
     steps = FlipFreeSteps(energy)
-    factor = energy.saddle_factor()
     numbers = energy.wanted * energy.wanted.sum() / STIFFNESS
     compliance = wp.array(numbers, dtype=wp.float64, device=energy.device)
     for number in range(rounds):
         if _right(energy, terms):
             return points.numpy().copy(), True
         try:
-            energy.factorise(factor, points, terms, compliance)
+            energy.factorise(points, terms, compliance)
         except OmtwarpError:
             break
-        moved = _step(energy, steps, factor, points, terms)
+        moved = _step(energy, steps, points, terms)
         if moved is None:
             break
         points, terms = moved
@@ -83,10 +81,10 @@ def restore_areas(
 
 
 def _step(
-    energy: TransportEnergy, steps: FlipFreeSteps, factor: SaddlePointFactor, points: wp.array, terms: MapTerms
+    energy: TransportEnergy, steps: FlipFreeSteps, points: wp.array, terms: MapTerms
 ) -> tuple[wp.array, MapTerms] | None:
     """Return the map and its terms after the longest share of a Newton step that reduces area errors, or None."""
-    _, solution = energy.newton_step(factor, None, terms.missing)
+    _, solution = energy.newton_step(None, terms.missing)
     direction = energy.direction(solution)
     before, length = np.sqrt(terms.squares), 1.0
     for _ in range(MAX_HALVINGS):
@@ -99,8 +97,7 @@ def _step(
 
 def _right(energy: TransportEnergy, terms: MapTerms) -> bool:
     """Return whether all areas are within the tolerance."""
-    rms, largest = energy.area_errors(terms)
-    return rms <= energy.exact_tolerance and largest <= energy.exact_tolerance
+    return max(energy.area_rms(terms), terms.largest) <= energy.exact_tolerance
 
 
 ITERATIONS = 200  # largest number of steps; a map that needs more reports that it has not converged
@@ -149,8 +146,8 @@ def minimise_cells(energy: TransportEnergy, points: Floats, progress: Progress |
     history = list(optimal.history)
 
     def notify(number: int, terms: MapTerms) -> None:
-        rms, largest = energy.area_errors(terms)
-        history.append({**history[-1], "cost": energy.cost(terms), "ring_rms": rms, "ring_largest": largest})
+        errors = {"ring_rms": energy.area_rms(terms), "ring_largest": terms.largest}
+        history.append({**history[-1], "cost": energy.cost(terms), **errors})
         if progress is not None:
             progress("omt", min(len(history) - 1, ITERATIONS), ITERATIONS, history[-1])
 

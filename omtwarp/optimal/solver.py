@@ -240,7 +240,6 @@ class _Newton:
         self.energy, self.device, self.gain = energy, energy.device, gain
         self.surface, self.domain = energy.surface, energy.domain
         self.steps = FlipFreeSteps(energy)
-        self.factor = energy.saddle_factor()
         # Weights of the squared area errors in the augmented Lagrangian: μ over the wanted areas, which sum to 12π for
         # rings.
         weight = PENALTY if penalty is None else max(penalty, LEAST_PENALTY)
@@ -262,7 +261,7 @@ class _Newton:
         history = [self._record(terms, 0.0, 0.0, 0, 0)]
         ended, converged, factorisations = "most steps taken", False, 0
         for number in range(iterations):
-            energy.factorise(self.factor, points, terms, self.compliance)
+            energy.factorise(points, terms, self.compliance)
             factorisations += 1
             if number == 0 and multipliers is None and self.constrained:
                 self._estimate(points, terms)
@@ -328,11 +327,8 @@ class _Newton:
 
     def _reached(self, terms: MapTerms, decrement: float) -> bool:
         """Return whether the expected gain, and under constraints the areas, are within their tolerances."""
-        enough = decrement <= self._enough(terms)
-        if not self.constrained:
-            return enough
-        rms, largest = self.energy.area_errors(terms)
-        return enough and rms <= self.max_rms and largest <= self.max_error
+        right = self.energy.area_rms(terms) <= self.max_rms and terms.largest <= self.max_error
+        return decrement <= self._enough(terms) and (right or not self.constrained)
 
     def _helpless(self, terms: MapTerms, q: wp.array, decrement: float) -> bool:
         """Return whether a step that gains nothing leaves small errors of the areas nearly as they are.
@@ -342,8 +338,7 @@ class _Newton:
         if not self.constrained or decrement > self._enough(terms):
             return False
         left = float(self.compliance.numpy() @ q.numpy() ** 2)  # B u = C q - missing
-        small = self.energy.area_errors(terms)[1] <= self.max_error
-        return small and left > (1.0 - LEAST_AREA_GAIN) * self.stiffness * terms.squares
+        return terms.largest <= self.max_error and left > (1.0 - LEAST_AREA_GAIN) * self.stiffness * terms.squares
 
     def _penalised_energy(self, terms: MapTerms) -> float:
         """Return cost plus shape plus penalty on area errors; it needs no multipliers."""
@@ -359,7 +354,7 @@ class _Newton:
     def _estimate(self, points: wp.array, terms: MapTerms) -> None:
         """Add to the multipliers what makes the gradient of the Lagrangian smallest in the metric of the matrix."""
         gradient = self.energy.gradient(points, terms, self.multipliers)
-        _, solution = self.energy.newton_step(self.factor, gradient, None)
+        _, solution = self.energy.newton_step(gradient, None)
         self.multipliers = combine(1.0, self.multipliers, 1.0, solution[-self.multipliers.size :])
 
     def _search(self, points: wp.array, terms: MapTerms) -> tuple[_Step | None, wp.array, float]:
@@ -370,7 +365,7 @@ class _Newton:
         """
         energy, reading = self.energy, self.energy.reading
         gradient = energy.gradient(points, terms, self.multipliers)
-        right, solution = energy.newton_step(self.factor, gradient, terms.missing)
+        right, solution = energy.newton_step(gradient, terms.missing)
         direction, q = energy.direction(solution), solution[-self.multipliers.size :]
         # The slope of the penalty along u is that of B u = C q - missing.
         slope, pressed = reading.dot(right, solution), reading.dot(self.multipliers, terms.missing)
@@ -415,7 +410,7 @@ class _Newton:
                 return None
             # Of the errors of before, a step of this length was to leave the rest.
             missing = combine(1.0, step.terms.missing, step.length - 1.0, terms.missing)
-            _, solution = energy.newton_step(self.factor, None, missing)
+            _, solution = energy.newton_step(None, missing)
             direction, q = energy.direction(solution), solution[-self.multipliers.size :]
             reached = self.steps.tried(step.points, direction, volume, 1.0, self.multipliers)[1]()
             if reached is None:
@@ -432,12 +427,11 @@ class _Newton:
 
     def _record(self, terms: MapTerms, decrement: float, length: float, corrected: int, settled: int) -> Record:
         """Return the entry of the history for a step, as :class:`OptimalMap` describes it."""
-        rms, largest = self.energy.area_errors(terms)
         return {
             "cost": self.energy.cost(terms),
             "energy": self._penalised_energy(terms),
-            "ring_rms": rms,
-            "ring_largest": largest,
+            "ring_rms": self.energy.area_rms(terms),
+            "ring_largest": terms.largest,
             "area": terms.shape.area + 2.0,
             "angle": terms.shape.angle + 2.0,
             "decrement": decrement,

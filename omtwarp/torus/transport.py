@@ -82,8 +82,8 @@ class TorusMaps:
         optimal = minimise(energy, y, gain=GAIN, iterations=STEPS, progress=self.progress)
         points, _ = restore_areas(energy, optimal.points)
         after = energy.terms(energy.domain.sent(points))
-        rms, largest = energy.area_errors(after)
-        last = {**optimal.history[-1], "cost": energy.cost(after), "ring_rms": rms, "ring_largest": largest}
+        last = {**optimal.history[-1], "cost": energy.cost(after)}
+        last |= {"ring_rms": energy.area_rms(after), "ring_largest": after.largest}
         last |= {"area": after.shape.area + 2.0, "angle": after.shape.angle + 2.0}
         return replace(optimal, points=points, history=(*optimal.history, last)), term.weight
 
@@ -101,7 +101,7 @@ class TorusMaps:
             The map; that of the start where its areas are nearly right.
         """
         points, energy = start.points, self.energy(1.0)
-        if energy.area_errors(energy.terms(energy.domain.sent(points)))[0] > UNEVEN:
+        if energy.area_rms(energy.terms(energy.domain.sent(points))) > UNEVEN:
             for weight in EASING_WEIGHTS:
                 points = replace(self, progress=None).refined(points, weight)[0].points
         return start.at(points)
