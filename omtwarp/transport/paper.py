@@ -41,7 +41,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp.device.arrays import sent
+from omtwarp.device.arrays import empty, sent
 from omtwarp.device.start import KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.flips.exact import flipped_faces
@@ -219,31 +219,26 @@ class PaperFlow:
         self.faces, self.masses = surface.faces, masses
         self.squared = int(choose(Cost, cost) is Cost.SQUARED)
         self.operators = DifferentialOperators(surface.vertices, surface.faces, device=device)
-        self.device = self.operators.device
+        self.device, self._mesh = self.operators.device, [self.operators.vertices, self.operators.faces]
 
         hierarchy = sphere_hierarchy(highest_resolution + 1)
         self.wavelets = SphericalWavelets(hierarchy, butterfly=butterfly, device=device)
         self.sampler = SphereSampler(hierarchy, surface.vertices, device=device)
         areas = triangle_areas(surface.vertices, surface.faces)
         self.sampler.set_masses(surface.sum_to_vertices(areas) / 3)
-        self.hamiltonian = wp.empty(hierarchy.node_count, dtype=wp.float64, device=self.device)
 
         self._areas, self._masses = (sent(sizes, wp.float64, self.device) for sizes in (areas, masses))
-        count, vertex_count = surface.face_count, surface.vertex_count
-        self.advanced, self._field, self._velocity = (self._empty(count, wp.vec3d) for _ in range(3))
-        self._rate = self._empty(count, wp.float64)
-        self._flux, self._at_vertices = (self._empty(vertex_count, wp.float64) for _ in range(2))
-        self.advanced_map = self._empty(vertex_count, wp.vec3d)
+        self._field, self._velocity = (empty(surface.face_count, wp.vec3d, self.device) for _ in range(2))
+        self._rate = empty(surface.face_count, wp.float64, self.device)
 
         weights = _dual_weights(surface)[..., None]
         self._points, self.dual_map = (
             sent(normalised((weights * places[surface.faces]).sum(axis=1)), wp.vec3d, self.device)
             for places in (surface.vertices, initial_map)
         )
-        self.map = self._empty(vertex_count, wp.vec3d)
-        self.operators.interpolate_dual(self.dual_map, out=self.map)
-        self._correction = sent(initial_map - self.map.numpy(), wp.vec3d, self.device)
-        self._to_vertices(self.dual_map, self.map)
+        interpolated = self.operators.interpolate_dual(self.dual_map).numpy()
+        self._correction = sent(initial_map - interpolated, wp.vec3d, self.device)
+        self.map = self._at_vertices(self.dual_map)
 
         sine = norms(cross(self._points.numpy(), self.dual_map.numpy()))
         self.mean_displacement = float((masses * sine).sum() / (4 * np.pi))
@@ -251,9 +246,6 @@ class PaperFlow:
         relative = 0.0 if self.squared else 0.1 * self.mean_displacement
         # Resolved displacement, radians: the sine of a smaller angle is lost in the round-off of a cross product
         self._smallest = max(relative, 1e-8)
-
-    def _empty(self, size: int, dtype: type) -> wp.array:
-        return wp.empty(size, dtype=dtype, device=self.device)
 
     def _launch(self, kernel: wp.Kernel, size: int, inputs: list[object], outputs: list[object]) -> None:
         wp.launch(kernel, dim=size, inputs=inputs, outputs=outputs, device=self.device)
@@ -269,17 +261,18 @@ class PaperFlow:
         areas = triangle_areas(image.numpy(), self.faces)
         return float((areas * areas / self.masses + self.masses).sum() / areas.sum())
 
-    def _to_vertices(self, dual_map: wp.array, out: wp.array) -> None:
-        """Compute g at the mesh vertices from the dual ones (Algorithm 1, lines 7 and 8)."""
-        self.operators.interpolate_dual(dual_map, out=out)
-        self._launch(correct_and_normalise, len(out), [self._correction, out], [])
+    def _at_vertices(self, dual_map: wp.array) -> wp.array:
+        """Return g at the mesh vertices from the dual ones (Algorithm 1, lines 7 and 8)."""
+        values = self.operators.interpolate_dual(dual_map)
+        self._launch(correct_and_normalise, len(values), [self._correction], [values])
+        return values
 
     def set_hamiltonian(self, resolution: int) -> None:
         """Compute H at the wavelets' nodes from g, without levels j > ``resolution`` (Algorithm 1, lines 2 to 14)."""
         inputs = [self._points, self.dual_map, self.squared, self._smallest]
         self._launch(rotated_cost_gradients, len(self.dual_map), inputs, [self._field])
-        self.operators.divergence(self._field, out=self._flux)
-        self.sampler.restrict(self._flux, out=self.hamiltonian)
+        self._flux = self.operators.divergence(self._field)
+        self.hamiltonian = self.sampler.restrict(self._flux)
         self.wavelets.analyse(self.hamiltonian)
         self.wavelets.truncate(self.hamiltonian, resolution)
         self.wavelets.synthesise(self.hamiltonian)
@@ -291,9 +284,7 @@ class PaperFlow:
 
     def set_velocity(self) -> float:
         """Compute v at the dual vertices (Algorithm 1, line 16), and return the largest rate |v| / (triangle size)."""
-        self.sampler.interpolate(self.hamiltonian, out=self._at_vertices)
-        mesh = [self.operators.vertices, self.operators.faces]
-        inputs = [*mesh, self._areas, self._masses, self._at_vertices]
+        inputs = [*self._mesh, self._areas, self._masses, self.sampler.interpolate(self.hamiltonian)]
         self._launch(dual_velocity, len(self.dual_map), inputs, [self._velocity, self._rate])
         # Within courant: share of the points that COURANT is kept for; the others are held back
         return float(np.quantile(self._rate.numpy(), 0.999))
@@ -303,15 +294,15 @@ class PaperFlow:
 
         Where the step turns triangles over, it is repeated first with their vertices and surroundings held.
         """
-        mesh = [self.operators.vertices, self.operators.faces]
         held: NDArray[np.bool_] = np.zeros(len(self.faces), dtype=bool)
         upright = ~flipped_faces(self.map, self.faces, device=self.device)
+        self.advanced = wp.empty_like(self.dual_map)
         # Holding rounds, in which points around flipped triangles are held back before a step is refused
         for _ in range(8):
             stay = sent(held, wp.bool, self.device)
-            inputs = [*mesh, self._velocity, self._rate, COURANT / step, stay, step, self.map, self.dual_map]
+            inputs = [*self._mesh, self._velocity, self._rate, COURANT / step, stay, step, self.map, self.dual_map]
             self._launch(advance_map, len(held), inputs, [self.advanced])
-            self._to_vertices(self.advanced, self.advanced_map)
+            self.advanced_map = self._at_vertices(self.advanced)
             flipped = upright & flipped_faces(self.advanced_map, self.faces, device=self.device)
             if not flipped.any():
                 return True
@@ -320,8 +311,7 @@ class PaperFlow:
 
     def accept(self) -> None:
         """Accept the map that :meth:`advance` made as the current one."""
-        self.dual_map, self.advanced = self.advanced, self.dual_map
-        self.map, self.advanced_map = self.advanced_map, self.map
+        self.dual_map, self.map = self.advanced, self.advanced_map
 
 
 def _dual_weights(surface: Surface) -> Floats:
