@@ -246,8 +246,7 @@ class TransportEnergy:
         """Begin to compute what :meth:`terms` returns; return a function of the numbers that :attr:`reading` reads."""
         areas = self.cells.areas(self.domain.areas(points))
         missing, relative = (empty(areas.size, wp.float64, self.device) for _ in range(2))
-        inputs, outputs = [areas, self._wanted], [missing, relative]
-        wp.launch(area_errors, dim=areas.size, inputs=inputs, outputs=outputs, device=self.device)
+        launch_parts(area_errors, areas.size, each(areas, self._wanted), each(missing, relative), self.device)
         cost, shape, reading = self.vertex_cost.values(points), self.shape.begin(points, self.reading), self.reading
         moved, charged = reading.dot(self._masses, cost), reading.dot(areas, self.cells.means(cost))
         squares, largest = reading.dot(missing, relative), reading.largest(relative)
@@ -323,10 +322,9 @@ class TransportEnergy:
             wp.launch(raise_diagonal, dim=count, inputs=inputs, outputs=[matrix.diagonal], device=self.device)
             try:
                 self.factor.factorise(matrix)
+                return
             except NotPositiveDefinite:
                 added = 0.0
-                continue
-            return
         raise OmtwarpError("the second derivative of what is minimised is not finite")
 
     def newton_step(self, gradient: wp.array | None, missing: wp.array | None) -> tuple[wp.array, wp.array]:

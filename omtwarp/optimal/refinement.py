@@ -213,7 +213,7 @@ def refine_map(
     minimised = partial(
         least_distortion, surface, iterations=iterations, tolerance=tolerance, device=device, progress=progress
     )
-    refinement = _Refinement(surface, own, tolerance, minimised)
+    refinement = _Refinement(lambda points: mass_distortion(surface, points, own)["mean"], tolerance, minimised)
     if isinstance(parsed, AreaMatch):
         return refinement.match(start, parsed.area)
     if parsed is Refinement.AREA:
@@ -257,12 +257,12 @@ class _Refinement:
     """Refines maps of one surface at one weight after another.
 
     Attributes:
-        surface, own, tolerance: as of :func:`refine_map`.
+        area_of: returns the mean area distortion of the triangles of a map, shape [V, 3].
+        tolerance: as of :func:`refine_map`.
         minimised: :func:`least_distortion` of the surface, which takes a map and a weight.
     """
 
-    surface: Surface
-    own: NDArray[np.bool_] | None
+    area_of: Callable[[Floats], float]
     tolerance: float
     minimised: Callable[..., RefineResult]
 
@@ -304,7 +304,3 @@ class _Refinement:
     def area(self, refined: RefineResult) -> float:
         """Return the mean area distortion of the triangles of a refined map."""
         return self.area_of(refined.sphere)
-
-    def area_of(self, sphere: Floats) -> float:
-        """Return the mean area distortion of the triangles of a map."""
-        return mass_distortion(self.surface, sphere, self.own)["mean"]

@@ -72,11 +72,11 @@ class FlipFreeSteps:
             The map and the number of vertices held back; None where no shares were found, or most vertices are held.
         """
         holds = 29  # halvings of the shares of corners of triangles in trouble
-        share, other = self._whole, wp.empty_like(self._whole)
+        share = self._whole
         for _ in range(holds):
             inputs = [*self._triangles, marks, share]
-            wp.launch(hold_back, dim=self._count, inputs=inputs, outputs=[other], device=self._device)
-            share, other = other, wp.empty_like(share) if share is self._whole else share
+            share = wp.empty_like(share)
+            wp.launch(hold_back, dim=self._count, inputs=inputs, outputs=[share], device=self._device)
             held = int(np.count_nonzero(share.numpy() < 1.0))  # never less than the last time
             if held > MOST_HELD * self._count:
                 return None
