@@ -18,7 +18,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
@@ -135,8 +134,8 @@ def exact_map(
     where = resolve_device(device)
     given, x = (as_unit_vectors(points, quartered.surface.vertex_count) for points in (sphere, start))
     soft = softness(quartered.surface.vertex_areas, given, x, cost)
-    moved, cells = vectors(x, where), TriangleCells(quartered, where)
-    energy = energy_on_sphere(quartered.surface, moved, where, shape_weight, domain=domain, cells=cells, softness=soft)
+    cells = TriangleCells(quartered, where)
+    energy = energy_on_sphere(quartered.surface, x, where, shape_weight, domain=domain, cells=cells, softness=soft)
     return minimise_cells(energy, given, progress)
 
 

@@ -152,7 +152,7 @@ class LocalSteps:
         here.pressures = self._distortion.pressures(terms.shape, energy.area_weight)
         here.shape_weight, here.softness = energy.shape_weight, self._cost.softness
         here.cost_factor = energy.cost_weight / (3.0 * SPHERE_AREA)
-        here.whole, here.multipliers = areas, of_patches
+        here.start, here.whole, here.multipliers = self._cost.start[vertices].contiguous(), areas, of_patches
         here.steps, here.enough, here.constrained = most, enough / self._count, self._constrained
         launch_patches(settle_small_patches, self._sizes, [0, lanes], [here, moved, tried], device)
         after = [wp.clone(points), wp.clone(multipliers)]
@@ -172,7 +172,6 @@ class LocalSteps:
         here.frames = sent(self._distortion.frames[triangles], wp.vec3d, device)
         here.areas = sent(self._distortion.areas[triangles], wp.float64, device)
         here.free = sent(self._free, wp.bool, device)
-        here.start = sent(self._cost.start[vertices], wp.vec3d, device)
         here.wanted = sent(energy.wanted[vertices], wp.float64, device)
         here.stiffness = sent(self._stiffness, wp.float64, device)
 
@@ -196,7 +195,7 @@ def lanes_on(device: wp.Device) -> int:
 
 
 def launch_patches(
-    kernel: wp.Kernel, sizes: Ints, inputs: list[object], outputs: list[object], device: wp.Device | str = "cpu"
+    kernel: wp.Kernel, sizes: Ints, inputs: list[object], outputs: list[object], device: wp.Device
 ) -> None:
     """Launch a kernel over all patches: a block of a GPU for each, or a thread, on all cores of the host.
 
@@ -207,16 +206,15 @@ def launch_patches(
         inputs, outputs: further arguments.
         device: where these are.
     """
-    where = wp.get_device(device)
-    lanes = lanes_on(where)
+    lanes = lanes_on(device)
     order = np.argsort(-sizes, kind="stable").astype(np.int32)
     cores = 1 if lanes > 1 or sizes.sum() < MIN_SHARED_TRIANGLES else min(core_count(), len(sizes))
-    load(kernel, where)
+    load(kernel, device)
 
     def run(group: Ints) -> None:
-        arguments = [sent(group, wp.int32, where), *inputs]
+        arguments = [sent(group, wp.int32, device), *inputs]
         grid = (len(group), lanes)
-        wp.launch(kernel, dim=grid, inputs=arguments, outputs=outputs, device=where, block_dim=BLOCK)
+        wp.launch(kernel, dim=grid, inputs=arguments, outputs=outputs, device=device, block_dim=BLOCK)
 
     run_all(run, [order[k::cores] for k in range(cores)])
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from omtwarp.device.arrays import empty, vectors
+from omtwarp.device.arrays import empty
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.sums import combine, scaled
@@ -166,8 +166,7 @@ def optimal_map(
     if multipliers is not None:
         multipliers = real_numbers(multipliers, "multipliers", (mesh.vertex_count,))
     soft = softness(mesh.vertex_areas, given, x, cost)
-    moved = vectors(x, where)
-    energy = energy_on_sphere(mesh, moved, where, weight, domain=domain, area_weight=area_weight, softness=soft)
+    energy = energy_on_sphere(mesh, x, where, weight, domain=domain, area_weight=area_weight, softness=soft)
     return minimise(energy, given, multipliers=multipliers, gain=gain, iterations=iterations, progress=progress)
 
 
@@ -257,7 +256,6 @@ class _Newton:
             self.multipliers = wp.array(multipliers, dtype=wp.float64, device=self.device)
         elif self.constrained:  # estimated from a potential of zero
             self.multipliers = scaled(energy.potential(terms, self.multipliers), -1.0)
-        first = self._penalised_energy(terms)
         history = [self._record(terms, 0.0, 0.0, 0, 0)]
         ended, converged, factorisations = "most steps taken", False, 0
         for number in range(iterations):
@@ -272,7 +270,7 @@ class _Newton:
                 break
             points, terms, self.multipliers, settled = step.points, step.terms, step.multipliers, 0
             converged = self._reached(terms, decrement)
-            if not converged:
+            if energy.has_local_steps and not converged:
                 points, terms, settled = self._settled(points, terms, decrement)
             history.append(self._record(terms, decrement, step.length, step.corrected, settled))
             if progress is not None:
@@ -280,7 +278,7 @@ class _Newton:
             if converged:
                 ended = "optimal"
                 break
-        last = self._penalised_energy(terms)
+        first, last = (history[k]["energy"] for k in (0, -1))
         better, as_good = last <= first, last <= first + MIN_COST
         return OptimalMap(
             points.numpy().copy() if better else given,
@@ -297,8 +295,6 @@ class _Newton:
         The gain that was ``expected`` of the last step limits that of single vertices.
         """
         energy, matrix, count = self.energy, self.energy.matrix, self.surface.vertex_count
-        if not energy.has_local_steps:
-            return points, terms, 0
         gradient = self.domain.coordinates(matrix.points, energy.gradient(points, terms, self.multipliers))
         blocks = each(gradient, matrix.diagonal.reshape((-1, COORDINATES)), matrix.inner)
         inputs = [*each(terms.relative, terms.missing), wp.float64(self.stiffness), *blocks]
@@ -319,11 +315,7 @@ class _Newton:
 
     def _enough(self, terms: MapTerms) -> float:
         """Return the expected gain below which no further step is taken."""
-        return self.gain * self._scale(terms)
-
-    def _scale(self, terms: MapTerms) -> float:
-        """Return what expected gains are compared with."""
-        return max(self.energy.cost(terms) / SPHERE_AREA, MIN_COST) if self.constrained else 2.0
+        return self.gain * (max(self.energy.cost(terms) / SPHERE_AREA, MIN_COST) if self.constrained else 2.0)
 
     def _reached(self, terms: MapTerms, decrement: float) -> bool:
         """Return whether the expected gain, and under constraints the areas, are within their tolerances."""

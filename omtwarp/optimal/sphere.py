@@ -16,6 +16,8 @@ from omtwarp.optimal.cells import Cells, MeasuredRings, RingCells
 from omtwarp.optimal.energy import SHAPE_WEIGHT, Domain, MapTerms, Shape, TransportEnergy
 from omtwarp.optimal.kernels import area_slopes, cost_metric, transport_gradient, vertex_costs
 from omtwarp.optimal.shape import DistortionEnergy
+from omtwarp.solvers.cholesky.saddle import COORDINATES
+from omtwarp.solvers.mesh_factor import block_matrix
 from omtwarp.solvers.motion_kernels import from_tangent, retract_to_sphere, to_tangent, triangle_trouble
 from omtwarp.solvers.triangle import AREA_WEIGHT
 from omtwarp.untangling.kernels import solid_angles
@@ -33,7 +35,6 @@ class Sphere(Domain):
         self.surface, self.device = surface, device
         self._faces = surface.on(device).faces
         self._examined = surface.face_count  # the first triangles, which are looked at after a step
-        self._areas = empty(surface.face_count, wp.float64, device)
 
     def sent(self, values: Floats) -> wp.array:
         """Return points or tangent vectors, shape [V, 3], as vec3d on the device."""
@@ -44,8 +45,9 @@ class Sphere(Domain):
         return flipped_faces(points, self.surface.faces)
 
     def areas(self, points: wp.array) -> wp.array:
-        """Return the solid angle of every triangle, float64, shape [F]; valid until the next call."""
-        return computed(solid_angles, [points, Each(self._faces)], self._areas)
+        """Return the solid angle of every triangle, float64, shape [F]."""
+        areas = empty(self.surface.face_count, wp.float64, self.device)
+        return computed(solid_angles, [points, Each(self._faces)], areas)
 
     def area_slopes(self, points: wp.array) -> wp.array:
         """Return the derivatives of every solid angle by its corners, in their frames, vec2d, shape [F, 3]."""
@@ -85,39 +87,38 @@ class GeodesicCost:
 
     Args:
         surface: V vertices.
-        start: x, unit vectors, vec3d, shape [V], on the device.
+        start: x, unit vectors, shape [V, 3], or vec3d, shape [V], on the device.
         device: a Warp device.
         softness: in radians; 0 for the squared distance, otherwise the cost is sqrt(d² + softness²) - softness.
 
     Attributes:
-        start: x on the host, shape [V, 3].
+        start: x, vec3d, shape [V], on the device.
     """
 
-    def __init__(self, surface: Surface, start: wp.array, device: wp.Device, softness: float = 0.0):
-        self._count, self._device, self._start = surface.vertex_count, device, start
-        self.start: Floats = start.numpy()
+    def __init__(self, surface: Surface, start: ArrayLike | wp.array, device: wp.Device, softness: float = 0.0):
+        self._count, self._device, self.start = surface.vertex_count, device, vectors(start, device)
         self.softness = wp.float64(softness)
         self._mesh = surface.on(device)
-        self._metric = wp.empty(self._count, dtype=wp.vec4d, device=device)
 
     def values(self, points: wp.array) -> wp.array:
         """Return the cost of every vertex, shape [V]."""
-        inputs = [*each(self._start, points), self.softness]
+        inputs = [*each(self.start, points), self.softness]
         return computed(vertex_costs, inputs, empty(self._count, wp.float64, self._device))
 
     def gradient(
         self, points: wp.array, masses: wp.array, potential: wp.array, further: wp.array, weight: float
     ) -> wp.array:
         """Return the gradient of Σ masses_v cost_v + Σ potential_f area_f and a further one, vec3d, shape [V]."""
-        mesh = [self._start, points, self._mesh.faces, masses, potential, *self._mesh.vertex_corners]
+        mesh = [self.start, points, self._mesh.faces, masses, potential, *self._mesh.vertex_corners]
         inputs = [*mesh, self.softness, further, wp.float64(weight), FIRST_THREAD]
         return computed(transport_gradient, inputs, empty(self._count, wp.vec3d, self._device))
 
     def hessian(self, points: wp.array, masses: wp.array, least: float) -> wp.array:
         """Return the second derivative at the optimum, with raised eigenvalues, float64, shape [V, 4]."""
-        mesh = [self._start, points, self._mesh.faces, masses, *self._mesh.vertex_corners]
+        mesh = [self.start, points, self._mesh.faces, masses, *self._mesh.vertex_corners]
         inputs = [*mesh, wp.float64(least), self.softness, FIRST_THREAD]
-        return computed(cost_metric, inputs, self._metric).view(wp.float64)
+        metric = wp.empty(self._count, dtype=wp.vec4d, device=self._device)
+        return computed(cost_metric, inputs, metric).view(wp.float64)
 
 
 class NoCost(GeodesicCost):
@@ -134,7 +135,7 @@ class NoCost(GeodesicCost):
 
 def energy_on_sphere(
     surface: Surface,
-    start: wp.array,
+    start: ArrayLike | wp.array,
     device: wp.Device,
     shape_weight: float,
     *,
@@ -147,7 +148,7 @@ def energy_on_sphere(
 
     Args:
         surface: V vertices.
-        start: x, unit vectors, vec3d, shape [V], on the device.
+        start: x, as of :class:`GeodesicCost`.
         device: a Warp device.
         shape_weight, area_weight: as of :class:`TransportEnergy`.
         domain: that of symmetric maps of a double, in place of that of all maps.
@@ -183,7 +184,7 @@ class ShapeEnergy(TransportEnergy):
     ):
         distortion = DistortionEnergy(surface, device) if shape is None else shape
         kept = MeasuredRings(surface, device) if cells is None else cells
-        cost = NoCost(surface, vectors(normalised(surface.vertices), device), device)
+        cost = NoCost(surface, normalised(surface.vertices), device)
         super().__init__(Sphere(surface, device), kept, cost, distortion, 1.0, 0.0, area_weight)
         # The kernel of local steps knows the distortion alone.
         self.has_local_steps = isinstance(kept, RingCells) and shape is None
@@ -232,7 +233,7 @@ class MapEnergy:
         device: str | None = "auto",
     ):
         where, mesh = resolve_device(device), as_surface(surface)
-        x = vectors(as_unit_vectors(start, mesh.vertex_count), where)
+        x = as_unit_vectors(start, mesh.vertex_count)
         weight = real_number(shape_weight, "shape_weight", least=0.0)
         of_areas = real_number(area_weight, "area_weight", least=0.0)
         soft = real_number(softness, "softness", least=0.0)
@@ -280,20 +281,16 @@ class MapEnergy:
         """
         points, u = self._coordinates(sphere, direction)
         own, others, _, _ = self._energy.matrix.on_host()
-        i, j = self._energy.surface.edges.T
-        product = np.einsum("vab,vb->va", own, u)
-        np.add.at(product, i, np.einsum("eab,eb->ea", others, u[j]))
-        np.add.at(product, j, np.einsum("eab,ea->eb", others, u[i]))
-        back = wp.array(product, dtype=wp.float64, device=points.device)
-        return np.array(self._energy.domain.vectors(points, back).numpy())
+        matrix = block_matrix(self._count, self._energy.surface.edges, own, others, COORDINATES)
+        product = wp.array((matrix @ u.ravel()).reshape(u.shape), dtype=wp.float64, device=points.device)
+        return np.array(self._energy.domain.vectors(points, product).numpy())
 
     def area_changes(self, sphere: ArrayLike, direction: ArrayLike) -> Floats:
         """Return the derivative of the areas around vertices along tangent vectors, shape [V]; arguments as before."""
         _, u = self._coordinates(sphere, direction)
-        slopes = self._energy.matrix.on_host()[2].reshape(2, -1, 2)
-        i, j = self._energy.surface.edges.T
-        changes = np.bincount(i, dots(slopes[0], u[j]), self._count)
-        return np.asarray(changes + np.bincount(j, dots(slopes[1], u[i]), self._count))
+        slopes = self._energy.matrix.on_host()[2].reshape(-1, COORDINATES)
+        of, by = np.concatenate([self._energy.surface.edges, self._energy.surface.edges[:, ::-1]]).T
+        return np.asarray(np.bincount(of, dots(slopes, u[by]), self._count), dtype=np.float64)
 
     def _coordinates(self, sphere: ArrayLike, direction: ArrayLike) -> tuple[wp.array, Floats]:
         """Compute the matrix of a map; return its points and a direction in their frames, shape [V, 2]."""

@@ -88,7 +88,7 @@ class SparseFactor(MeshFactor):
         """
         from scipy.sparse.linalg import splu  # takes a hundredth of a second to import
 
-        whole = _block_matrix(self._count, self._edges, *matrix, self._block)
+        whole = block_matrix(self._count, self._edges, *matrix, self._block)
         try:
             # Without pivoting the signs of the pivots are those of the eigenvalues.
             self._lu = splu(whole, permc_spec="COLAMD", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
@@ -138,7 +138,7 @@ class SparseSaddleFactor(SaddlePointFactor):
         from scipy.sparse.linalg import splu  # takes a hundredth of a second to import
 
         own, others, slopes, compliance = matrix.on_host()
-        whole = _block_matrix(self._count, self._edges, own, others, 2)
+        whole = block_matrix(self._count, self._edges, own, others, 2)
         if len(compliance):
             shape = (len(compliance), 2 * self._count)
             coupling = sparse.coo_matrix((slopes, (self._rows, self._columns)), shape=shape)
@@ -164,7 +164,7 @@ def solve_parts(factor: SaddlePointFactor, first: Floats, second: Floats) -> tup
     return solved[: first.size].reshape(first.shape), solved[first.size :]
 
 
-def _block_matrix(
+def block_matrix(
     count: int, edges: NDArray[np.int32], diagonal: Floats, off_diagonal: Floats, block: int
 ) -> sparse.csc_matrix:
     """Assemble the symmetric matrix with these blocks of vertices and edges."""
