@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from omtwarp.device.arrays import Workspace, sent
 from omtwarp.device.start import KERNEL_OPTIONS, wp
 from omtwarp.device.threads import Each, computed
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.patches import Patches
-from omtwarp.mesh.surface import Surface, transposed_rows
+from omtwarp.mesh.surface import Surface
 from omtwarp.solvers.cholesky import part_dissection
 from omtwarp.solvers.factor import MeshMatrix, NotPositiveDefinite
 from omtwarp.solvers.mesh_factor import mesh_factor
@@ -114,18 +112,12 @@ class PatchMatrix:
     """
 
     def __init__(self, patches: Patches, surface: Surface, growth: float):
-        count = patches.free
-        own = np.minimum(patches.faces, count)  # vertices that stay are one
-        offsets, corners = transposed_rows(own, count + 1)
-        one, other = np.roll(own, -1, axis=1).ravel(), np.roll(own, -2, axis=1).ravel()
-        inner = np.flatnonzero(np.maximum(one, other) < count)
-        low, high = np.minimum(one, other)[inner], np.maximum(one, other)[inner]
-        order = np.argsort(low.astype(np.int64) * count + high, kind="stable")
-        edges = np.stack([low[order[0::2]], high[order[0::2]]], axis=1)
-        edge_corners = inner[order].astype(np.int32).reshape(-1, 2)
+        count, mesh = patches.free, Surface(surface.vertices[patches.vertices], patches.faces)
+        inner = (mesh.edges < count).all(axis=1)
+        edges, edge_corners, (offsets, corners) = mesh.edges[inner], mesh.side_corners[inner], mesh.vertex_corners
 
-        self._sides = [Each(sent(edges, wp.vec2i)), sent(own, wp.vec3i), Each(sent(edge_corners, wp.vec2i))]
-        self._rows = [Each(sent(offsets[:-1], wp.int32), more=1), sent(corners, wp.int32)]
+        self._sides = [Each(sent(edges, wp.vec2i)), sent(mesh.faces, wp.vec3i), Each(sent(edge_corners, wp.vec2i))]
+        self._rows = [Each(sent(offsets[: count + 1], wp.int32), more=1), sent(corners, wp.int32)]
         self._blocks = [wp.empty(n, dtype=wp.vec4d, device="cpu") for n in (count, len(edges))]
         factor = mesh_factor(
             count, edges, lambda: part_dissection(surface, patches.vertices[:count], edges), 2, Workspace()
