@@ -19,10 +19,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp.device.arrays import vectors
+from omtwarp.device.arrays import empty, sent, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.device.threads import Each, blas_threads, computed
+from omtwarp.device.threads import Each, blas_threads, computed, each, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import examine, flipped_faces, is_bijective
 from omtwarp.mesh.arrays import Floats, InOneLine, dots, marked
@@ -243,9 +243,7 @@ class _Untangling:
         if held is not None:
             freed &= ~held
         self.patches = patches = Patches.of_vertices(surface.faces, freed)
-        count = len(patches.faces)
-        self.d_faces = wp.array(patches.faces, dtype=wp.vec3i, device=device)
-        self.d_value, self.d_solid = (wp.empty(count, dtype=wp.float64, device=device) for _ in range(2))
+        self.faces = Each(sent(patches.faces, wp.vec3i, device))
         frames = triangle_frames(surface, FATTENED, patches.triangles)
         covered = self._covered(vectors(sphere[patches.vertices], device))
         # The surroundings of a patch determine the area that it has to cover, up to whole spheres; the whole map covers
@@ -262,10 +260,8 @@ class _Untangling:
         # Of what a triangle has at each corner; all vertices that stay share the last place.
         place = 2 * np.repeat(np.minimum(patches.faces, patches.free), 2, axis=1) + np.array([0, 1] * 3)
         self.gradient_place = place.ravel()
-        self.d_frames = wp.array(frames, dtype=wp.vec3d, device=device)
-        self.d_areas = wp.array(surface.face_areas[patches.triangles], dtype=wp.float64, device=device)
-        self.d_gradient = wp.empty((count, 6), dtype=wp.float64, device=device)
-        self.d_hessian = wp.empty((count, 21), dtype=wp.float64, device=device)
+        areas = sent(surface.face_areas[patches.triangles], wp.float64, device)
+        self.triangles = [self.faces, *each(sent(frames, wp.vec3d, device), areas)]
 
     def solve(self, budget: RepairBudget) -> tuple[Floats, int]:
         """Lower ε until no patch has a flip, or to its smallest; smooth solved patches; return the map and rounds."""
@@ -318,15 +314,14 @@ class _Untangling:
     def _newton_step(self, points, epsilon, active) -> tuple[wp.array, NDArray[np.bool_]]:
         """Take a step of the active patches; return the points, and of which patches the expected gain is small."""
         patches = self.patches
-        face_epsilon = wp.array(epsilon[patches.face_patch], dtype=wp.float64, device=self.device, copy=False)
-        energy = self._energy(points, face_epsilon)
-        inputs = [points, self.d_faces, self.d_frames, self.d_areas, face_epsilon, self.area_weight]
-        outputs = [self.d_gradient, self.d_hessian]
-        wp.launch(untangle_newton, dim=len(patches.faces), inputs=inputs, outputs=outputs, device=self.device)
-        sums: Floats = np.bincount(self.gradient_place, self.d_gradient.numpy().ravel()).astype(np.float64, copy=False)
+        inputs = [*self.triangles, Each(sent(epsilon[patches.face_patch], wp.float64, self.device)), self.area_weight]
+        energy, count = self._energy(points, inputs), len(patches.faces)
+        slopes, hessians = (wp.empty((count, size), dtype=wp.float64, device=self.device) for size in (6, 21))
+        launch_parts(untangle_newton, count, [points, *inputs], each(slopes, hessians), self.device)
+        sums: Floats = np.bincount(self.gradient_place, slopes.numpy().ravel()).astype(np.float64, copy=False)
         gradient = sums[: 2 * patches.free].reshape(-1, 2)
         try:
-            self.matrix.factorise(self.d_hessian.numpy())
+            self.matrix.factorise(hessians.numpy())
             direction = -self.matrix.solve(gradient)
         except OmtwarpError:
             direction = np.full_like(gradient, np.nan)
@@ -340,7 +335,7 @@ class _Untangling:
         for _ in range(MAX_HALVINGS):
             moved = self._moved(points, direction, length)
             enough = energy + SUFFICIENT_DECREASE * length * slope
-            worse = ~(self._energy(moved, face_epsilon) <= enough) & (length > 0.0)
+            worse = ~(self._energy(moved, inputs) <= enough) & (length > 0.0)
             if not worse.any():
                 return moved, settled
             length[worse] *= 0.5
@@ -350,25 +345,28 @@ class _Untangling:
     def _moved(self, points, direction: Floats, length: Floats):
         """Move the freed points by coordinates [free, 2] in their tangent planes, times a length for every patch."""
         moved, step = wp.clone(points), direction * length[self.patches.vertex_patch][:, None]
-        inputs = [points, wp.array(step, dtype=wp.float64, device=self.device, copy=False)]
-        wp.launch(move_in_tangent, dim=self.patches.free, inputs=inputs, outputs=[moved], device=self.device)
+        computed(move_in_tangent, each(points, sent(step, wp.float64, self.device)), moved[: self.patches.free])
         return moved
 
-    def _energy(self, points, face_epsilon) -> Floats:
-        """Return the energy of every patch; infinite where it covers the sphere once more than it did."""
-        patches = self.patches
-        inputs = [points, self.d_faces, self.d_frames, self.d_areas, face_epsilon, self.area_weight]
-        outputs = [self.d_value, self.d_solid]
-        wp.launch(untangle_value, dim=len(patches.faces), inputs=inputs, outputs=outputs, device=self.device)
-        energy = patches.sum_of_faces(self.d_value.numpy())
-        covered = patches.sum_of_faces(self.d_solid.numpy()) / SPHERE_AREA
+    def _energy(self, points: wp.array, inputs: list[object]) -> Floats:
+        """Return the energy of every patch; infinite where it covers the sphere once more than it did.
+
+        Args:
+            points: of the patches, vec3d, shape [P].
+            inputs: of the kernel, behind the points.
+        """
+        patches, count = self.patches, len(self.patches.faces)
+        values, solid = (empty(count, wp.float64, self.device) for _ in range(2))
+        launch_parts(untangle_value, count, [points, *inputs], each(values, solid), self.device)
+        energy = patches.sum_of_faces(values.numpy())
+        covered = patches.sum_of_faces(solid.numpy()) / SPHERE_AREA
         energy[np.abs(np.rint(covered - self.share)) > np.abs(self.surplus)] = np.inf
         return energy
 
     def _covered(self, points: wp.array) -> Floats:
         """Return the signed area that every patch covers, with multiplicity, over that of the sphere, shape [count]."""
-        solid = computed(solid_angles, [points, Each(self.d_faces)], self.d_solid).numpy()
-        return self.patches.sum_of_faces(solid) / SPHERE_AREA
+        solid = computed(solid_angles, [points, self.faces], empty(len(self.patches.faces), wp.float64, self.device))
+        return self.patches.sum_of_faces(solid.numpy()) / SPHERE_AREA
 
     def _flips(self, points: Floats) -> NDArray[np.intp]:
         """Return the number of flipped triangles of every patch, decided exactly, shape [count]."""
