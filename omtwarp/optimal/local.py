@@ -145,18 +145,18 @@ class LocalSteps:
         assert isinstance(terms.shape, Terms)
         energy, device, lanes = self._energy, self._device, lanes_on(self._device)
         vertices = sent(self._vertices.astype(np.int32), wp.int32, device)
-        moved, tried = (points[vertices].contiguous() for _ in range(2))
-        areas, of_patches = (numbers[vertices].contiguous() for numbers in (terms.areas, multipliers))
         here = self._problem(lanes)
+        here.points, here.tried = (points[vertices].contiguous() for _ in range(2))
+        here.whole, here.multipliers = (numbers[vertices].contiguous() for numbers in (terms.areas, multipliers))
         # Patches are a small part of the map's area, so that its scale is taken as constant.
         here.pressures = self._distortion.pressures(terms.shape, energy.area_weight)
         here.shape_weight, here.softness = energy.shape_weight, self._cost.softness
         here.cost_factor = energy.cost_weight / (3.0 * SPHERE_AREA)
-        here.start, here.whole, here.multipliers = self._cost.start[vertices].contiguous(), areas, of_patches
+        here.start = self._cost.start[vertices].contiguous()
         here.steps, here.enough, here.constrained = most, enough / self._count, self._constrained
-        launch_patches(settle_small_patches, self._sizes, [0, lanes], [here, moved, tried], device)
+        launch_patches(settle_small_patches, self._sizes, [0, lanes], [here], device)
         after = [wp.clone(points), wp.clone(multipliers)]
-        for whole, part in zip(after, (moved, of_patches), strict=True):
+        for whole, part in zip(after, (here.points, here.multipliers), strict=True):
             wp.copy(whole[vertices], part)
         return after[0], after[1]
 

@@ -48,6 +48,8 @@ class LocalProblem:
     matrix: Envelope  # of their vertices
     free: wp.array[wp.bool]  # which vertices move, [P]
     start: wp.array[wp.vec3d]  # x of the vertices
+    points: wp.array[wp.vec3d]  # their images, which steps move
+    tried: wp.array[wp.vec3d]  # where a step leads to
     wanted: wp.array[wp.float64]  # areas around them
     whole: wp.array[wp.float64]  # areas around them in the map at the beginning
     multipliers: wp.array[wp.float64]  # of these areas, which steps change
@@ -85,11 +87,11 @@ def solid_angles_at(i: int, here: LocalProblem) -> wp.float64:
 
 
 @wp.func
-def find_outside(p: int, lane: int, lanes: int, here: LocalProblem, points: wp.array[wp.vec3d]):
+def find_outside(p: int, lane: int, lanes: int, here: LocalProblem):
     """Compute what the triangles outside a patch, which stay, add to the areas around its fixed vertices."""
     for t in range(here.face_starts[p] + lane, here.face_starts[p + 1], lanes):
-        face = here.faces[t]
-        here.solid[t] = solid_angle(points[face[0]], points[face[1]], points[face[2]])
+        a, b, c = corners_of(here.points, here.faces[t])
+        here.solid[t] = solid_angle(a, b, c)
     meet(p, lane, lanes, here.gates)
     for i in range(here.matrix.starts[p] + lane, here.matrix.starts[p + 1], lanes):
         here.outside[i] = ZERO
@@ -98,10 +100,15 @@ def find_outside(p: int, lane: int, lanes: int, here: LocalProblem, points: wp.a
 
 
 @wp.func
-def merit_of(
-    p: int, lane: int, lanes: int, here: LocalProblem, before: wp.array[wp.vec3d], points: wp.array[wp.vec3d]
-) -> wp.float64:
-    """Compute areas and costs, and return the merit; LARGE where a triangle lost nearly all the volume it had."""
+def merit_of(p: int, lane: int, lanes: int, here: LocalProblem, points: wp.array[wp.vec3d]) -> wp.float64:
+    """Compute areas and costs, and return the merit; LARGE where a triangle lost nearly all the volume it has.
+
+    Args:
+        p: the patch.
+        lane: the thread, one of so many ``lanes`` that share the patch.
+        here: the patches.
+        points: the images of their vertices, or where a step leads to.
+    """
     begin = here.matrix.starts[p]
     end = here.matrix.starts[p + 1]
     meet(p, lane, lanes, here.gates)
@@ -109,7 +116,7 @@ def merit_of(
         face = here.faces[t]
         a, b, c = corners_of(points, face)
         angle, d, volume, steep = distortion_terms(here.frames[t], a, b, c)
-        had = oriented_volume(before[face[0]], before[face[1]], before[face[2]])
+        had = oriented_volume(here.points[face[0]], here.points[face[1]], here.points[face[2]])
         here.solid[t] = solid_angle(a, b, c)
         here.shape[t] = LARGE
         if keeps_volume(volume, had):
@@ -139,14 +146,14 @@ def merit_of(
 
 
 @wp.func
-def differentiate(p: int, lane: int, lanes: int, here: LocalProblem, points: wp.array[wp.vec3d]):
+def differentiate(p: int, lane: int, lanes: int, here: LocalProblem):
     """Compute the gradients and Hessians of triangles, and the gradients of their areas.
 
     :func:`merit_of` has computed areas and costs at these points.
     """
     for t in range(here.face_starts[p] + lane, here.face_starts[p + 1], lanes):
         face = here.faces[t]
-        a, b, c = corners_of(points, face)
+        a, b, c = corners_of(here.points, face)
         frame = here.frames[t]
         share = here.shape_weight * here.areas[t] / SPHERE_AREA
         rows = distortion_gradient(frame, share, a, b, c, here.pressures)
@@ -155,8 +162,8 @@ def differentiate(p: int, lane: int, lanes: int, here: LocalProblem, points: wp.
         for k in range(3):
             potential += here.multipliers[face[k]] + here.cost_factor * here.cost[face[k]]
         for k in range(3):
-            bend = area_gradient(points, face, k)
-            here.bends[t, k] = tangent_coordinates(points[face[k]], bend)
+            bend = area_gradient(here.points, face, k)
+            here.bends[t, k] = tangent_coordinates(here.points[face[k]], bend)
             here.pulls[t, k] = potential * bend + rows[k]
     meet(p, lane, lanes, here.gates)
 
@@ -179,10 +186,10 @@ def saddle_block(t: int, m: int, n: int, here: LocalProblem) -> wp.mat33d:
 
 
 @wp.func
-def assemble_row(i: int, here: LocalProblem, points: wp.array[wp.vec3d]):
+def assemble_row(i: int, here: LocalProblem):
     """Sum the blocks of a vertex with itself and those eliminated before it, and its right-hand side."""
     clear_row(i, here.matrix)
-    y = points[i]
+    y = here.points[i]
     x = here.start[i]
     pull, distance = logarithm(y, x)
     scale = TWO * here.cost_factor * here.ring[i] * cost_slope(distance, here.softness)
@@ -204,7 +211,7 @@ def assemble_row(i: int, here: LocalProblem, points: wp.array[wp.vec3d]):
         if here.free[i]:
             j = face[(m + 1) % 3]
             slope = slope + here.pulls[t, m]
-            fit = fit + neighbour_fit(y, x, here.softness, points[j], here.start[j])
+            fit = fit + neighbour_fit(y, x, here.softness, here.points[j], here.start[j])
     right = wp.vec3d(ZERO, ZERO, here.wanted[i] - here.ring[i])
     if here.free[i]:
         metric = scale * raised_fit(fit, LEAST)
@@ -258,8 +265,6 @@ def settle_small_patches(
     lanes: int,
     # Data in and out:
     here: LocalProblem,
-    points: wp.array[wp.vec3d],
-    tried: wp.array[wp.vec3d],
 ):
     """Take Newton steps of a patch until the expected gain is small."""
     place, thread = wp.tid()
@@ -267,14 +272,14 @@ def settle_small_patches(
     lane = first_lane + thread
     begin = here.matrix.starts[p]
     end = here.matrix.starts[p + 1]
-    find_outside(p, lane, lanes, here, points)
+    find_outside(p, lane, lanes, here)
     left = int(here.steps)
     while left > 0:
         left -= 1
-        merit = merit_of(p, lane, lanes, here, points, points)
-        differentiate(p, lane, lanes, here, points)
+        merit = merit_of(p, lane, lanes, here, here.points)
+        differentiate(p, lane, lanes, here)
         for i in range(begin + lane, end, lanes):
-            assemble_row(i, here, points)
+            assemble_row(i, here)
         meet(p, lane, lanes, here.gates)
         matrix = here.matrix
         factorise_envelope(p, lane, lanes, matrix, here.gates, here.diagonal, here.numbers)
@@ -293,8 +298,8 @@ def settle_small_patches(
             trials -= 1
             for i in range(begin + lane, end, lanes):
                 if here.free[i]:
-                    tried[i] = in_tangent(points[i], length * here.step[i][0], length * here.step[i][1])
-            after = merit_of(p, lane, lanes, here, points, tried)
+                    here.tried[i] = in_tangent(here.points[i], length * here.step[i][0], length * here.step[i][1])
+            after = merit_of(p, lane, lanes, here, here.tried)
             if after <= merit - SUFFICIENT_DECREASE * length * expected:
                 taken = length
                 length = ZERO
@@ -305,7 +310,7 @@ def settle_small_patches(
             # constant, to which the patch's total area error would add at every step.
             constant = mean_change(p, here)
             for i in range(begin + lane, end, lanes):
-                points[i] = tried[i]
+                here.points[i] = here.tried[i]
                 if here.constrained:
                     here.multipliers[i] = here.multipliers[i] + taken * (here.step[i][2] - constant)
         if not taken * expected > here.enough:
