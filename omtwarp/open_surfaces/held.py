@@ -26,6 +26,7 @@ from omtwarp.flips.exact import flipped_faces
 from omtwarp.geometry.sphere_hierarchy import triangle_solid_angles
 from omtwarp.measures import area_distortions
 from omtwarp.mesh.arrays import TINY, Floats, dots, marked, norms
+from omtwarp.mesh.patches import grow
 from omtwarp.mesh.quarter import PARTS, QuarteredSurface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, plane_areas
 from omtwarp.open_surfaces.caps import disk_to_cap
@@ -226,7 +227,8 @@ def untangle_on_cap(points: Floats, surface: Surface) -> Floats:
         wrong = flipped_faces(sphere, closed.faces)
         if not wrong[: len(faces)].any():
             break
-        sphere = untangle_patches(closed, sphere, wrong, rings, budget, fixed)
+        freed = grow(closed.faces, marked(apex + 1, closed.faces[wrong]), rings) & ~fixed
+        sphere = untangle_patches(closed, sphere, freed, budget)
     return sphere[:apex]
 
 

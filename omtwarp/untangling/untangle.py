@@ -25,7 +25,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import Each, blas_threads, computed, each, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import examine, flipped_faces, is_bijective
-from omtwarp.mesh.arrays import Floats, InOneLine, dots, marked
+from omtwarp.mesh.arrays import Bools, Floats, InOneLine, dots, marked
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_sphere, as_surface
 from omtwarp.options import Progress, tell
@@ -161,18 +161,19 @@ def untangle(
     before, tangled = examined.flips, examined.tangled
     rounds = 0
     history: list[dict[str, int]] = []
-    for number, freed in enumerate(rings):
+    for number, reach in enumerate(rings):
         if not tangled.any() or budget.exhausted:
             break
         tell(progress, "untangle", number, len(rings), {"tangled": int(tangled.sum())})
-        untangling = _Untangling(surface, points, tangled, freed, where, keep_scale)
+        freed = grow(faces, marked(surface.vertex_count, faces[tangled]), reach)
+        untangling = _Untangling(surface, points, freed, where, keep_scale)
         points, done = untangling.solve(budget)
         examined = examine(points, faces)
         tangled = examined.tangled
         rounds += done
         history.append(
             {
-                "rings": min(freed, surface.vertex_count),
+                "rings": min(reach, surface.vertex_count),
                 "vertices": untangling.patches.free,
                 "patches": untangling.patches.count,
                 "rounds": done,
@@ -199,49 +200,34 @@ def untangled(
     return repaired.sphere
 
 
-def untangle_patches(
-    surface: Surface,
-    sphere: Floats,
-    seeds: NDArray[np.bool_],
-    rings: int,
-    budget: RepairBudget,
-    held: NDArray[np.bool_],
-) -> Floats:
-    """Try once to untangle the patches around given triangles, on the host.
+def untangle_patches(surface: Surface, sphere: Floats, freed: Bools, budget: RepairBudget) -> Floats:
+    """Try once to untangle the patches of given vertices, on the host.
 
     Args:
         surface: the original surface, V vertices and F faces.
         sphere: unit vectors, shape [V, 3].
-        seeds: the triangles to free, shape [F].
-        rings: of vertices that are freed around them.
+        freed: the vertices that may move, shape [V]; at least one.
         budget: the work that it may take.
-        held: vertices that stay where they are, shape [V]; at least one corner of the triangles to free is not.
 
     Returns:
         The map, shape [V, 3].
     """
-    return _Untangling(surface, sphere, seeds, rings, resolve_device("cpu"), held=held).solve(budget)[0]
+    return _Untangling(surface, sphere, freed, resolve_device("cpu")).solve(budget)[0]
 
 
 class _Untangling:
-    """Minimises over the patches around flipped triangles."""
+    """Minimises over the patches of freed vertices.
 
-    def __init__(
-        self,
-        surface: Surface,
-        sphere: Floats,
-        flipped: NDArray[np.bool_],
-        rings: int,
-        device: wp.Device,
-        keep_scale: bool = False,
-        held: NDArray[np.bool_] | None = None,
-    ):
+    Args:
+        surface, sphere, freed: as of :func:`untangle_patches`.
+        device: a Warp device.
+        keep_scale: as of :func:`untangle`.
+    """
+
+    def __init__(self, surface: Surface, sphere: Floats, freed: Bools, device: wp.Device, keep_scale: bool = False):
         self.device = device
         self.sphere = sphere
         self.area_weight = wp.float64(CONFORMAL_AREA_WEIGHT if keep_scale else AREA_WEIGHT)
-        freed = grow(surface.faces, marked(surface.vertex_count, surface.faces[flipped]), rings)
-        if held is not None:
-            freed &= ~held
         self.patches = patches = Patches.of_vertices(surface.faces, freed)
         self.faces = Each(sent(patches.faces, wp.vec3i, device))
         frames = triangle_frames(surface, FATTENED, patches.triangles)
