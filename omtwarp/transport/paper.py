@@ -183,14 +183,11 @@ class PaperFlow:
     """The state of Algorithm 1 on a device: operators built once, and one step at a chosen resolution.
 
     Args:
-        conformal: conformal image of the vertices, unit vectors, shape [V, 3].
-        faces: triangles, shape [F, 3].
-        initial_map: image of the vertices under a mass-preserving map g^0, unit vectors, shape [V, 3].
-        face_areas_on_surface: areas on the original surface, shape [F]; scaled here to sum to 4π.
+        surface: what is mapped; its areas are the masses.
+        start: conformal image of the vertices, unit vectors, shape [V, 3].
+        sphere: image of the vertices under a mass-preserving map g^0, unit vectors, shape [V, 3].
+        wavelets: of a hierarchy one level above the highest resolution that will be used, on the device.
         cost: ``geodesic`` (theta) or ``squared`` (theta squared).
-        highest_resolution: the highest wavelet level j that will be used.
-        butterfly: use the butterfly wavelets instead of those of the hat functions.
-        device: ``auto``, ``cpu`` or ``cuda:N``.
 
     Attributes:
         dual_map: g at the dual vertices, Warp vec3d [F].
@@ -200,44 +197,30 @@ class PaperFlow:
         mean_displacement: mean of |x × g| over the surface.
     """
 
-    def __init__(
-        self,
-        conformal: Floats,
-        faces: Ints,
-        initial_map: Floats,
-        face_areas_on_surface: Floats,
-        *,
-        cost: CostLike = Cost.GEODESIC,
-        highest_resolution: int = max(V_CYCLE),
-        butterfly: bool = False,
-        device: str = "auto",
-    ) -> None:
-        surface = Surface(conformal, faces)
-        masses = face_areas_on_surface * (4 * np.pi / face_areas_on_surface.sum())
+    def __init__(self, surface: Surface, start: Floats, sphere: Floats, wavelets: SphericalWavelets, cost: CostLike):
+        masses = surface.face_areas * (4 * np.pi / surface.face_areas.sum())
         # Smallest mass, of the mean: velocities are divided by masses, and a triangle without area carries nothing
         masses = np.maximum(masses, 1e-12 * masses.mean())
         self.faces, self.masses = surface.faces, masses
         self.squared = int(choose(Cost, cost) is Cost.SQUARED)
-        self.operators = DifferentialOperators(surface.vertices, surface.faces, device=device)
-        self.device, self._mesh = self.operators.device, [self.operators.vertices, self.operators.faces]
-
-        hierarchy = sphere_hierarchy(highest_resolution + 1)
-        self.wavelets = SphericalWavelets(hierarchy, butterfly=butterfly, device=device)
-        self.sampler = SphereSampler(hierarchy, surface.vertices, device=device)
-        areas = triangle_areas(surface.vertices, surface.faces)
+        self.device, self.wavelets = wavelets.device, wavelets
+        self.operators = DifferentialOperators(start, surface.faces, device=str(self.device))
+        self._mesh = [self.operators.vertices, self.operators.faces]
+        self.sampler = SphereSampler(wavelets.hierarchy, start, device=str(self.device))
+        areas = triangle_areas(start, surface.faces)
         self.sampler.set_masses(surface.sum_to_vertices(areas) / 3)
 
         self._areas, self._masses = (sent(sizes, wp.float64, self.device) for sizes in (areas, masses))
         self._field, self._velocity = (empty(surface.face_count, wp.vec3d, self.device) for _ in range(2))
         self._rate = empty(surface.face_count, wp.float64, self.device)
 
-        weights = _dual_weights(surface)[..., None]
+        weights = _dual_weights(start, surface.faces)[..., None]
         self._points, self.dual_map = (
             sent(normalised((weights * places[surface.faces]).sum(axis=1)), wp.vec3d, self.device)
-            for places in (surface.vertices, initial_map)
+            for places in (start, sphere)
         )
         interpolated = self.operators.interpolate_dual(self.dual_map).numpy()
-        self._correction = sent(initial_map - interpolated, wp.vec3d, self.device)
+        self._correction = sent(sphere - interpolated, wp.vec3d, self.device)
         self.map = self._at_vertices(self.dual_map)
 
         sine = norms(cross(self._points.numpy(), self.dual_map.numpy()))
@@ -314,9 +297,9 @@ class PaperFlow:
         self.dual_map, self.map = self.advanced, self.advanced_map
 
 
-def _dual_weights(surface: Surface) -> Floats:
+def _dual_weights(points: Floats, faces: Ints) -> Floats:
     """Return the barycentric coordinates of the dual vertices, clamped to their triangles, shape [F, 3]."""
-    inside = np.maximum(circumcentric_coordinates(surface.vertices, surface.faces), 0.0)
+    inside = np.maximum(circumcentric_coordinates(points, faces), 0.0)
     total = inside.sum(axis=1)
     inside[~np.isfinite(total) | (total <= 0)] = 1 / 3
     return inside / inside.sum(axis=1)[:, None]
@@ -390,16 +373,9 @@ def paper_flow(
     smallest_hamiltonian = real_number(smallest_hamiltonian, "smallest_hamiltonian")
     if area_loss is not None and area_loss != np.inf:  # infinite: no bound
         area_loss = real_number(area_loss, "area_loss")
-    flow = PaperFlow(
-        as_sphere(start, surface, "start"),
-        surface.faces,
-        as_sphere(sphere, surface),
-        surface.face_areas,
-        cost=cost,
-        highest_resolution=max(levels),
-        butterfly=butterfly,
-        device=device,
-    )
+    x, g = as_sphere(start, surface, "start"), as_sphere(sphere, surface)
+    wavelets = SphericalWavelets(sphere_hierarchy(max(levels) + 1), butterfly=butterfly, device=device)
+    flow = PaperFlow(surface, x, g, wavelets, cost)
     descent = _Descent(flow, levels, area_loss)
     stopped = descent.run(cycles, smallest_hamiltonian, tolerance, progress)
     return FlowResult(np.array(flow.map.numpy()), descent.history, stopped)
