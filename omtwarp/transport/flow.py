@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from omtwarp.device.arrays import vectors
+from omtwarp.device.arrays import empty, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.sums import DeviceSum, RowSums
@@ -137,14 +137,15 @@ def optimal_transport(
     """
     surface = as_surface(surface)
     cost, scheme = choose(Cost, cost), choose(Scheme, scheme, without=(Scheme.PAPER,))
-    maps = as_sphere(start, surface), as_sphere(sphere, surface)
-    flow = _Flow(surface, *maps, cost, scheme, resolve_device(device), target)
+    where = resolve_device(device)
+    x, initial = (vectors(as_sphere(points, surface), where) for points in (start, sphere))
+    flow = _Flow(surface, x, initial, cost, scheme, target)
     most = MAXIMUM_ITERATIONS[scheme] if iterations is None else whole_number(iterations, "iterations")
     tolerance = real_number(tolerance, "tolerance", least=0.0)
     ended = flow.run(flow.iterations(), most, tolerance, progress)
     converged = ended in SETTLED_ENDINGS
     if converged:
-        left = relative_curl(surface, flow.points, start=maps[0], cost=cost, device=str(flow.device))
+        left = relative_curl(surface, flow.points, start=x, cost=cost, device=str(flow.device))
         converged = left <= OPTIMAL_CURL
         if not converged:
             ended += f", and {left:.3f} of the displacement is curl that it cannot remove"
@@ -189,33 +190,23 @@ class _Flow:
     """The state of the flow, all of it on the device: an iteration reads nothing back."""
 
     def __init__(
-        self,
-        surface: Surface,
-        start: Floats | wp.array,
-        initial: Floats | wp.array,
-        cost: str,
-        scheme: str,
-        device: wp.Device,
-        target: TargetDensity | None = None,
+        self, surface: Surface, start: wp.array, initial: wp.array, cost: str, scheme: str, target: TargetDensity | None
     ):
-        self.device = device
+        self.device = device = initial.device
         self.count, self.face_count = surface.vertex_count, surface.face_count
-        self.geodesic = cost == "geodesic"
-        self.scheme = scheme
-        self.plain = scheme == "plain"
-        self.targeted = target is not None
+        self.geodesic, self.scheme, self.plain = cost == "geodesic", scheme, scheme == "plain"
         self.history: list[Record] = []
-        self.points = wp.clone(vectors(initial, device))
+        self.points = wp.clone(initial)
         self.trial = wp.empty_like(self.points)
         mesh = surface.on(device)
         self.faces, self.masses = mesh.faces, mesh.face_areas
-        before, corners = (vectors(points, device).numpy()[surface.faces] for points in (start, initial))
+        before, corners = (points.numpy()[surface.faces] for points in (start, initial))
         self.start_centres, self.centres = (
             wp.array(normalised(places.sum(axis=1)), dtype=wp.vec3d, device=device) for places in (before, corners)
         )
         squares = squared_norms(corners - np.roll(corners, -1, axis=1)).max(axis=1)
         self.grid = _StreamGrid(surface, self.centres, squares, self.plain, target)
-        self.shares = wp.empty(self.count if self.targeted else 0, dtype=wp.float64, device=device)
+        self.shares = empty(0 if target is None else self.count, wp.float64, device)
         self.hints = wp.full(self.count, -1, dtype=wp.int32, device=device)
         self.guard = StepGuard(surface, device)
         self.guarded = not flipped_faces(self.points, self.faces, device=device).any()
@@ -238,7 +229,7 @@ class _Flow:
 
     def measure(self, points: wp.array) -> wp.array:
         """Compute partial sums of the cost and the area error, and what :meth:`set_gradient` needs."""
-        if self.targeted:
+        if self.shares.size:
             inputs = [points, self.hints, *self.grid.sampler.triangles, self.grid.node_shares]
             self.launch(kernels.values_at_points, self.count, inputs, [self.shares])
         options = [self.shares, int(self.geodesic), wp.float64(self.grid.spacing), wp.float64(LARGEST_ERROR)]

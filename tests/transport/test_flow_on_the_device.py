@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from sphere_truths import pushed_north, turned, twisted
 
+from omtwarp.device.arrays import vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.flips.guard import StepGuard
@@ -20,7 +21,8 @@ def flow_of_a_twist(device: str, cost: str = "squared", scheme: str = "default")
     """From a twist that the guard has to hold back here and there."""
     surface = random_sphere(900, seed=3)
     start, initial = pushed_north(surface.vertices, 0.5), twisted(surface.vertices, 1.6)
-    return _Flow(surface, start, initial, cost, scheme, resolve_device(device))
+    maps = [vectors(points, resolve_device(device)) for points in (start, initial)]
+    return _Flow(surface, *maps, cost, scheme, target=None)
 
 
 @pytest.mark.parametrize("cost", tuple(Cost))
