@@ -476,7 +476,7 @@ class MapComputation:
         sphere, at = self.sphere, partial(map_to_density, self.surface, start=self.source, device=self.device)
         for cost in dict.fromkeys((Cost.SQUARED, self.options.cost)):
             share = DISTANCE_SHAPE if cost is Cost.GEODESIC else 1.0
-            optimal = at(sphere, target, solve, shape_share=share, cost=cost)
+            optimal = at(sphere, target, partial(solve, cost=cost), shape_share=share)
             self.history, sphere = continued(self.history, optimal.history), optimal.sphere
         self.finish_transport(sphere, converged=optimal.converged, ended=optimal.ended)
 

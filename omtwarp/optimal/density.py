@@ -18,7 +18,7 @@ from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.optimal.nested import shape_term
 from omtwarp.optimal.solver import OptimalMap
-from omtwarp.options import Cost, CostLike, Record
+from omtwarp.options import Record
 
 # Rounds at most, and steps of each: with more steps a round lasts longer, and the next begins as far away.
 ROUNDS, STEPS = 10, 3
@@ -38,7 +38,6 @@ def map_to_density(
     *,
     start: Floats,
     shape_share: float = 1.0,
-    cost: CostLike = Cost.SQUARED,
     device: str | None = "auto",
 ) -> OptimalMap:
     """Find the optimal map to a density, from a map near it.
@@ -47,12 +46,11 @@ def map_to_density(
         surface: its areas are the mass, V vertices.
         sphere: the map to begin with, without flips, shape [V, 3].
         target: the density.
-        solve: :func:`omtwarp.optimal_map` or a part of it; called with the surface with areas
+        solve: :func:`omtwarp.optimal_map` from the points x; called with the surface with areas
             in proportion to those wanted, the map, and options.
         start: the points x that are moved, shape [V, 3].
         shape_share: factor of the shape term's weight.
-        cost: ``squared`` or ``geodesic`` distance.
-        device: where the kernels run.
+        device: where the shape term is measured.
 
     Returns:
         The map whose areas are nearest to those wanted where it lies, of all rounds, with the history of all of them.
@@ -64,17 +62,8 @@ def map_to_density(
     for _ in range(ROUNDS):
         goal = surface.with_areas(wanted)
         term = shape_term(goal, sphere, start, device)
-        optimal = solve(
-            goal,
-            sphere,
-            start=start,
-            shape_weight=shape_share * term.weight,
-            area_weight=term.area,
-            multipliers=multipliers,
-            iterations=STEPS,
-            cost=cost,
-            device=device,
-        )
+        weights = {"shape_weight": shape_share * term.weight, "area_weight": term.area}
+        optimal = solve(goal, sphere, multipliers=multipliers, iterations=STEPS, **weights)
         sphere, multipliers = optimal.sphere, optimal.multipliers
         history += optimal.history[bool(history) :]
         there = _wanted(surface, sphere, target)
