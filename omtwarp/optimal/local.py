@@ -103,17 +103,16 @@ class LocalSteps:
 
     def __init__(self, energy: TransportEnergy, patches: Patches, stiffness: Floats, constrained: bool):
         assert isinstance(energy.vertex_cost, GeodesicCost) and isinstance(energy.shape, DistortionEnergy)
+        assert isinstance(energy.domain, Sphere)
         self._energy, self._device, self._constrained = energy, energy.device, constrained
-        self._cost, self._distortion = energy.vertex_cost, energy.shape
+        self._domain, self._cost, self._distortion = energy.domain, energy.vertex_cost, energy.shape
         sides = sides_of(patches.faces)
         sides = sides[(sides[:, 0] < patches.free) | (sides[:, 1] < patches.free)]
-        count = len(patches.vertices)
         # Patches that share a fixed neighbour change the area around it together: they are one.
-        self._count, patch = components_of(count, sides)
+        self._count, patch = components_of(len(patches.vertices), sides)
         self._envelopes = Envelopes.of_edges(sides, patch, self._count)
         order = self._envelopes.order
-        place = np.empty(count, dtype=np.int32)
-        place[order] = np.arange(count, dtype=np.int32)
+        place = np.argsort(order).astype(np.int32)
         patch_of_face = patch[patches.faces[:, 0]]
         by_patch = np.argsort(patch_of_face, kind="stable")
         self._sizes = np.bincount(patch_of_face, minlength=self._count).astype(np.int32)
@@ -158,7 +157,7 @@ class LocalSteps:
         after = [wp.clone(points), wp.clone(multipliers)]
         for whole, part in zip(after, (here.points, here.multipliers), strict=True):
             wp.copy(whole[vertices], part)
-        return after[0], after[1]
+        return self._domain.completed(*after)
 
     def _problem(self, lanes: int) -> LocalProblem:
         """Return what the kernel reads of the patches themselves, and memory."""

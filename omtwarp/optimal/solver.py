@@ -193,7 +193,7 @@ def minimise(
     energy: TransportEnergy,
     points: Floats,
     *,
-    multipliers: ArrayLike | None = None,
+    multipliers: Floats | None = None,
     gain: float,
     iterations: int,
     progress: Progress | None,
@@ -220,8 +220,7 @@ def minimise(
     flipped = energy.domain.flipped(given)
     if flipped.any():
         raise OmtwarpError(f"the map to optimise has {int(flipped.sum())} flipped triangles: untangle it first")
-    known = None if multipliers is None else np.array(multipliers, dtype=np.float64)
-    return _Newton(energy, gain, penalty).run(given, known, iterations, progress)
+    return _Newton(energy, gain, penalty).run(given, multipliers, iterations, progress)
 
 
 class _Newton:
@@ -304,9 +303,7 @@ class _Newton:
         if chosen is None:
             return points, terms, 0
         steps, freed = chosen
-        assert isinstance(self.domain, Sphere)
         moved, multipliers = steps.run(points, terms, self.multipliers, LOCAL_GAIN_SHARE * self._enough(terms))
-        moved, multipliers = self.domain.completed(moved, multipliers)
         after = energy.terms(moved)
         if not self._penalised_energy(after) < self._penalised_energy(terms):
             return points, terms, 0

@@ -159,7 +159,6 @@ def untangle(
     points, faces = start.copy(), surface.faces
     examined = examine(points, faces)
     before, tangled = examined.flips, examined.tangled
-    rounds = 0
     history: list[dict[str, int]] = []
     for number, reach in enumerate(rings):
         if not tangled.any() or budget.exhausted:
@@ -170,7 +169,6 @@ def untangle(
         points, done = untangling.solve(budget)
         examined = examine(points, faces)
         tangled = examined.tangled
-        rounds += done
         history.append(
             {
                 "rings": min(reach, surface.vertex_count),
@@ -181,6 +179,7 @@ def untangle(
             }
         )
     moved = int(np.any(points != start, axis=1).sum())
+    rounds = sum(attempt["rounds"] for attempt in history)
     return UntangleResult(points, before, examined.flips, not tangled.any(), rounds, moved, history)
 
 
