@@ -39,17 +39,17 @@ from numpy.typing import NDArray
 from omtwarp.device.arrays import Workspace, empty, sent
 from omtwarp.device.start import wp
 from omtwarp.device.sums import Reading, combine, scaled, sums_for
-from omtwarp.device.threads import FIRST_THREAD, Each, each, launch_parts
+from omtwarp.device.threads import Each, each, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.cells import Cells, RingCells
-from omtwarp.optimal.kernels import area_errors, raise_diagonal, vertex_entries
+from omtwarp.optimal.kernels import area_errors, raise_diagonal
 from omtwarp.optimal.shape import DistortionEnergy, ShapeTerms
 from omtwarp.solvers.cholesky.saddle import COORDINATES, SaddleMatrix
 from omtwarp.solvers.factor import NotPositiveDefinite
 from omtwarp.solvers.mesh_factor import SaddlePointFactor
-from omtwarp.solvers.newton import gather_edge_blocks
+from omtwarp.solvers.newton import gather_blocks
 from omtwarp.solvers.triangle import AREA_WEIGHT
 
 
@@ -290,14 +290,10 @@ class TransportEnergy:
         matrix, mesh = self.matrix, self.surface.on(self.device)
         matrix.points = points
         hessians = self.shape.hessian(points, terms.shape, self.area_weight)
-        weight = wp.float64(self.shape_weight)
         masses = self.cells.masses(terms.areas, self.cost_weight / SPHERE_AREA)
         metric = self.vertex_cost.hessian(points, masses, LEAST_EIGENVALUE).view(wp.vec4d)
-        diagonal = matrix.diagonal.reshape((-1, COORDINATES)).view(wp.vec2d)
-        inputs = [*mesh.vertex_corners, hessians, weight, metric, FIRST_THREAD]
-        launch_parts(vertex_entries, matrix.vertices, inputs, [diagonal, matrix.inner], self.device)
-        inputs = [Each(mesh.edges), mesh.faces, Each(mesh.edge_corners), hessians, weight]
-        launch_parts(gather_edge_blocks, len(mesh.edges), inputs, each(matrix.off_diagonal.view(wp.vec4d)), self.device)
+        sides = [Each(mesh.edges), mesh.faces, Each(mesh.edge_corners)]
+        gather_blocks(matrix, mesh.vertex_corners, sides, hessians, self.shape_weight, metric)
         if matrix.slopes.size:
             self.cells.slopes(self.domain.area_slopes(points), matrix.slopes)
 

@@ -7,7 +7,7 @@ to be 3 m_v; P_v is the potential of the target at y_v. See :mod:`omtwarp.optima
 # mypy: ignore-errors
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import TINY, logarithm, oriented_volume
-from omtwarp.solvers.newton import ends_in, vertex_block
+from omtwarp.solvers.newton import ends_in
 from omtwarp.solvers.triangle import first_tangent, tangent_coordinates
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -155,25 +155,6 @@ def area_errors(
     c = wp.tid()
     missing[c] = areas[c] - wanted[c]
     relative[c] = missing[c] / wanted[c]
-
-
-@wp.kernel
-def vertex_entries(
-    offsets: wp.array[wp.int32],
-    corners: wp.array[wp.int32],
-    blocks: wp.array2d[wp.float64],
-    weight: wp.float64,
-    metric: wp.array[wp.vec4d],
-    first: int,
-    # Data out:
-    diagonal: wp.array[wp.vec2d],
-    inner: wp.array[wp.float64],
-):
-    """Compute the entries of every vertex: weight times those of the triangles around it, plus its own."""
-    v = first + wp.tid()
-    block = weight * vertex_block(v, offsets, corners, blocks) + metric[v]
-    diagonal[v] = wp.vec2d(block[0], block[3])
-    inner[v] = block[1]
 
 
 @wp.kernel

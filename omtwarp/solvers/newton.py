@@ -1,15 +1,16 @@
-"""Newton matrices of patches, gathered from triangles and factorised in a kept order."""
+"""Newton matrices: the blocks that Hessians of triangles add up to, and those of patches with a kept order."""
 
 from __future__ import annotations
 
 from omtwarp.device.arrays import Workspace, sent
 from omtwarp.device.start import KERNEL_OPTIONS, wp
-from omtwarp.device.threads import Each, computed
+from omtwarp.device.threads import FIRST_THREAD, Each, computed, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.patches import Patches
 from omtwarp.mesh.surface import Surface
 from omtwarp.solvers.cholesky import part_dissection
+from omtwarp.solvers.cholesky.saddle import COORDINATES, SaddleMatrix
 from omtwarp.solvers.factor import MeshMatrix, NotPositiveDefinite
 from omtwarp.solvers.mesh_factor import mesh_factor
 
@@ -70,16 +71,22 @@ def edge_block(
 
 
 @wp.kernel
-def gather_vertex_blocks(
+def vertex_entries(
     offsets: wp.array[wp.int32],
     corners: wp.array[wp.int32],
     blocks: wp.array2d[wp.float64],
+    weight: wp.float64,
+    metric: wp.array[wp.vec4d],
+    first: int,
     # Data out:
-    diagonal: wp.array[wp.vec4d],
+    diagonal: wp.array[wp.vec2d],
+    inner: wp.array[wp.float64],
 ):
-    """Compute the block of every vertex."""
-    v = wp.tid()
-    diagonal[v] = vertex_block(v, offsets, corners, blocks)
+    """Compute the entries of every vertex: weight times those of the triangles around it, plus its own."""
+    v = first + wp.tid()
+    block = weight * vertex_block(v, offsets, corners, blocks) + metric[v]
+    diagonal[v] = wp.vec2d(block[0], block[3])
+    inner[v] = block[1]
 
 
 @wp.kernel
@@ -95,6 +102,25 @@ def gather_edge_blocks(
     """Compute the block of every edge, rows of its first end, times a weight."""
     e = wp.tid()
     off_diagonal[e] = weight * edge_block(edges[e][0], corners[e], faces, blocks)
+
+
+def gather_blocks(
+    matrix: SaddleMatrix, rows: list[wp.array], sides: list[object], hessians: wp.array, weight: float, metric: wp.array
+) -> None:
+    """Write what the Hessians of triangles add up to, at vertices and along edges, to a matrix.
+
+    Args:
+        matrix: on the mesh, V vertices and E edges.
+        rows: corners around the vertices: offsets and corners, int32.
+        sides: ends of the edges, corners of the triangles, and the two corners opposite to every edge.
+        hessians: of every triangle, on and above the diagonal, shape [F, 21].
+        weight: that they are multiplied by.
+        metric: what is added at the vertices, vec4d, shape [V].
+    """
+    diagonal, factor = matrix.diagonal.reshape((-1, COORDINATES)).view(wp.vec2d), wp.float64(weight)
+    inputs = [*rows, hessians, factor, metric, FIRST_THREAD]
+    launch_parts(vertex_entries, matrix.vertices, inputs, [diagonal, matrix.inner], metric.device)
+    computed(gather_edge_blocks, [*sides, hessians, factor], matrix.off_diagonal.view(wp.vec4d))
 
 
 SUFFICIENT_DECREASE = 1e-4  # share of the decrease that the slope predicts (Nocedal and Wright 2006, chapter 3)
@@ -117,8 +143,9 @@ class PatchMatrix:
         edges, edge_corners, (offsets, corners) = mesh.edges[inner], mesh.side_corners[inner], mesh.vertex_corners
 
         self._sides = [Each(sent(edges, wp.vec2i)), sent(mesh.faces, wp.vec3i), Each(sent(edge_corners, wp.vec2i))]
-        self._rows = [Each(sent(offsets[: count + 1], wp.int32), more=1), sent(corners, wp.int32)]
-        self._blocks = [wp.empty(n, dtype=wp.vec4d, device="cpu") for n in (count, len(edges))]
+        self._rows = [sent(offsets[: count + 1], wp.int32), sent(corners, wp.int32)]
+        self._metric = wp.zeros(count, dtype=wp.vec4d, device="cpu")
+        self._matrix = SaddleMatrix(count, len(edges), 0, 0, self._metric.device)
         factor = mesh_factor(
             count, edges, lambda: part_dissection(surface, patches.vertices[:count], edges), 2, Workspace()
         )
@@ -132,10 +159,8 @@ class PatchMatrix:
         Raises:
             OmtwarpError: the blocks are not finite, or far from semidefinite.
         """
-        source = sent(blocks, wp.float64)
-        of_vertices = computed(gather_vertex_blocks, [*self._rows, source], self._blocks[0])
-        of_edges = computed(gather_edge_blocks, [*self._sides, source, wp.float64(1.0)], self._blocks[1])
-        diagonal, off_diagonal = (found.numpy().reshape(-1, 2, 2) for found in (of_vertices, of_edges))
+        gather_blocks(self._matrix, self._rows, self._sides, sent(blocks, wp.float64), 1.0, self._metric)
+        diagonal, off_diagonal, _, _ = self._matrix.on_host()
         own = diagonal[:, [0, 1], [0, 1]]
         of_vertices = own.mean(axis=1, keepdims=True)
         for part in DIAGONAL_SHIFTS:

@@ -158,6 +158,15 @@ def test_patches_use_the_solver_that_is_asked_for():
         assert isinstance(PatchMatrix(patches, SURFACE, 0.0)._factor, SparseFactor)
 
 
+@pytest.mark.parametrize("solver", EVERY)
+def test_a_patch_of_one_vertex_has_no_edges(solver):
+    patches = Patches.of_vertices(SURFACE.faces, np.arange(SURFACE.vertex_count) == 7)
+    with solving_with(solver):
+        matrix = PatchMatrix(patches, SURFACE, 0.0)
+        matrix.factorise(np.tile(np.eye(6)[np.triu_indices(6)], (len(patches.faces), 1)))
+        np.testing.assert_allclose(matrix.solve(np.ones((1, 2))), 1.0 / len(patches.faces), rtol=1e-12)
+
+
 def test_what_is_asked_for_last_counts(monkeypatch):
     assert wanted_solver() is Solver.AUTO
     monkeypatch.setenv("OMTWARP_SOLVER", "scipy")

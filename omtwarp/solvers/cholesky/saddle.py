@@ -48,7 +48,8 @@ class SaddleMatrix:
         self.vertices, self.multipliers = vertices, multipliers
         sizes = [COORDINATES * vertices, multipliers, 4 * edges, slopes, vertices]
         ends = np.cumsum([0, *sizes]).tolist()
-        self.entries, none = (empty(count, wp.float64, device) for count in (ends[-1], 0))
+        self.entries = empty(ends[-1], wp.float64, device)
+        none = wp.empty(0, dtype=wp.float64, device=device)
         parts = [self.entries[a:b] if b > a else none for a, b in pairwise(ends)]
         self.diagonal, self.compliance, off_diagonal, self.slopes, self.inner = parts
         self.off_diagonal = off_diagonal.reshape((edges, 4))
