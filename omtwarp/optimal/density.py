@@ -56,8 +56,8 @@ def map_to_density(
         The map whose areas are nearest to those wanted where it lies, of all rounds, with the history of all of them.
     """
     wanted = _wanted(surface, sphere, target)
-    best: OptimalMap | None = None
-    least, multipliers = np.inf, None
+    multipliers = None
+    tried: list[tuple[float, OptimalMap]] = []  # how far the areas of a map are from those wanted where it lies
     history: list[Record] = []
     for _ in range(ROUNDS):
         goal = surface.with_areas(wanted)
@@ -67,14 +67,12 @@ def map_to_density(
         sphere, multipliers = optimal.sphere, optimal.multipliers
         history += optimal.history[bool(history) :]
         there = _wanted(surface, sphere, target)
-        missed = _change(there, _shares(triangle_areas(sphere, surface.faces)))
-        if missed < least or best is None:
-            best, least = optimal, missed
+        tried.append((_change(there, _shares(triangle_areas(sphere, surface.faces))), optimal))
         moved = _change(there, wanted)
         if moved <= SETTLED:
             break
         wanted = _shares(np.exp(SHARE * np.log(there) + (1.0 - SHARE) * np.log(wanted)))
-    assert best is not None
+    best = min(tried, key=lambda one: one[0])[1]
     settled = moved <= SETTLED
     ended = best.ended if settled else f"areas wanted still change by {100.0 * moved:.2g} %"
     return replace(best, history=tuple(history), converged=best.converged and settled, ended=ended)

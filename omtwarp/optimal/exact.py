@@ -18,6 +18,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from omtwarp.device.arrays import sent
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
@@ -61,8 +62,7 @@ def restore_areas(
     points = energy.domain.sent(given)
     terms = energy.terms(points)
     steps = FlipFreeSteps(energy)
-    numbers = energy.wanted * energy.wanted.sum() / STIFFNESS
-    compliance = wp.array(numbers, dtype=wp.float64, device=energy.device)
+    compliance = sent(energy.wanted * energy.wanted.sum() / STIFFNESS, wp.float64, energy.device)
     for number in range(rounds):
         if _right(energy, terms):
             return points.numpy().copy(), True
