@@ -37,37 +37,12 @@ def corner_block(t: int, i: int, j: int, blocks: wp.array2d[wp.float64]) -> wp.v
 
 
 @wp.func
-def vertex_block(
-    v: int, offsets: wp.array[wp.int32], corners: wp.array[wp.int32], blocks: wp.array2d[wp.float64]
-) -> wp.vec4d:
-    """Sum the 2x2 block of a vertex over the triangles around it."""
-    total = wp.vec4d()
-    for k in range(offsets[v], offsets[v + 1]):
-        total += corner_block(corners[k] // 3, corners[k] % 3, corners[k] % 3, blocks)
-    return total
-
-
-@wp.func
 def ends_in(corner: int, end: int, faces: wp.array[wp.vec3i]):
     """Return the two corners of a triangle beside one of its corners, that at a given vertex first."""
     one, other = (corner + 1) % 3, (corner + 2) % 3
     if faces[corner // 3][one] == end:
         return one, other
     return other, one
-
-
-@wp.func
-def edge_block(
-    end: int, opposite_corners: wp.vec2i, faces: wp.array[wp.vec3i], blocks: wp.array2d[wp.float64]
-) -> wp.vec4d:
-    """Sum the 2x2 block of an edge, rows of one end and columns of the other, over its two triangles."""
-    total = wp.vec4d()
-    for k in range(2):
-        corner = opposite_corners[k]
-        if corner >= 0:
-            i, j = ends_in(corner, end, faces)
-            total += corner_block(corner // 3, i, j, blocks)
-    return total
 
 
 @wp.kernel
@@ -84,7 +59,10 @@ def vertex_entries(
 ):
     """Compute the entries of every vertex: weight times those of the triangles around it, plus its own."""
     v = first + wp.tid()
-    block = weight * vertex_block(v, offsets, corners, blocks) + metric[v]
+    total = wp.vec4d()
+    for k in range(offsets[v], offsets[v + 1]):
+        total += corner_block(corners[k] // 3, corners[k] % 3, corners[k] % 3, blocks)
+    block = weight * total + metric[v]
     diagonal[v] = wp.vec2d(block[0], block[3])
     inner[v] = block[1]
 
@@ -99,9 +77,15 @@ def gather_edge_blocks(
     # Data out:
     off_diagonal: wp.array[wp.vec4d],
 ):
-    """Compute the block of every edge, rows of its first end, times a weight."""
+    """Compute the block of every edge, rows of its first end and columns of the other, times a weight."""
     e = wp.tid()
-    off_diagonal[e] = weight * edge_block(edges[e][0], corners[e], faces, blocks)
+    total = wp.vec4d()
+    for k in range(2):
+        corner = corners[e][k]
+        if corner >= 0:
+            i, j = ends_in(corner, edges[e][0], faces)
+            total += corner_block(corner // 3, i, j, blocks)
+    off_diagonal[e] = weight * total
 
 
 def gather_blocks(
