@@ -16,16 +16,15 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from omtwarp.device.arrays import sent
 from omtwarp.device.start import KERNEL_OPTIONS, LARGE, ONE, TWO, wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.spherical import TINY
-from omtwarp.mesh.arrays import Floats, Ints, cross, edge_keys, marked, norms
+from omtwarp.mesh.arrays import Floats, Indices, Ints, edge_keys, marked
 from omtwarp.mesh.patches import touching
-from omtwarp.mesh.surface import Surface
+from omtwarp.mesh.surface import Surface, triangle_areas
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -77,17 +76,15 @@ def connected(u: wp.int32, v: wp.int32, offsets: wp.array[wp.int32], heads: wp.a
 
 
 @wp.func
-def ring_from(
-    start: wp.int32, begin: wp.int32, end: wp.int32, heads: wp.array[wp.int32], thirds: wp.array[wp.int32]
-) -> Ring:
-    """Collect a vertex's neighbours counter-clockwise from half-edge ``start``.
+def ring_of(begin: wp.int32, end: wp.int32, heads: wp.array[wp.int32], thirds: wp.array[wp.int32]) -> Ring:
+    """Collect a vertex's neighbours counter-clockwise from its first half-edge ``begin``.
 
     Entry 0 is -1 where the faces are not one closed fan.
     """
     ring = Ring()
-    slot = int(start)
+    slot = int(begin)
     for k in range(end - begin):
-        if k > 0 and slot == start:
+        if k > 0 and slot == begin:
             ring[0] = -1
             return ring
         ring[k] = heads[slot]
@@ -95,7 +92,7 @@ def ring_from(
         if slot < 0:
             ring[0] = -1
             return ring
-    if slot != start:
+    if slot != begin:
         ring[0] = -1
     return ring
 
@@ -146,11 +143,11 @@ def propose_collapses(
     points: wp.array[wp.vec3d],
     # Data out:
     cost: wp.array[wp.float64],
-    target: wp.array[wp.int32],
+    rings: wp.array2d[wp.int32],
 ):
     """Find the cheapest legal half-edge collapse of every vertex.
 
-    The outputs are its cost, which grows with the mass of the star, and the half-edge towards the vertex kept.
+    The outputs are its cost, which grows with the mass of the star, and the vertex's ring, the vertex kept first.
     """
     i, _compiled_once = wp.tid()
     v = alive[i]
@@ -158,9 +155,9 @@ def propose_collapses(
     end = offsets[v + 1]
     valence = end - begin
     best = LARGE  # of a removal that would break the mesh
-    best_target = int(-1)
+    first = int(0)  # entry of the ring that is kept
     if valence >= 3 and valence <= _MAX_VALENCE:
-        ring = ring_from(begin, begin, end, heads, thirds)
+        ring = ring_of(begin, end, heads, thirds)
         if ring[0] >= 0:
             star_normal = wp.vec3d()
             for k in range(valence):
@@ -178,27 +175,10 @@ def propose_collapses(
                     total = star_masses[v] * shape / wp.float64(valence - 2) * (ONE + crowd * crowd)
                     if total < best:
                         best = total
-                        best_target = row_find(heads, begin, end, w)
+                        first = apex
+            for k in range(valence):
+                rings[i, k] = ring[(first + k) % valence]
     cost[i] = best
-    target[i] = best_target
-
-
-@wp.kernel
-def gather_rings(
-    removed: wp.array[wp.int32],
-    targets: wp.array[wp.int32],
-    offsets: wp.array[wp.int32],
-    heads: wp.array[wp.int32],
-    thirds: wp.array[wp.int32],
-    # Data out:
-    rings: wp.array2d[wp.int32],
-):
-    """Compute the ring of every removed vertex, the vertex kept first."""
-    i = wp.tid()
-    begin, end = offsets[removed[i]], offsets[removed[i] + 1]
-    ring = ring_from(targets[i], begin, end, heads, thirds)
-    for k in range(end - begin):
-        rings[i, k] = ring[k]
 
 
 @dataclass
@@ -286,22 +266,19 @@ def simplify(surface: Surface, device: wp.Device, *, kinds: Ints | None = None) 
             break
         star_masses = np.bincount(np.repeat(np.arange(count), np.diff(offsets)), masses[half_edge_faces], count)
         adjacency = [sent(x, wp.int32, device) for x in (offsets, heads, thirds)]
-        outputs = [wp.empty(len(alive), dtype=kind, device=device) for kind in (wp.float64, wp.int32)]
+        cost: wp.array = wp.empty(len(alive), dtype=wp.float64, device=device)
+        of_vertices: wp.array = wp.zeros((len(alive), MAX_VALENCE), dtype=wp.int32, device=device)
         vertices, stars = sent(alive, wp.int32, device), sent(star_masses, wp.float64, device)
         inputs = [vertices, device_kinds, *adjacency, stars, points]
-        wp.launch(propose_collapses, dim=len(alive), inputs=inputs, outputs=outputs, device=device)
-        cost, target = (output.numpy() for output in outputs)
-        chosen = _select(cost, levels[-1], count, len(removals))
-        valences = np.diff(offsets)[alive[chosen]]
-        found = wp.zeros((len(chosen), MAX_VALENCE), dtype=wp.int32, device=device)
-        inputs = [*(sent(x[chosen], wp.int32, device) for x in (alive, target)), *adjacency]
-        wp.launch(gather_rings, dim=len(chosen), inputs=inputs, outputs=[found], device=device)
-        rings = found.numpy()
-        keep = _without_repeated_diagonals(rings, valences, count)
-        chosen, rings, valences = chosen[keep], rings[keep], valences[keep]
-        removal = Removal(alive[chosen], rings, valences)
-        fan_masses = star_masses[removal.vertices, None] * _fan_shares(surface.scaled_vertices[rings], valences)
-        faces, masses = _refan(faces, masses, removal, fan_masses, count)
+        wp.launch(propose_collapses, dim=len(alive), inputs=inputs, outputs=[cost, of_vertices], device=device)
+        rings, valences = of_vertices.numpy(), np.diff(compact)
+        chosen = _select(cost.numpy(), levels[-1], count, len(removals))
+        chosen = _without_repeated_diagonals(chosen, rings, valences, count)
+        removal = Removal(alive[chosen], rings[chosen], valences[chosen])
+        fans, shares, star = _fans(surface.scaled_vertices, removal)
+        kept = ~touching(faces, marked(count, removal.vertices))
+        faces = np.concatenate([faces[kept], fans])
+        masses = np.concatenate([masses[kept], star_masses[removal.vertices[star]] * shares])
         alive = np.delete(alive, chosen)
         removals.append(removal)
     return Hierarchy(levels, removals, faces)
@@ -330,7 +307,7 @@ def _half_edges(faces: Ints, count: int) -> tuple[Ints, ...]:
     return rows.indptr.astype(np.int32), rows.indices.astype(np.int32), thirds, order // np.int32(3)
 
 
-def _select(cost: Floats, level: Level, count: int, round_index: int) -> NDArray[np.int64]:
+def _select(cost: Floats, level: Level, count: int, round_index: int) -> Indices:
     """Choose an independent set of vertices that are cheap to remove; return their positions in the level's."""
     alive = level.vertices
     legal = np.flatnonzero(cost < float(LARGE))
@@ -352,7 +329,7 @@ def _select(cost: Floats, level: Level, count: int, round_index: int) -> NDArray
     return np.flatnonzero(keys[alive] < np.minimum.reduceat(keys[level.heads], level.offsets[:-1]))
 
 
-def _scramble(indices: Ints, round_index: int) -> NDArray[np.int64]:
+def _scramble(indices: Ints, round_index: int) -> Indices:
     """Return distinct pseudo-random 32-bit numbers for distinct indices (the finaliser of MurmurHash3, a bijection)."""
     x = indices.astype(np.uint32) ^ np.uint32((round_index * 0x9E3779B9) & 0xFFFFFFFF)
     x = (x ^ (x >> np.uint32(16))) * np.uint32(0x85EBCA6B)
@@ -360,34 +337,25 @@ def _scramble(indices: Ints, round_index: int) -> NDArray[np.int64]:
     return (x ^ (x >> np.uint32(16))).astype(np.int64)
 
 
-def _without_repeated_diagonals(rings: Ints, valences: Ints, count: int) -> NDArray[np.int64]:
-    """Return the rows of ``rings`` such that no two fans add the same edge; of two that would, the first stays."""
-    row, k = np.nonzero(np.arange(MAX_VALENCE - 3) < (valences - 3)[:, None])
-    keys = edge_keys(np.stack([rings[row, 0], rings[row, k + 2]], axis=1), count)
+def _without_repeated_diagonals(chosen: Indices, rings: Ints, valences: Ints, count: int) -> Indices:
+    """Return the chosen rows of ``rings`` such that no two fans add the same edge; of two, the first stays."""
+    row, k = np.nonzero(np.arange(MAX_VALENCE - 3) < (valences[chosen] - 3)[:, None])
+    keys = edge_keys(np.stack([rings[chosen[row], 0], rings[chosen[row], k + 2]], axis=1), count)
     _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
-    clashing = np.unique(row[first[inverse] != np.arange(len(keys))])
-    return np.delete(np.arange(len(rings)), clashing)
+    return np.delete(chosen, np.unique(row[first[inverse] != np.arange(len(keys))]))
 
 
-def _fan_shares(rings: Floats, valences: Ints) -> Floats:
-    """Return the share of a star's mass that every triangle of the fan in its place gets, shape [m, MAX_VALENCE - 2].
+def _fans(points: Floats, removal: Removal) -> tuple[Ints, Floats, Indices]:
+    """Return the fans that replace the stars of removed vertices.
 
     Shares go by area in space, plus an even part that leaves no triangle without mass.
 
-    Args:
-        rings: places of the neighbours, the vertex kept first, shape [m, MAX_VALENCE, 3].
-        valences: length of every ring, shape [m].
+    Returns:
+        Their faces, shape [P, 3], the share of its star's mass that each gets, and the number of that star, shape [P].
     """
-    spokes, counts = rings[:, 1:] - rings[:, :1], (valences - 2)[:, None]
-    areas = norms(cross(spokes[:, :-1], spokes[:, 1:])) * (np.arange(MAX_VALENCE - 2) < counts)
-    total = np.cumsum(areas, axis=1)[:, -1:]  # one after the other
-    by_area = (1.0 - EVEN_SHARE) * areas / np.where(total > 0.0, total, 1.0) + EVEN_SHARE / counts
-    return np.where(total > 0.0, by_area, 1.0 / counts)
-
-
-def _refan(faces: Ints, masses: Floats, removal: Removal, fan_masses: Floats, count: int) -> tuple[Ints, Floats]:
-    """Return the faces and masses after fans have replaced the stars of the removed vertices."""
-    kept = ~touching(faces, marked(count, removal.vertices))
-    row, k = np.nonzero(np.arange(MAX_VALENCE - 2) < (removal.valences - 2)[:, None])
-    fans = np.stack([removal.rings[row, 0], removal.rings[row, k + 1], removal.rings[row, k + 2]], axis=1)
-    return np.concatenate([faces[kept], fans]), np.concatenate([masses[kept], fan_masses[row, k]])
+    star, k = np.nonzero(np.arange(MAX_VALENCE - 2) < (removal.valences - 2)[:, None])
+    fans = np.stack([removal.rings[star, 0], removal.rings[star, k + 1], removal.rings[star, k + 2]], axis=1)
+    areas, count = triangle_areas(points, fans), (removal.valences - 2)[star]
+    total = np.bincount(star, areas)[star]
+    by_area = (1.0 - EVEN_SHARE) * areas / np.where(total > 0.0, total, 1.0) + EVEN_SHARE / count
+    return fans, np.where(total > 0.0, by_area, 1.0 / count), star
