@@ -31,7 +31,7 @@ from omtwarp.mesh.surface import MeshLike, Surface, as_surface, triangle_areas
 from omtwarp.options import Progress, tell
 from omtwarp.solvers.triangle import AREA_WEIGHT
 from omtwarp.start.decimation import Hierarchy, Level, Removal, Vertex, simplify
-from omtwarp.start.hierarchical_kernels import insert_on_equator, insert_vertices, relax_vertices
+from omtwarp.start.hierarchical_kernels import insert_vertices, relax_vertices
 from omtwarp.topology.kind import boundary_half_edges
 
 # Moves of every vertex on a level, and once more at the end. Of 56 made surfaces areas and angles are the same in the
@@ -159,6 +159,7 @@ class Embedding:
         self.points = surface.scaled_vertices
         closed = Vertex.POLE not in kinds
         self.pole = -1 if closed else int(np.flatnonzero(kinds == Vertex.POLE)[0])
+        self.boundary = [sent(kinds, wp.int32, device), self.pole]  # what kernels read of it
         self.sweeps = SWEEPS if closed else HEMISPHERE_SWEEPS
         level, start = hierarchy.levels[-1], np.zeros((surface.vertex_count, 3))
         place = self.place_tetrahedron if closed else self.place_on_equator
@@ -191,8 +192,8 @@ class Embedding:
             self.insert(removal)
             self.enter(level)
             # The new vertices first, no two of which are neighbours
-            for move in self.moves_of(np.searchsorted(level.vertices, removal.vertices)):
-                move.launch()
+            new = sent(np.searchsorted(level.vertices, removal.vertices), wp.int32, self.device)
+            self.move_of(new).launch()
             self.sweep()
             yield len(level.vertices)
         self.sweep()
@@ -200,8 +201,12 @@ class Embedding:
     def insert(self, removal: Removal) -> None:
         """Insert removed vertices; where a kernel is too thin for float64, relax the coarser map and try again."""
         insertion_attempts = 8
+        rows = [sent(x, wp.int32, self.device) for x in (removal.vertices, removal.rings, removal.valences)]
+        least: wp.array = wp.empty(len(removal.vertices), dtype=wp.float64, device=self.device)
+        inputs = [*rows, *self.boundary, self.sphere, self.colours]
         for _ in range(insertion_attempts):
-            worst = self.put_back(removal)
+            wp.launch(insert_vertices, dim=len(removal.vertices), inputs=inputs, outputs=[least], device=self.device)
+            worst = float(least.numpy().min())
             if worst > _LEAST_DETERMINANT:
                 return
             self.sweep()
@@ -210,24 +215,6 @@ class Embedding:
             f"(determinant {worst:.1e}): float64 cannot separate them"
         )
 
-    def put_back(self, removal: Removal) -> float:
-        """Place removed vertices, those of the boundary on the equator, and colour them.
-
-        Returns:
-            The least determinant of a triangle around one of them.
-        """
-        worst, on_rim = np.inf, self.kinds[removal.vertices] == Vertex.RIM
-        for kernel, chosen, pole in ((insert_vertices, ~on_rim, []), (insert_on_equator, on_rim, [self.pole])):
-            size = int(chosen.sum())
-            if not size:
-                continue
-            rows = (sent(x[chosen], wp.int32, self.device) for x in (removal.vertices, removal.rings, removal.valences))
-            least: wp.array = wp.empty(size, dtype=wp.float64, device=self.device)
-            inputs = [*rows, *pole, self.sphere, self.colours]
-            wp.launch(kernel, dim=size, inputs=inputs, outputs=[least], device=self.device)
-            worst = min(worst, float(least.numpy().min()))
-        return worst
-
     def enter(self, level: Level) -> None:
         """Begin a level whose vertices are all placed."""
         self.level = level
@@ -235,10 +222,11 @@ class Embedding:
         coefficients = sent(self.coefficients_of(level), wp.vec4d, self.device)
         self.mesh = [*(sent(numbers, wp.int32, self.device) for numbers in rows), coefficients]
         colour = self.colours.numpy()[level.vertices]
-        self.kept: list[wp.array] = []  # what recorded launches read
         slots = np.split(np.argsort(colour, kind="stable"), np.cumsum(np.bincount(colour))[:-1])
+        # Kept, as recorded launches read them
+        self.slots = [sent(of_colour, wp.int32, self.device) for of_colour in slots if len(of_colour)]
         # Recorded launches: on small levels a launch costs more than its kernel.
-        self.moves = [move for of_colour in slots for move in self.moves_of(of_colour)]
+        self.moves = [self.move_of(of_colour) for of_colour in self.slots]
 
     def coefficients_of(self, level: Level) -> Floats:
         """Return cotangents at vertex, head and third of the triangle in space, and its area, for every half-edge.
@@ -262,24 +250,16 @@ class Embedding:
             for move in self.moves:
                 move.launch()
 
-    def moves_of(self, slots: NDArray[np.intp]) -> list[wp.Launch]:
-        """Return recorded launches that move the vertices in these slots of the level, the boundary's along it."""
+    def move_of(self, slots: wp.array) -> wp.Launch:
+        """Return a recorded launch that moves the vertices in these slots of the level, no two of them neighbours."""
         area_weight, count = self.area_weight, len(self.level.vertices)
         if 4 * count <= len(self.sphere):
             area_weight = max(area_weight, COARSE_WEIGHT / count)
-        kinds, moves = self.kinds[self.level.vertices[slots]], []
-        for kind in (Vertex.INSIDE, Vertex.RIM):
-            own = sent(slots[kinds == kind], wp.int32, self.device)
-            if not len(own):
-                continue
-            self.kept.append(own)
-            inputs, outputs = [own, *self.mesh, area_weight, self.pole, kind == Vertex.RIM], [self.sphere]
-            move = wp.launch(
-                relax_vertices, dim=len(own), inputs=inputs, outputs=outputs, device=self.device, record_cmd=True
-            )
-            assert move is not None
-            moves.append(move)
-        return moves
+        inputs = [slots, *self.mesh, *self.boundary, area_weight]
+        outputs, device = [self.sphere], self.device
+        move = wp.launch(relax_vertices, dim=len(slots), inputs=inputs, outputs=outputs, device=device, record_cmd=True)
+        assert move is not None
+        return move
 
 
 def hemispherical_embedding(

@@ -2,7 +2,7 @@
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, TWO, ZERO, wp
 from omtwarp.geometry.spherical import first_tangent
-from omtwarp.start.decimation import MAX_VALENCE
+from omtwarp.start.decimation import MAX_VALENCE, Vertex
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -25,57 +25,20 @@ def least_dot(x: wp.vec3d, normals: Normals, count: wp.int32) -> wp.float64:
 
 
 @wp.func
-def unused_colour(
-    rings: wp.array2d[wp.int32], row: wp.int32, valence: wp.int32, colours: wp.array[wp.int32]
-) -> wp.int32:
-    """Return the least colour that no vertex of a ring has."""
-    used = int(0)
-    for k in range(valence):
-        used = used | (1 << colours[rings[row, k]])
-    colour = int(0)
-    while ((used >> colour) & 1) == 1:
-        colour += 1
-    return colour
-
-
-@wp.func
-def least_of_ring(
-    x: wp.vec3d, rings: wp.array2d[wp.int32], row: wp.int32, valence: wp.int32, sphere: wp.array[wp.vec3d]
-) -> wp.float64:
-    """Return the least determinant of the triangles between ``x`` and the sides of a ring."""
-    least = wp.float64(2.0)
-    for k in range(valence):
-        least = wp.min(least, wp.dot(x, wp.cross(sphere[rings[row, k]], sphere[rings[row, (k + 1) % valence]])))
-    return least
-
-
-@wp.kernel
-def insert_vertices(
-    removed: wp.array[wp.int32],
-    rings: wp.array2d[wp.int32],
-    valences: wp.array[wp.int32],
-    # Data in and out:
-    sphere: wp.array[wp.vec3d],
-    colours: wp.array[wp.int32],
-    # Data out:
-    least_determinants: wp.array[wp.float64],
-):
-    """Put every vertex at the centre of the largest cap inside its ring's kernel, and colour it unlike its ring.
+def middle_of_kernel(
+    rings: wp.array2d[wp.int32], row: wp.int32, count: wp.int32, sphere: wp.array[wp.vec3d]
+) -> wp.vec3d:
+    """Return the centre of the largest cap inside the kernel of a ring.
 
     The kernel of a spherical polygon is where all its edges' great circles are on the left. Its largest cap is centred
     where the smallest cap around the edges' unit normals is: a point that two or three of the normals determine. All of
     these are tried, so that rounding in a nearly degenerate one does no harm.
     """
-    i, _compiled_once = wp.tid()
-    v = removed[i]
-    count = valences[i]
     normals = Normals()
     for k in range(count):
-        a = sphere[rings[i, k]]
-        b = sphere[rings[i, (k + 1) % count]]
+        a = sphere[rings[row, k]]
+        b = sphere[rings[row, (k + 1) % count]]
         normals[k] = wp.normalize(wp.cross(a, b - a))
-    colours[v] = unused_colour(rings, i, count, colours)
-
     best = wp.vec3d()
     best_margin = wp.float64(-2.0)
     for p in range(count):
@@ -95,8 +58,78 @@ def insert_vertices(
                 if margin > best_margin:
                     best_margin = margin
                     best = y
-    sphere[v] = best
-    least_determinants[i] = least_of_ring(best, rings, i, count, sphere)
+    return best
+
+
+@wp.func
+def middle_of_arc(
+    rings: wp.array2d[wp.int32], row: wp.int32, count: wp.int32, pole: wp.int32, sphere: wp.array[wp.vec3d]
+) -> wp.vec3d:
+    """Return where a vertex of the boundary goes on the arc of the equator between its neighbours there.
+
+    One of them is the first of the ring, from which a part of the arc sees the whole ring: the vertex goes to the
+    middle of that part. The other one is on the other side of the pole.
+    """
+    other = int(0)
+    for k in range(count):
+        if rings[row, k] == pole:
+            other = k + 1
+            if k > 1:
+                other = k - 1
+    first = sphere[rings[row, 0]]
+    second = sphere[rings[row, other]]
+    far = ONE
+    for k in range(count):
+        a = sphere[rings[row, k]]
+        b = sphere[rings[row, (k + 1) % count]]
+        normal = wp.cross(a, b - a)
+        begin = wp.dot(first, normal)
+        end = wp.dot(second, normal)
+        if end < ZERO and begin > ZERO:
+            far = wp.min(far, begin / (begin - end))
+    share = HALF * far
+    best = wp.normalize((ONE - share) * first + share * second)
+    return wp.vec3d(best[0], best[1], ZERO)
+
+
+@wp.kernel
+def insert_vertices(
+    removed: wp.array[wp.int32],
+    rings: wp.array2d[wp.int32],
+    valences: wp.array[wp.int32],
+    kinds: wp.array[wp.int32],
+    pole: int,
+    # Data in and out:
+    sphere: wp.array[wp.vec3d],
+    colours: wp.array[wp.int32],
+    # Data out:
+    least_determinants: wp.array[wp.float64],
+):
+    """Put every vertex inside its ring, or on the equator where it is of the boundary, and colour it unlike its ring.
+
+    The least determinant is that of the triangles between it and the sides of the ring.
+    """
+    i, _compiled_once = wp.tid()
+    v = removed[i]
+    count = valences[i]
+    used = int(0)
+    for k in range(count):
+        used = used | (1 << colours[rings[i, k]])
+    colour = int(0)
+    while ((used >> colour) & 1) == 1:
+        colour += 1
+    colours[v] = colour
+
+    x = wp.vec3d()
+    if kinds[v] == Vertex.RIM:
+        x = middle_of_arc(rings, i, count, pole, sphere)
+    else:
+        x = middle_of_kernel(rings, i, count, sphere)
+    sphere[v] = x
+    least = wp.float64(2.0)
+    for k in range(count):
+        least = wp.min(least, wp.dot(x, wp.cross(sphere[rings[i, k]], sphere[rings[i, (k + 1) % count]])))
+    least_determinants[i] = least
 
 
 @wp.func
@@ -143,21 +176,24 @@ def relax_vertices(
     heads: wp.array[wp.int32],
     thirds: wp.array[wp.int32],
     coefficients: wp.array[wp.vec4d],
-    area_weight: wp.float64,
+    kinds: wp.array[wp.int32],
     pole: int,
-    on_equator: wp.bool,
+    area_weight: wp.float64,
     # Data in and out:
     sphere: wp.array[wp.vec3d],
 ):
     """Take a Newton step with a line search for vertices of which no two are neighbours.
 
-    They move ``on_equator``, or anywhere; a closed surface has the pole -1. The energy of ``star_energy`` is a sum of
-    quadratics over positive linear functions of ``x``, hence convex: its Hessian needs no modification and the step is
-    a descent direction.
+    Those of the boundary move on the equator, others anywhere but the pole, which is -1 for a closed surface. The
+    energy of ``star_energy`` is a sum of quadratics over positive linear functions of ``x``, hence convex: its Hessian
+    needs no modification and the step is a descent direction.
     """
     slot, _compiled_once = wp.tid()
     i = slots[slot]
     v = vertices[i]
+    if v == pole:
+        return
+    on_equator = kinds[v] == Vertex.RIM
     begin = offsets[i]
     end = offsets[i + 1]
     x = sphere[v]
@@ -219,48 +255,3 @@ def relax_vertices(
             sphere[v] = trial
             return
         step *= HALF
-
-
-@wp.kernel
-def insert_on_equator(
-    removed: wp.array[wp.int32],
-    rings: wp.array2d[wp.int32],
-    valences: wp.array[wp.int32],
-    pole: int,
-    # Data in and out:
-    sphere: wp.array[wp.vec3d],
-    colours: wp.array[wp.int32],
-    # Data out:
-    least_determinants: wp.array[wp.float64],
-):
-    """Put every vertex on the arc of the equator between its neighbours there, and colour it unlike its ring.
-
-    One of them is the first of the ring, from which a part of the arc sees the whole ring: the vertex goes to the
-    middle of that part. The other one is on the other side of the pole.
-    """
-    i, _compiled_once = wp.tid()
-    v = removed[i]
-    count = valences[i]
-    other = int(0)
-    for k in range(count):
-        if rings[i, k] == pole:
-            other = k + 1
-            if k > 1:
-                other = k - 1
-    colours[v] = unused_colour(rings, i, count, colours)
-    first = sphere[rings[i, 0]]
-    second = sphere[rings[i, other]]
-    far = ONE
-    for k in range(count):
-        a = sphere[rings[i, k]]
-        b = sphere[rings[i, (k + 1) % count]]
-        normal = wp.cross(a, b - a)
-        begin = wp.dot(first, normal)
-        end = wp.dot(second, normal)
-        if end < ZERO and begin > ZERO:
-            far = wp.min(far, begin / (begin - end))
-    share = HALF * far
-    best = wp.normalize((ONE - share) * first + share * second)
-    placed = wp.vec3d(best[0], best[1], ZERO)
-    sphere[v] = placed
-    least_determinants[i] = least_of_ring(placed, rings, i, count, sphere)

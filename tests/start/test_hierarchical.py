@@ -26,7 +26,7 @@ from omtwarp.mesh.shapes import (
 )
 from omtwarp.mesh.surface import Surface, triangle_areas
 from omtwarp.start import hierarchical
-from omtwarp.start.decimation import MAX_VALENCE
+from omtwarp.start.decimation import MAX_VALENCE, Vertex
 from omtwarp.start.hierarchical import hierarchical_embedding
 from omtwarp.start.hierarchical_kernels import insert_vertices, relax_vertices
 
@@ -225,6 +225,8 @@ def insert(ring):
             wp.array([count], dtype=wp.int32, device=CPU),
             wp.array(rings, dtype=wp.int32, device=CPU),
             wp.array([count], dtype=wp.int32, device=CPU),
+            wp.full(count + 1, int(Vertex.INSIDE), dtype=wp.int32, device=CPU),
+            -1,
             sphere,
             colours,
         ],
@@ -301,9 +303,9 @@ def test_a_relaxed_vertex_stands_at_the_minimum_of_its_energy():
                 wp.array(np.arange(count), dtype=wp.int32, device=CPU),
                 wp.array(np.roll(np.arange(count), -1), dtype=wp.int32, device=CPU),
                 wp.array(np.hstack([cotangents, areas[:, None]]), dtype=wp.vec4d, device=CPU),
-                weight,
+                wp.full(count + 1, int(Vertex.INSIDE), dtype=wp.int32, device=CPU),
                 -1,
-                False,
+                weight,
             ],
             outputs=[sphere],
             device=CPU,
