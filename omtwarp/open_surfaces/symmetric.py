@@ -81,9 +81,7 @@ class MirroredSphere(Sphere):
 
     def factor(self, cells: Cells, workspace: Workspace | None) -> SaddlePointFactor:
         """Solve on the half the systems of the double."""
-        if isinstance(cells, TriangleCells):
-            return MirrorCellFactor(self, self._double, cells.vertices)
-        return MirrorFactor(self, self._double)
+        return MirrorFactor(self, self._double, cells.vertices if isinstance(cells, TriangleCells) else None)
 
 
 class MirrorFactor(SaddlePointFactor):
@@ -92,28 +90,39 @@ class MirrorFactor(SaddlePointFactor):
     Args:
         sphere: where the vertices of the double move.
         double: the surface and its copy, W vertices.
+        cells: of a quartered mesh, which multipliers belong to: the vertices of every cell, each on one side of the
+            boundary, the copies in the second half, shape [N, K]; where it is None they belong to vertices.
     """
 
-    def __init__(self, sphere: Sphere, double: Double):
+    def __init__(self, sphere: Sphere, double: Double, cells: NDArray[np.int32] | None):
         self._sphere, self._double, self._device = sphere, double, sphere.device
-        surface = sphere.surface
-        self._half = double.half
-        self._number = number = np.full(len(double.mirror), -1, dtype=np.int32)
+        self._half, edges = double.half, sphere.surface.edges
+        number = np.full(len(double.mirror), -1, dtype=np.int32)
         number[self._half] = np.arange(len(self._half))
-        self._of_copies = number[np.minimum(double.mirror, np.arange(len(double.mirror)))]
-        self._kept = np.flatnonzero((number[surface.edges] >= 0).all(axis=1))
-        self._edges = number[surface.edges[self._kept]]
-        self._on_rim = double.on_boundary[self._half]
-        self._rim = np.flatnonzero(self._on_rim)
-        self._along = np.flatnonzero(self._on_rim[self._edges].all(axis=1))  # edges of the boundary
-        self._share = np.where(self._on_rim, 0.5, 1.0)
-        self._factor = self._made(surface.scaled_vertices[self._half])
+        self._kept = np.flatnonzero((number[edges] >= 0).all(axis=1))
+        self._edges = own = number[edges[self._kept]]
+        on_rim = double.on_boundary[self._half]
+        self._rim = np.flatnonzero(on_rim)
+        self._share = np.where(on_rim, 0.5, 1.0)[:, None]
+        self._edge_share = np.where(on_rim[own].all(axis=1), 0.5, 1.0)[:, None]  # of edges of the boundary a half
+        places = sphere.surface.scaled_vertices[self._half]
+        # Of the multipliers and of the pairs of derivatives, which are the half's, in which shares, and whose.
+        if cells is None:
+            self._cells, self._cell_share = self._half, self._share[:, 0]
+            self._of_copies = number[np.minimum(double.mirror, np.arange(len(double.mirror)))]
+            # The areas of the first end by the second one's coordinates come first.
+            self._pairs, self._pair_ends = np.r_[self._kept, len(edges) + self._kept], np.r_[own[:, 1], own[:, 0]]
+            self._pair_share = np.tile(self._edge_share, (2, 1))
+            self._factor = vertex_saddle_factor(len(places), own, lambda: dissect(places, own))
+        else:
+            own_cells = number[cells[: len(cells) // 2]]
+            self._cells, self._cell_share = np.arange(len(own_cells)), np.ones(len(own_cells))
+            self._of_copies = np.tile(self._cells, 2)
+            self._pairs, self._pair_ends = np.arange(own_cells.size), own_cells.ravel()
+            self._pair_share = np.ones((own_cells.size, 1))
+            self._factor = cell_saddle_factor(places, own, own_cells)
         self._points: wp.array | None = None
         self._normals = np.zeros((len(self._half), 2))
-
-    def _made(self, places: Floats) -> SaddlePointFactor:
-        """Factorise the systems of the half, whose vertices are at these places."""
-        return vertex_saddle_factor(len(places), self._edges, lambda: dissect(places, self._edges))
 
     def factorise(self, matrix: SaddleMatrix) -> None:
         """Factorise a matrix of the double.
@@ -127,22 +136,9 @@ class MirrorFactor(SaddlePointFactor):
         self._normals = self._coordinates(up)[self._half]
         diagonal, off_diagonal, gradients, compliance = matrix.on_host()
         own, others = self._halved(diagonal, off_diagonal)
-        self._factor.factorise(SaddleMatrix.of(own, others, self._slopes(gradients), self._own(compliance)))
-
-    def _slopes(self, gradients: Floats) -> Floats:
-        """Return the derivatives of the half's areas from those of the double's: none crosses the boundary."""
-        slopes = gradients.reshape(2, -1, 2)[:, self._kept]
-        slopes[:, self._along] *= 0.5
-        # The areas of the first end by the second one's coordinates come first.
-        return _tangential(self._normals[self._edges[:, ::-1].T], slopes)
-
-    def _own(self, of_cells: Floats) -> Floats:
-        """Return the numbers of the half's cells from those of the double's."""
-        return of_cells[self._half] * self._share
-
-    def _of_double(self, q: Floats) -> Floats:
-        """Return the multipliers of the double's cells from those of the half's."""
-        return q[self._of_copies]
+        slopes = gradients.reshape(-1, COORDINATES)[self._pairs] * self._pair_share  # none crosses the boundary
+        slopes = _tangential(self._normals[self._pair_ends], slopes)
+        self._factor.factorise(SaddleMatrix.of(own, others, slopes, compliance[self._cells] * self._cell_share))
 
     def _halved(self, diagonal: Floats, off_diagonal: Floats) -> tuple[Floats, Floats]:
         """Return the blocks of the half's vertices and edges from those of the double.
@@ -152,10 +148,9 @@ class MirrorFactor(SaddlePointFactor):
         rim, normal = self._rim, self._normals[self._rim]
         outer = normal[:, :, None] * normal[:, None, :]
         projection = np.eye(2) - outer
-        own = diagonal[self._half] * self._share[:, None, None]
+        own = diagonal[self._half] * self._share[..., None]
         own[rim] = projection @ own[rim] @ projection + np.trace(own[rim], axis1=1, axis2=2)[:, None, None] * outer
-        others = off_diagonal[self._kept]
-        others[self._along] *= 0.5
+        others = off_diagonal[self._kept] * self._edge_share[..., None]
         for end in self._edges.T:  # the columns of a block belong to the first end, the rows to the second
             others = _tangential(self._normals[end][:, None], others.transpose(0, 2, 1))
         return own, others
@@ -163,9 +158,9 @@ class MirrorFactor(SaddlePointFactor):
     def solve(self, right: wp.array) -> wp.array:
         """Solve for coordinates and multipliers of a symmetric right-hand side, shape [2 W + N]."""
         numbers, split = right.numpy(), COORDINATES * len(self._double.mirror)
-        first = numbers[:split].reshape(-1, COORDINATES)[self._half] * self._share[:, None]
-        u, q = solve_parts(self._factor, _tangential(self._normals, first), self._own(numbers[split:]))
-        whole = np.concatenate([self._mirrored(u).ravel(), self._of_double(q)])
+        first = _tangential(self._normals, numbers[:split].reshape(-1, COORDINATES)[self._half] * self._share)
+        u, q = solve_parts(self._factor, first, numbers[split:][self._cells] * self._cell_share)
+        whole = np.concatenate([self._mirrored(u).ravel(), q[self._of_copies]])
         return wp.array(whole, dtype=wp.float64, device=self._device)
 
     def _mirrored(self, u: Floats) -> Floats:
@@ -178,30 +173,3 @@ class MirrorFactor(SaddlePointFactor):
     def _coordinates(self, tangent: Floats) -> Floats:
         """Convert tangent vectors, shape [W, 3], to coordinates in the bases of the map, shape [W, 2]."""
         return self._sphere.coordinates(self._points, self._sphere.sent(tangent)).numpy()
-
-
-class MirrorCellFactor(MirrorFactor):
-    """Factorisation for quartered meshes: multipliers belong to cells, each of them on one side of the boundary.
-
-    Args:
-        sphere, double: as of :class:`MirrorFactor`.
-        cells: the vertices of every cell, the copies in the second half, shape [N, K].
-    """
-
-    def __init__(self, sphere: Sphere, double: Double, cells: NDArray[np.int32]):
-        self._cells = cells[: len(cells) // 2]
-        super().__init__(sphere, double)
-
-    def _made(self, places: Floats) -> SaddlePointFactor:
-        self._own_cells = self._number[self._cells]
-        return cell_saddle_factor(places, self._edges, self._own_cells)
-
-    def _slopes(self, gradients: Floats) -> Floats:
-        slopes = self._own(gradients.reshape(-1, self._cells.shape[1], COORDINATES))
-        return _tangential(self._normals[self._own_cells], slopes)
-
-    def _own(self, of_cells: Floats) -> Floats:
-        return of_cells[: len(self._own_cells)]
-
-    def _of_double(self, q: Floats) -> Floats:
-        return np.concatenate([q, q])
