@@ -75,10 +75,8 @@ def cut_handles(
             )
         triangles, copied = _cut_along(Surface(points, triangles), loop)
         points, origin = np.concatenate([points, points[copied]]), np.concatenate([origin, origin[copied]])
-        around = boundary_loops(triangles, len(points))
-        parts = set(loop.tolist()), set(range(len(points) - len(copied), len(points)))
-        own = [side for part in parts for side in around if part & set(side.tolist())]
-        sides.append((own[0], own[1]))
+        one, other = (side for side in boundary_loops(triangles, len(points)) if origin[loop[0]] in origin[side])
+        sides.append((one, other))
     return CutSurface(origin, np.arange(len(faces)), points, triangles.astype(np.int32), sides, given=len(vertices))
 
 

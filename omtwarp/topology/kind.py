@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -77,12 +78,15 @@ class Part(Derived):
     """A connected piece of a surface with vertices numbered anew.
 
     Attributes:
-        loops: boundary loops, see :func:`omtwarp.topology.kind.boundary_loops`.
         genus: number of handles, holes counted as filled.
     """
 
-    loops: list[NDArray[np.int64]]
     genus: int
+
+    @cached_property
+    def loops(self) -> list[NDArray[np.int64]]:
+        """The boundary loops, see :func:`omtwarp.topology.kind.boundary_loops`."""
+        return boundary_loops(self.faces, len(self.vertices))
 
     @property
     def is_sphere(self) -> bool:
@@ -96,8 +100,7 @@ class Part(Derived):
 
     def remade(self, vertices: Floats, faces: NDArray[np.integer], made: Origins) -> Part:
         """Return the part as another surface that was made from its own: numbered anew, or cut where it was closed."""
-        loops = boundary_loops(faces, len(vertices))
-        return replace(self, vertices=vertices, faces=faces, loops=loops, **vars(self.compose(made)))
+        return replace(self, vertices=vertices, faces=faces, **vars(self.compose(made)))
 
 
 def parts_of(vertices: ArrayLike, faces: ArrayLike, name: str = "") -> list[Part]:
@@ -122,10 +125,8 @@ def parts_of(vertices: ArrayLike, faces: ArrayLike, name: str = "") -> list[Part
         own = np.flatnonzero(labels == label)
         used, numbered = np.unique(triangles[own], return_inverse=True)
         numbered = numbered.reshape(-1, 3)
-        topology = Topology(numbered, len(used))
-        loops = boundary_loops(numbered, len(used)) if (topology.edge_face_count == 1).any() else []
-        faces_of_part, genus = numbered.astype(np.int32), topology.genus
-        parts.append(Part(used, own, points[used], faces_of_part, loops, genus, given=len(points)))
+        genus = Topology(numbered, len(used)).genus
+        parts.append(Part(used, own, points[used], numbered.astype(np.int32), genus, given=len(points)))
     return parts
 
 
