@@ -28,27 +28,18 @@ def joined(maps: list[MapResult], vertex_count: int, caps: Mapping[str, Floats])
         caps: where parts lie side by side on one sphere, the arrays of their caps.
     """
     numbers, count = _numbers(maps, vertex_count)
-    place = np.concatenate(numbers)
     order = np.argsort(np.concatenate([part.arrays["face_origin"] for part in maps]), kind="stable")
-
+    chosen = {"V": np.argsort(np.concatenate(numbers)), "F": order}
     rows: dict[str, NDArray] = {}
     for name, (_, (letter, *_)) in layout_on(maps[0].domain).items():
         values = [getattr(part, name) for part in maps]
-        if letter in ("V", "F") and all(value is not None for value in values):
-            stacked = np.concatenate(values)
-            if letter == "F":
-                rows[name] = stacked[order]
-            else:
-                rows[name] = np.zeros((count, *stacked.shape[1:]), dtype=stacked.dtype)
-                rows[name][place] = stacked
-    vertex_origin = np.full(count, -1, dtype=np.int64)
-    vertex_origin[place] = np.concatenate([part.arrays["vertex_origin"] for part in maps])
+        if letter in chosen and all(value is not None for value in values):
+            rows[name] = np.concatenate(values)[chosen[str(letter)]]
     domains = sorted({part.domain for part in maps})
     report = _report(maps)
     arrays = rows | {
         "arrays": {},
         "faces": np.concatenate([number[part.faces] for number, part in zip(numbers, maps, strict=True)])[order],
-        "vertex_origin": vertex_origin,
         "split_edges": np.concatenate([n[part.arrays["split_edges"]] for n, part in zip(numbers, maps, strict=True)]),
         "part": np.repeat(np.arange(len(maps)), [len(part.faces) for part in maps])[order],
         **caps,
@@ -135,7 +126,8 @@ def in_input_order(result: MapResult, given: Part, *, exact: bool) -> MapResult:
     assert result.origins is not None
     order, face_order, corners = _order(result.faces, result.origins, given, exact)
     place, count, own = np.argsort(order), len(result.vertices), len(result.faces)
-    arrays = result.rows({"V": order, "F": face_order})
+    whole = np.r_[order, np.arange(count, len(result.arrays.get("filled_vertices", order)))]
+    arrays = result.rows({"V": order, "F": face_order, "W": whole})
     turned = face_order[:, None], corners
     arrays["faces"] = place[result.faces[turned]].astype(np.int32)
     if "wraps" in result.arrays:
@@ -144,10 +136,8 @@ def in_input_order(result: MapResult, given: Part, *, exact: bool) -> MapResult:
         arrays["split_edges"] = np.sort(place[result.split_edges], axis=1)
     if result.loops is not None:
         arrays["loops"] = place[result.loops]
-        for name in (f"filled_{name}" for name in PLACED):
-            arrays[name] = np.concatenate([result.arrays[name][order], result.arrays[name][count:]])
-        whole = np.concatenate([place, np.arange(count, len(arrays["filled_vertices"]))])
-        arrays["filled_faces"] = np.concatenate([arrays["faces"], whole[result.arrays["filled_faces"][own:]]])
+        filling = np.argsort(whole)[result.arrays["filled_faces"][own:]]
+        arrays["filled_faces"] = np.concatenate([arrays["faces"], filling])
     return result.with_arrays(arrays)
 
 
