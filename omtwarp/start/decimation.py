@@ -25,6 +25,7 @@ from omtwarp.geometry.spherical import TINY
 from omtwarp.mesh.arrays import Floats, Indices, Ints, edge_keys, marked
 from omtwarp.mesh.patches import touching
 from omtwarp.mesh.surface import Surface, triangle_areas
+from omtwarp.mesh.validate import Topology
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -286,12 +287,10 @@ def simplify(surface: Surface, device: wp.Device, *, kinds: Ints | None = None) 
 
 def _require_sphere_topology(faces: Ints, count: int) -> None:
     """Require each edge once in each direction, no unused vertex and Euler's number 2."""
-    tails, heads = faces.ravel().astype(np.int64), np.roll(faces, -1, axis=1).ravel().astype(np.int64)
-    if len(faces) == 0 or not (np.bincount(tails, minlength=count) > 0).all():
+    if len(faces) == 0 or not marked(count, faces).all():
         raise OmtwarpError("the mesh has vertices that no face uses: remove them with omtwarp.repair")
-    forward = np.sort(tails * count + heads)
-    backward = np.sort(heads * count + tails)
-    if (forward[1:] == forward[:-1]).any() or not np.array_equal(forward, backward):
+    topology = Topology(faces.astype(np.int64), count)
+    if (topology.edge_face_count != 2).any() or topology.clashing_edges.any():
         raise OmtwarpError("the mesh is not a closed, oriented manifold: a sphere map needs every edge in two faces")
     euler = count - len(faces) // 2
     if euler != 2:

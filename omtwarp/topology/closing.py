@@ -28,7 +28,8 @@ from omtwarp.geometry.operators import cotangent_laplacian
 from omtwarp.mesh.arrays import Floats, Ints, edge_keys, marked, norms
 from omtwarp.mesh.origins import Derived
 from omtwarp.mesh.quarter import QuarteredSurface
-from omtwarp.topology.kind import boundary_half_edges, on_boundary
+from omtwarp.mesh.surface import Surface
+from omtwarp.topology.kind import on_boundary
 
 
 def split_chords(vertices: Floats, faces: NDArray, loop: NDArray[np.int64] | None = None) -> Derived:
@@ -40,16 +41,14 @@ def split_chords(vertices: Floats, faces: NDArray, loop: NDArray[np.int64] | Non
         loop: vertices of the one boundary loop that counts; all of the boundary by default.
     """
     count = len(vertices)
-    triangles = np.asarray(faces, dtype=np.int64)
-    half = boundary_half_edges(triangles, count)
-    on_loop = marked(count, half if loop is None else loop)
-    sides = np.stack([triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()], axis=1)
-    keys = edge_keys(sides, count)
-    chord = on_loop[sides].all(axis=1) & ~np.isin(keys, edge_keys(half, count))
-    split = np.unique(keys[chord])
-    ends = np.stack([split // count, split % count], axis=1)
-    midpoint = np.where(chord, count + np.searchsorted(split, keys), -1)
-    cut, face_origin = _subdivided(triangles, midpoint.reshape(-1, 3))
+    surface = Surface(vertices, faces)
+    on_loop = on_boundary(faces, count) if loop is None else marked(count, loop)
+    chord = on_loop[surface.edges].all(axis=1) & (surface.side_corners[:, 1] >= 0)
+    ends, opposite = surface.edges[chord].astype(np.int64), surface.side_corners[chord]
+    midpoint = np.full(surface.faces.size, -1)
+    # A corner lies opposite to the edge that begins at the next one.
+    midpoint[opposite // 3 * 3 + (opposite + 1) % 3] = count + np.arange(len(ends))[:, None]
+    cut, face_origin = _subdivided(surface.faces, midpoint.reshape(-1, 3))
     return Derived(
         np.r_[np.arange(count), np.full(len(ends), -1)],
         face_origin,
@@ -60,7 +59,7 @@ def split_chords(vertices: Floats, faces: NDArray, loop: NDArray[np.int64] | Non
     )
 
 
-def _subdivided(faces: NDArray[np.int64], midpoint: NDArray[np.int64]) -> tuple[Ints, NDArray[np.int64]]:
+def _subdivided(faces: Ints, midpoint: NDArray[np.int64]) -> tuple[Ints, NDArray[np.int64]]:
     """Return the faces cut through midpoints of edges (k, k+1), -1 where one stays whole, and the face each is of."""
     split = midpoint >= 0
     count = split.sum(axis=1)
@@ -188,11 +187,9 @@ def _rings(turns: Floats) -> tuple[Floats, NDArray[np.int64]]:
         radii.append(radii[-1] * (1.0 - np.sqrt(3.0) * np.pi / around))
         fewer = round(0.8 * around)  # so that triangles grow by at most a quarter from ring to ring
         rings.append((np.arange(fewer) + 0.5) / fewer)
-    angles = [2 * np.pi * ring for ring in rings]
-    points = [
-        radius * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
-        for radius, angle in zip(radii, angles, strict=True)
-    ]
+    angle = 2 * np.pi * np.concatenate(rings)
+    radius = np.repeat(radii, [len(ring) for ring in rings])[:, None]
+    points = radius * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
     rows, first = [], 0
     for outer, inner in pairwise(rings):
         rows.append(_strip(outer, inner, first, first + len(outer)))
@@ -200,9 +197,8 @@ def _rings(turns: Floats) -> tuple[Floats, NDArray[np.int64]]:
     last = np.arange(len(rings[-1]))
     middle = first + len(last)
     rows.append(np.stack([first + last, first + np.roll(last, -1), np.full(len(last), middle)], axis=1))
-    points.append(np.zeros((1, 3)))
     # The surface's faces run along the loop, so that the patch has to run against it.
-    return np.concatenate(points), np.concatenate(rows)[:, ::-1].copy()
+    return np.concatenate([points, np.zeros((1, 3))]), np.concatenate(rows)[:, ::-1].copy()
 
 
 def _strip(outer: Floats, inner: Floats, first: int, second: int) -> NDArray[np.int64]:
