@@ -277,8 +277,7 @@ def exact_in_plane(points: Floats, quartered: Surface, wanted: Floats) -> tuple[
     """
     surface, cells = _original_triangles(quartered, wanted, SPHERE_AREA)
     energy, scale = _energy_in_plane(points, surface, cells)
-    moved, error = _exact(energy, scale * points)
-    return np.where(energy.held[:, None], points, moved / scale), error
+    return _exact(energy, points, scale)
 
 
 def exact_on_cap(points: Floats, quartered: Surface, wanted: Floats) -> tuple[Floats, float]:
@@ -287,8 +286,7 @@ def exact_on_cap(points: Floats, quartered: Surface, wanted: Floats) -> tuple[Fl
     surface, cells = _original_triangles(quartered, wanted, float(total))
     cost, shape = NoCost(surface, vectors(points, device), device), DistortionEnergy(surface, device)
     energy = HeldEnergy(Sphere(surface, device), cells, cost, shape)
-    moved, error = _exact(energy, points)
-    return np.where(energy.held[:, None], points, moved), error
+    return _exact(energy, points)
 
 
 def _original_triangles(quartered: Surface, wanted: Floats, total: float) -> tuple[Surface, TriangleCells]:
@@ -339,8 +337,12 @@ def _less_distorted(energy: HeldEnergy, points: Floats, penalty: float | None = 
     return minimise(energy, points, gain=EXACT_GAIN, iterations=EXACT_STEPS, progress=None, penalty=penalty).points
 
 
-def _exact(energy: HeldEnergy, points: Floats) -> tuple[Floats, float]:
-    """Return a map with exact areas, and its largest error: the nearest, or where that is far the least distorted."""
+def _exact(energy: HeldEnergy, given: Floats, scale: float = 1.0) -> tuple[Floats, float]:
+    """Return a map with exact areas, and its largest error: the nearest, or where that is far the least distorted.
+
+    The energy is of the map that is given times a scale.
+    """
+    points = scale * given
     if not energy.domain.flipped(points).any():
         moved, right = restore_areas(energy, points, rounds=FEW)
         if not right:
@@ -351,7 +353,8 @@ def _exact(energy: HeldEnergy, points: Floats) -> tuple[Floats, float]:
                 least, still = restore_areas(energy, _less_distorted(energy, moved))
                 moved = least if still else moved
         if right:
-            return moved, energy.terms(energy.domain.sent(moved)).largest
+            error = energy.terms(energy.domain.sent(moved)).largest
+            return np.where(energy.held[:, None], given, moved / scale), error
     raise OmtwarpError(
         "no map with straight sides was found that keeps the areas of triangles: use a finer mesh, map to the "
         "hemisphere, or leave exact out"
