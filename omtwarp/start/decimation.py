@@ -85,14 +85,11 @@ def ring_of(begin: wp.int32, end: wp.int32, heads: wp.array[wp.int32], thirds: w
     ring = Ring()
     slot = int(begin)
     for k in range(end - begin):
-        if k > 0 and slot == begin:
+        if slot < 0 or (k > 0 and slot == begin):
             ring[0] = -1
             return ring
         ring[k] = heads[slot]
         slot = row_find(heads, begin, end, thirds[slot])
-        if slot < 0:
-            ring[0] = -1
-            return ring
     if slot != begin:
         ring[0] = -1
     return ring

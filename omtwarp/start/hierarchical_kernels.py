@@ -45,19 +45,16 @@ def middle_of_kernel(
         first = normals[p]
         for q in range(p + 1, count):
             second = normals[q]
-            x = wp.normalize(first + second)
-            margin = least_dot(x, normals, count)
-            if margin > best_margin:
-                best_margin = margin
-                best = x
-            for r in range(q + 1, count):
-                y = wp.normalize(wp.cross(second - first, normals[r] - first))
-                if wp.dot(y, first) < ZERO:
-                    y = -y
-                margin = least_dot(y, normals, count)
+            for r in range(q, count):  # two normals, then three
+                x = wp.normalize(first + second)
+                if r > q:
+                    x = wp.normalize(wp.cross(second - first, normals[r] - first))
+                if wp.dot(x, first) < ZERO:
+                    x = -x
+                margin = least_dot(x, normals, count)
                 if margin > best_margin:
                     best_margin = margin
-                    best = y
+                    best = x
     return best
 
 

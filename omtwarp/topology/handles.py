@@ -225,10 +225,9 @@ class _LoopGraph:
         others = np.flatnonzero(left & (self.dual[:, 0] != self.dual[:, 1]))
         through = steps[self.edges[others]].sum(axis=1) + self.lengths[others]
         others = others[np.argsort(-through, kind="stable")]
-        low, high = self.dual[others].min(axis=1), self.dual[others].max(axis=1)
-        chosen = np.sort(np.unique(low * self.dual_count + high, return_index=True)[1])
-        links = np.stack([low[chosen], high[chosen]], axis=1)
-        cotree = others[chosen[spanning_forest(self.dual_count, links)]]
+        first = np.unique(edge_keys(self.dual[others], self.dual_count), return_index=True)[1]
+        others = others[np.sort(first)]
+        cotree = others[spanning_forest(self.dual_count, self.dual[others])]
         left[cotree] = False
         return before.astype(np.int64), cotree, np.flatnonzero(left)
 
