@@ -12,6 +12,8 @@ it fails, distortion is minimised with a penalty on the errors first.
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
@@ -31,7 +33,7 @@ from omtwarp.mesh.quarter import PARTS, QuarteredSurface
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, plane_areas
 from omtwarp.open_surfaces.caps import disk_to_cap
 from omtwarp.optimal.cells import MeasuredRings, TriangleCells
-from omtwarp.optimal.energy import Domain, MapTerms, Shape, TransportEnergy, VertexCost
+from omtwarp.optimal.energy import MapTerms, TransportEnergy
 from omtwarp.optimal.exact import restore_areas
 from omtwarp.optimal.plane import Plane, PlaneCost, PlaneShape
 from omtwarp.optimal.refinement import MOST_WEIGHT, match_area
@@ -48,32 +50,14 @@ SETTLED = 1e-9  # largest relative error at which areas are right; corrections c
 
 
 class HeldEnergy(TransportEnergy):
-    """The distortion of maps of a mesh whose boundary stays.
-
-    Args:
-        domain: where the vertices move.
-        cells: whose areas are kept, or those around vertices, which are measured.
-        cost: counts nothing.
-        shape: the distortion of the triangles.
-        area_weight: λ, of area against angle distortion.
-
-    Attributes:
-        held: vertices of the boundary, which stay, shape [V].
-    """
+    """The distortion of maps of a mesh whose boundary stays, with a cost of no weight."""
 
     exact_tolerance = SETTLED
 
-    def __init__(
-        self,
-        domain: Domain,
-        cells: TriangleCells | MeasuredRings,
-        cost: VertexCost,
-        shape: Shape,
-        area_weight: float = 1.0,
-    ):
-        super().__init__(domain, cells, cost, shape, shape_weight=1.0, cost_weight=0.0, area_weight=area_weight)
-        self.held = on_boundary(self.surface.faces, self.surface.vertex_count)
-        self._of_cells = cells.vertices if isinstance(cells, TriangleCells) else NO_CELLS
+    @cached_property
+    def held(self) -> NDArray[np.bool_]:
+        """The vertices of the boundary, which stay, shape [V]."""
+        return on_boundary(self.surface.faces, self.surface.vertex_count)
 
     def cost(self, terms: MapTerms) -> float:
         """Return 4π, a mean of 1: gains are compared with the distortion, not with a cost."""
@@ -81,7 +65,8 @@ class HeldEnergy(TransportEnergy):
 
     def saddle_factor(self) -> SaddlePointFactor:
         """Return what factorises matrices in which the boundary does not move."""
-        return HeldFactor(super().saddle_factor(), self.held, self.surface.edges, self._of_cells)
+        of_cells = self.cells.vertices if isinstance(self.cells, TriangleCells) else NO_CELLS
+        return HeldFactor(super().saddle_factor(), self.held, self.surface.edges, of_cells)
 
 
 class HeldFactor(SaddlePointFactor):
@@ -175,7 +160,8 @@ def _energy_in_plane(
     """Return the distortion of maps of a surface to the plane, and what brings points to its area, 4π."""
     scale = float(np.sqrt(SPHERE_AREA / plane_areas(points[surface.faces]).sum()))
     plane = Plane(surface, np.zeros((surface.face_count, 3, 2)), resolve_device("cpu"))
-    return HeldEnergy(plane, cells, PlaneCost(plane, scale * points), PlaneShape(plane), area_weight), scale
+    cost, shape = PlaneCost(plane, scale * points), PlaneShape(plane)
+    return HeldEnergy(plane, cells, cost, shape, shape_weight=1.0, cost_weight=0.0, area_weight=area_weight), scale
 
 
 def match_in_plane(points: Floats, surface: Surface, own: int, area: float) -> tuple[Floats, int]:
@@ -285,7 +271,8 @@ def exact_on_cap(points: Floats, quartered: Surface, wanted: Floats) -> tuple[Fl
     device, total = resolve_device("cpu"), triangle_solid_angles(*points[quartered.faces].transpose(1, 0, 2)).sum()
     surface, cells = _original_triangles(quartered, wanted, float(total))
     cost, shape = NoCost(surface, vectors(points, device), device), DistortionEnergy(surface, device)
-    energy = HeldEnergy(Sphere(surface, device), cells, cost, shape)
+    sphere = Sphere(surface, device)
+    energy = HeldEnergy(sphere, cells, cost, shape, shape_weight=1.0, cost_weight=0.0, area_weight=1.0)
     return _exact(energy, points)
 
 
