@@ -606,10 +606,8 @@ class MapComputation:
         last, steps = self.records[-1], 1
         figures: dict[str, float | int | None]
         if self.options.cost is Cost.GEODESIC:  # there is no lower bound
-            costs = {
-                name: transport_cost(self.surface, sphere, start=self.source, cost=Cost.GEODESIC, device=self.device)
-                for name, sphere in self.maps.items()
-            }
+            cost_of = partial(transport_cost, self.surface, start=self.source, cost=Cost.GEODESIC, device=self.device)
+            costs = {name: cost_of(sphere) for name, sphere in self.maps.items()}
             curl = relative_curl(self.surface, self.sphere, start=self.source, cost=Cost.GEODESIC, device=self.device)
             figures = {"relative_curl": curl, "cost": costs[last["name"]]}
         else:
