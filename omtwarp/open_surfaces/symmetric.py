@@ -160,15 +160,11 @@ class MirrorFactor(SaddlePointFactor):
         numbers, split = right.numpy(), COORDINATES * len(self._double.mirror)
         first = _tangential(self._normals, numbers[:split].reshape(-1, COORDINATES)[self._half] * self._share)
         u, q = solve_parts(self._factor, first, numbers[split:][self._cells] * self._cell_share)
-        whole = np.concatenate([self._mirrored(u).ravel(), q[self._of_copies]])
-        return wp.array(whole, dtype=wp.float64, device=self._device)
-
-    def _mirrored(self, u: Floats) -> Floats:
-        """Return the coordinates of the double's vertices, shape [W, 2], from those of the half's."""
-        coordinates = np.zeros((len(self._double.mirror), 2))
-        coordinates[self._half] = u
-        step = self._sphere.vectors(self._points, wp.array(coordinates, dtype=wp.float64, device=self._device))
-        return self._coordinates(folded(self._double, step.numpy()))
+        numbers = np.zeros((len(self._double.mirror), COORDINATES))
+        numbers[self._half] = u
+        step = self._sphere.vectors(self._points, wp.array(numbers, dtype=wp.float64, device=self._device))
+        whole = [self._coordinates(folded(self._double, step.numpy())).ravel(), q[self._of_copies]]
+        return wp.array(np.concatenate(whole), dtype=wp.float64, device=self._device)
 
     def _coordinates(self, tangent: Floats) -> Floats:
         """Convert tangent vectors, shape [W, 3], to coordinates in the bases of the map, shape [W, 2]."""

@@ -18,7 +18,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from omtwarp.device.arrays import sent
 from omtwarp.device.policy import resolve_device
@@ -109,7 +108,11 @@ def _embedded(
         OmtwarpError: float64 cannot separate its vertices on the sphere.
     """
     order, where = order_by_place(given), resolve_device(device)
-    surface, kinds = renumbered(given, order), kinds[order]
+    # Of equally cheap collapses the simplification takes one by the number of its vertex. With the numbers of the
+    # input, another order of the same vertices gave embeddings of a body with thin limbs that were up to 1.5 radians
+    # apart.
+    areas, kinds = given.face_areas if given.weighted else None, kinds[order]
+    surface = Surface(given.vertices[order], np.argsort(order)[given.faces], areas)
     history: list[dict[str, int]] = []
     embedding = Embedding(surface, simplify(surface, where, kinds=kinds), kinds, area_weight, where)
     for placed in embedding.refined():
@@ -121,18 +124,6 @@ def _embedded(
     if flips:
         raise OmtwarpError(f"the coarse-to-fine embedding has {flips} triangle(s) that float64 cannot keep positive")
     return HierarchicalEmbedding(sphere, history)
-
-
-def renumbered(surface: Surface, order: NDArray[np.intp]) -> Surface:
-    """Return the surface with its vertices in an order, given by their numbers, shape [V].
-
-    Of equally cheap collapses the simplification takes one by the number of its vertex. With the numbers of the input,
-    another order of the same vertices gave embeddings of a body with thin limbs that were up to 1.5 radians apart.
-    """
-    places = np.empty(len(order), dtype=np.int32)
-    places[order] = np.arange(len(order), dtype=np.int32)
-    areas = surface.face_areas if surface.weighted else None
-    return Surface(surface.vertices[order], places[surface.faces], areas)
 
 
 class Embedding:
