@@ -255,21 +255,21 @@ def _side_by_side(
     # Where sides of large triangles reach from one cap into another, caps are made smaller by this factor, at most so
     # many times.
     rounds_apart, less_covered = 6, 0.85
-    order = places_of(parts)
-    maps, back = [maps[k] for k in order], np.argsort(order)
-    masses = []
-    for k in order:
-        areas = triangle_areas(parts[k].vertices, parts[k].faces)
-        masses.append(float(areas.sum() if weights is None else areas @ weights[parts[k].face_origin]))
+    order, masses = places_of(parts), []
+    for part in parts:
+        areas = triangle_areas(part.vertices, part.faces)
+        masses.append(float(areas.sum() if weights is None else areas @ weights[part.face_origin]))
     # A cap holds the fillings of the part's other holes, too.
     own = [triangle_areas(each.sphere, each.faces).sum() / triangle_areas(*_whole(each)[:2]).sum() for each in maps]
     wanted = np.array(masses) / np.array(own)
+    total = wanted[order].sum()
     goals = [_wanted_areas(each) if exact else None for each in maps]
     wholes = [_whole(each)[:2] for each in maps if exact]
     rims = [hemisphere_to_disk(points[boundary_loops(faces, len(points))[0]]) for points, faces in wholes]
-    centres, covered = pack_caps(wanted / wanted.sum())
+    centres, covered = pack_caps(wanted[order] / total)
+    centres = centres[np.argsort(order)]
     for _ in range(rounds_apart):
-        shares = covered * wanted / wanted.sum()
+        shares = covered * wanted / total
         if exact:
             shares = held.shares_of_polygons(rims, shares, wanted)
         capped = [_on_cap(each, share, wanted=goal)[0] for each, share, goal in zip(maps, shares, goals, strict=True)]
@@ -277,7 +277,7 @@ def _side_by_side(
         reach = np.array([_reach(each, centre) for each, centre in zip(placed, centres, strict=True)])
         apart = np.arccos(np.clip(centres @ centres.T, -1.0, 1.0)) - reach[:, None] - reach
         if apart[np.triu_indices(len(maps), 1)].min() > 0.0:
-            return [placed[k] for k in back], {"cap_centres": centres[back], "cap_shares": shares[back]}
+            return placed, {"cap_centres": centres, "cap_shares": shares}
         covered *= less_covered
     raise OmtwarpError("triangles at the rims of parts reach into other parts: use finer meshes, or map each by itself")
 

@@ -58,16 +58,15 @@ def joined(maps: list[MapResult], vertex_count: int, caps: Mapping[str, Floats])
 def _numbers(maps: list[MapResult], count: int) -> tuple[list[NDArray], int]:
     """Return the numbers that the vertices of each part have in the whole, and the number of all vertices.
 
-    The input's vertices come first, then new ones.
+    The input's vertices come first, then new ones, as in each part.
     """
     numbers = []
     for part in maps:
         assert part.origins is not None
-        number, first = np.full(len(part.vertices), -1), part.origins.places()
-        number[first[first >= 0]] = np.flatnonzero(first >= 0)
-        number[number < 0] = count + np.arange(int((number < 0).sum()))
-        count = max(count, int(number.max()) + 1)
-        numbers.append(number)
+        known = np.flatnonzero(part.origins.places() >= 0)
+        new = len(part.vertices) - len(known)
+        numbers.append(np.r_[known, count + np.arange(new)])
+        count += new
     return numbers, count
 
 
@@ -78,26 +77,24 @@ def _filling(
     if all(part.loops is None for part in maps):
         return {}
     joint = {f"filled_{name}": [at_vertices[name]] for name in PLACED}
-    none = np.zeros(0, dtype=np.int64)
+    joint["filled_faces"] = [number[part.faces] for part, number in zip(maps, numbers, strict=True)]
+    joint["filled_loop"] = [np.full(len(part.faces), -1) for part in maps]
     entries = numbered = 0
     for part, number in zip(maps, numbers, strict=True):
-        whole: dict[str, NDArray] = {f"filled_{name}": part.arrays[name] for name in (*PLACED, "faces")}
-        whole |= {"filled_loop": np.full(len(part.faces), -1), "loops": none, "loop_ends": none}
-        whole |= {"loop_pairs": none.reshape(0, 2), **part.arrays}
-        new = len(whole["filled_vertices"]) - len(number)
-        rows = {f"filled_{name}": whole[f"filled_{name}"][len(number) :] for name in PLACED} | {
-            "filled_faces": np.concatenate([number, count + np.arange(new)])[whole["filled_faces"]],
-            "filled_loop": np.where(whole["filled_loop"] >= 0, whole["filled_loop"] + numbered, -1),
-            "loops": number[whole["loops"]],
-            "loop_ends": whole["loop_ends"] + entries,
-            "loop_pairs": whole["loop_pairs"] + numbered,
+        if part.loops is None:
+            continue
+        given, own, new = part.arrays, len(part.faces), len(part.arrays["filled_vertices"]) - len(number)
+        rows = {f"filled_{name}": given[f"filled_{name}"][len(number) :] for name in PLACED} | {
+            "filled_faces": np.concatenate([number, count + np.arange(new)])[given["filled_faces"][own:]],
+            "filled_loop": given["filled_loop"][own:] + numbered,
+            "loops": number[part.loops],
+            "loop_ends": given["loop_ends"] + entries,
+            "loop_pairs": given.get("loop_pairs", np.zeros((0, 2), dtype=np.int64)) + numbered,
         }
         for name, values in rows.items():
             joint.setdefault(name, []).append(values)
-        count, entries, numbered = count + new, entries + len(whole["loops"]), numbered + len(whole["loop_ends"])
-    arrays = {name: np.concatenate(several) for name, several in joint.items() if any(map(len, several))}
-    order = np.argsort(arrays["filled_loop"] >= 0, kind="stable")
-    return arrays | {name: arrays[name][order] for name in ("filled_faces", "filled_loop")}
+        count, entries, numbered = count + new, entries + len(part.loops), numbered + len(given["loop_ends"])
+    return {name: np.concatenate(several) for name, several in joint.items() if any(map(len, several))}
 
 
 def _report(maps: list[MapResult]) -> MapReport:
