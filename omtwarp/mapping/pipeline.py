@@ -626,7 +626,6 @@ class MapComputation:
         self.records.append(cast(StageReport, own | of_map))
         found = {name: value for name in ("cost", "gap") if (value := figures.get(name)) is not None}
         self.notify(OPTIMALITY, 1, 1, {"flips": last["flips"]} | found)
-        self.stage_begun = time.perf_counter()
         return figures
 
     def barycentric(self) -> None:

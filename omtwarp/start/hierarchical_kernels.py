@@ -65,14 +65,11 @@ def middle_of_arc(
     """Return where a vertex of the boundary goes on the arc of the equator between its neighbours there.
 
     One of them is the first of the ring, from which a part of the arc sees the whole ring: the vertex goes to the
-    middle of that part. The other one is on the other side of the pole.
+    middle of that part. The other one is on the other side of the pole, which is the second or the last of the ring.
     """
-    other = int(0)
-    for k in range(count):
-        if rings[row, k] == pole:
-            other = k + 1
-            if k > 1:
-                other = k - 1
+    other = count - 2
+    if rings[row, 1] == pole:
+        other = 2
     first = sphere[rings[row, 0]]
     second = sphere[rings[row, other]]
     far = ONE
