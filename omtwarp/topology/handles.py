@@ -65,7 +65,7 @@ def cut_handles(
     Raises:
         OmtwarpError: the mesh is too coarse for loops that do not touch.
     """
-    points, triangles, origin = vertices, np.asarray(faces, dtype=np.int64), np.arange(len(vertices))
+    points, triangles, origin = vertices, faces, np.arange(len(vertices))
     sides = []
     for number in range(genus):
         loop = shortest_handle_loop(points, triangles, thorough=thorough) if loops is None else loops[number]
@@ -73,14 +73,14 @@ def cut_handles(
             raise OmtwarpError(
                 f"no loop around handle {number + 1} of {genus} keeps clear of holes and other cuts: use a finer mesh"
             )
-        triangles, copied = _cut_along(Surface(points, triangles), loop)
-        points, origin = np.concatenate([points, points[copied]]), np.concatenate([origin, origin[copied]])
+        cut = _cut_along(Surface(points, triangles), loop)
+        points, triangles, origin = cut.vertices, cut.faces, origin[cut.vertex_origin]
         one, other = (side for side in boundary_loops(triangles, len(points)) if origin[loop[0]] in origin[side])
         sides.append((one, other))
     return CutSurface(origin, np.arange(len(faces)), points, triangles.astype(np.int32), sides, given=len(vertices))
 
 
-def slit_open(vertices: Floats, faces: NDArray, share: float = 1.0) -> CutSurface:
+def slit_open(vertices: Floats, faces: NDArray, share: float = 1.0) -> Derived:
     """Cut a closed surface open along a path between two vertices that are far from each other.
 
     Args:
@@ -89,7 +89,7 @@ def slit_open(vertices: Floats, faces: NDArray, share: float = 1.0) -> CutSurfac
         share: of the path that is cut, from its end.
 
     Returns:
-        The surface with one boundary loop, and no ``sides``.
+        The surface with one boundary loop.
     """
     surface, count, root = Surface(vertices, faces), len(vertices), int(faces[0, 0])
     edges, lengths = surface.edges, _edge_lengths(vertices, surface.edges)
@@ -101,9 +101,7 @@ def slit_open(vertices: Floats, faces: NDArray, share: float = 1.0) -> CutSurfac
     if len(path) < 3:  # a path of one edge opens nothing: go on to any neighbour of its end that is not its beginning
         path.append(int(np.setdiff1d(edges[(edges == path[-1]).any(axis=1)], path)[0]))
     kept = path[: max(3, round(share * len(path)))]
-    opened, copied = _cut_along(surface, np.array(kept), closed=False)
-    origin = np.concatenate([np.arange(count), copied])
-    return CutSurface(origin, np.arange(len(faces)), vertices[origin], opened.astype(np.int32), [], given=count)
+    return _cut_along(surface, np.array(kept), closed=False)
 
 
 def shortest_handle_loop(vertices: Floats, faces: NDArray, *, thorough: bool = True) -> NDArray[np.int64] | None:
@@ -280,10 +278,8 @@ class _LoopGraph:
         self.length = float(self.lengths[self._number(self.loop, np.roll(self.loop, -1))].sum())
 
 
-def _cut_along(
-    surface: Surface, loop: NDArray[np.int64], closed: bool = True
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return faces cut open along a loop or a path, and the vertices that were copied, in the order of the copies."""
+def _cut_along(surface: Surface, loop: NDArray[np.int64], closed: bool = True) -> Derived:
+    """Return a surface cut open along a loop or a path: its vertices, then copies of those on the cut."""
     count, sides = surface.vertex_count, surface.side_corners
     ends = np.stack([loop, np.roll(loop, -1)], axis=1)[: None if closed else -1]
     whole = (sides[:, 1] >= 0) & ~np.isin(edge_keys(surface.edges, count), edge_keys(ends, count))
@@ -294,9 +290,10 @@ def _cut_along(
     _, first = np.unique(label, return_index=True)
     owner = surface.faces.ravel()[first].astype(np.int64)
     kept = marked(len(first), np.unique(owner, return_index=True)[1])
-    number = np.where(kept, owner, 0)
-    number[~kept] = count + np.arange(int((~kept).sum()))
-    return number[label].reshape(-1, 3), owner[~kept]
+    origin, number = np.r_[np.arange(count), owner[~kept]], np.where(kept, owner, 0)
+    number[~kept] = np.arange(count, len(origin))
+    opened = number[label].reshape(-1, 3).astype(np.int32)
+    return Derived(origin, np.arange(len(opened)), surface.vertices[origin], opened, given=count)
 
 
 def cut_open(
