@@ -177,12 +177,10 @@ class _LoopGraph:
 
     def roots(self) -> NDArray[np.int64]:
         """Return the vertices, none on the boundary, of which every loop that does not separate passes through one."""
-        marked = np.zeros(self.count, dtype=bool)
+        on_paths = np.zeros(self.count, dtype=bool)
         for end in self.edges[self._left].ravel().tolist():
-            while end >= 0 and not marked[end]:
-                marked[end] = True
-                end = int(self._before[end])
-        return np.flatnonzero(marked & ~self.forbidden)
+            on_paths[_path_to(end, self._before)] = True
+        return np.flatnonzero(on_paths & ~self.forbidden)
 
     def search(self, roots: NDArray[np.int64]) -> None:
         """Take the shortest loop through each of the roots, where it is shorter than the one found so far."""
@@ -244,9 +242,7 @@ class _LoopGraph:
             word, bit = number // 64, np.uint64(1) << np.uint64(number % 64)
             crossed[edge, word] ^= bit
             for face in self.dual[edge].tolist():
-                while upwards[face] >= 0:
-                    crossed[upwards[face], word] ^= bit
-                    face = int(before[face])
+                crossed[upwards[_path_to(face, before)[:-1]], word] ^= bit
         return crossed
 
     def _parities(self, steps: Floats, before: NDArray) -> tuple[NDArray[np.int64], NDArray[np.uint64]]:

@@ -54,16 +54,13 @@ def boundary_loops(faces: NDArray, vertex_count: int) -> list[NDArray[np.int64]]
     if (counts > 1).any():
         vertex = int(tails[np.argmax(counts > 1)])
         raise OmtwarpError(f"the boundary runs through vertex {vertex} more than once: split it in a mesh editor")
-    following = dict(half.tolist())
+    following = dict(sorted(half.tolist()))
     loops = []
-    for start in tails.tolist():
-        if start not in following:
-            continue
-        loop, at = [start], following.pop(start)
-        while at != start:
-            loop.append(at)
-            at = following.pop(at)
-        loops.append(np.array(loop, dtype=np.int64))
+    while following:
+        loop = [next(iter(following))]
+        while loop[-1] in following:
+            loop.append(following.pop(loop[-1]))
+        loops.append(np.array(loop[:-1], dtype=np.int64))
     return loops
 
 
