@@ -391,7 +391,6 @@ def _quartered(opened: _Opened, closed: MapResult, surface: Surface) -> tuple[_O
     """
     whole, own = surface.vertex_count, PARTS * len(opened.faces)
     used = np.unique(closed.faces[:own])
-    middles = used[used >= whole]
     order = np.concatenate([used, np.setdiff1d(np.arange(len(closed.vertices)), used)])
     place = np.argsort(order)
     ends = surface.edges.astype(np.int64)
@@ -403,7 +402,7 @@ def _quartered(opened: _Opened, closed: MapResult, surface: Surface) -> tuple[_O
         edge = np.searchsorted(keys, edge_keys(np.stack([loop, np.roll(loop, -1)], axis=1), whole))
         loops.append(np.stack([loop, place[whole + edge]], axis=1).ravel())
     number, parents = np.where(used < whole, used, -1), np.arange(own) // PARTS
-    of_parts = Origins(number, parents, split_edges=ends[middles - whole], given=len(opened.vertices))
+    of_parts = Origins(number, parents, split_edges=ends[used[used >= whole] - whole], given=len(opened.vertices))
     cut = replace(
         opened,
         vertices=points[: len(used)],

@@ -305,7 +305,7 @@ class MapComputation:
             report["warnings"] = accepted(findings, options.strict)
         if optimality is not None:
             report["optimality"] = optimality
-        result = MapResult(
+        return MapResult(
             vertices=surface.vertices,
             faces=surface.faces,
             sphere=self.sphere,
@@ -319,8 +319,7 @@ class MapComputation:
             report=report,
             measure=surface.face_areas if surface.weighted else None,
             target=None if self.target is None else self.target.at(self.sphere),
-        )
-        return result.certified(certificate)
+        ).certified(certificate)
 
     def conformal(self) -> None:
         """Compute the conformal map, or the start that replaces it."""
@@ -620,8 +619,7 @@ class MapComputation:
                 figures |= dict.fromkeys(("lower_bound", "gap"))
         if Stage.OMT in costs and self.sphere is not self.maps[Stage.OMT]:
             figures["added_by_refinement"] = costs[last["name"]] / max(costs[Stage.OMT], TINY) - 1.0
-        seconds = time.perf_counter() - self.stage_begun
-        own = {"name": OPTIMALITY, "seconds": seconds, "iterations": steps}
+        own = {"name": OPTIMALITY, "seconds": time.perf_counter() - self.stage_begun, "iterations": steps}
         of_map = {name: last.get(name) for name in ("flips", "degree", "finite", "area", "angle", "transport_cost")}
         self.records.append(cast(StageReport, own | of_map))
         found = {name: value for name in ("cost", "gap") if (value := figures.get(name)) is not None}
