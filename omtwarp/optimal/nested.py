@@ -107,11 +107,9 @@ class Coarse:
 
 
 def coarse_counts(vertex_count: int) -> list[int]:
-    """Return about how many vertices coarse triangulations have, the coarsest first, each an eighth of the next."""
-    counts = [int(np.clip(vertex_count / VERTICES_PER_COARSE, LEAST_COARSE, MOST_COARSE))]
-    while counts[0] >= VERTICES_PER_COARSE * LEAST_COARSE:
-        counts.insert(0, counts[0] // VERTICES_PER_COARSE)
-    return counts
+    """Return about how many vertices the coarse triangulations have, the coarsest first: three where one is large."""
+    count = int(np.clip(vertex_count / VERTICES_PER_COARSE, LEAST_COARSE, MOST_COARSE))
+    return [count // VERTICES_PER_COARSE**power for power in ((2, 1, 0) if 2 * count > MOST_COARSE else (0,))]
 
 
 def coarse_surface(
@@ -186,14 +184,13 @@ def nested_start(
     Raises:
         OmtwarpError: points coincide, or the map has flipped triangles that could not be repaired.
     """
-    carried: Floats | None = None
-    for count in coarse_counts(surface.vertex_count):
-        coarse = coarse_surface(surface, start, count=count, mirror=mirror)
-        points = coarse.surface.vertices
-        first = moser_map(coarse.surface, points, device=device).sphere if carried is None else carried[coarse.vertices]
-        carried = _carried(coarse, untangled(coarse.surface, first, device=device), points, device)
-    assert carried is not None
-    return untangled(surface, carried, device=device)
+    levels = [coarse_surface(surface, start, count=k, mirror=mirror) for k in coarse_counts(surface.vertex_count)]
+    sphere = moser_map(levels[0].surface, levels[0].surface.vertices, device=device).sphere
+    everywhere = np.arange(surface.vertex_count)
+    for level, next_vertices in zip(levels, [*(each.vertices for each in levels[1:]), everywhere], strict=True):
+        first = untangled(level.surface, sphere, device=device)
+        sphere = _carried(level, first, level.surface.vertices, device)[next_vertices]
+    return untangled(surface, sphere, device=device)
 
 
 def embedded_start(
