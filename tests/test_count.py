@@ -104,7 +104,7 @@ def test_packages_that_import_each_other_have_no_floors():
 
 
 LIMITS = {
-    "lines of code": 30_800, "files": 230, "numeric constants": 300, "functions over 80 lines or 20 branches": 0,
+    "lines of code": 30_300, "files": 230, "numeric constants": 300, "functions over 80 lines or 20 branches": 0,
     "repeats of 6 lines": 20, "floors": 12, "loose modules": 10,
 }  # fmt: skip
 

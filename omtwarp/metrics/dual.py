@@ -52,7 +52,7 @@ def ascend(
             notify(done, best)
         step = _step(dual, pairs, best, slope)
         if step is None:
-            if pairs.empty:
+            if not pairs.kept:
                 break
             pairs = _Pairs(dual)  # the slope itself may still raise the bound, as next to a kink
             continue
@@ -73,7 +73,7 @@ def _step(dual: MapDual, pairs: _Pairs, best: Bound, slope: Floats) -> Bound | N
     along = float(direction @ slope)
     if not along > 0.0:
         return None
-    length = first * best.excess / along if pairs.empty else 1.0
+    length = first * best.excess / along if not pairs.kept else 1.0
     for _ in range(trials):
         raised = dual.bound(best.potential + length * direction)
         if raised.excess < best.excess:
@@ -87,35 +87,33 @@ class _Pairs:
 
     Args:
         dual: the problem.
+
+    Attributes:
+        kept: steps, changes of the slope and their products.
     """
 
     def __init__(self, dual: MapDual):
         self._smoothed = dual.smoothed
         # Most pairs, of steps and changes of the slope; 3 to 20 are usual (Nocedal and Wright 2006, chapter 7)
-        self._pairs: deque[tuple[Floats, Floats, float]] = deque(maxlen=10)
+        self.kept: deque[tuple[Floats, Floats, float]] = deque(maxlen=10)
         self._scale = 1.0
-
-    @property
-    def empty(self) -> bool:
-        """Whether there is no pair."""
-        return not self._pairs
 
     def add(self, step: Floats, change: Floats) -> None:
         """Add a step of the potential and how far the slope fell, unless its curvature is round-off."""
         product = float(step @ change)
         # Least curvature, s · y over |s| |y|: pairs with less are not kept, their curvature is round-off
         if product > 1e-12 * float(np.linalg.norm(step) * np.linalg.norm(change)):
-            self._pairs.append((step, change, product))
+            self.kept.append((step, change, product))
             self._scale = product / float(change @ self._smoothed(change))
 
     def direction(self, slope: Floats) -> Floats:
         """Return the change of the potential that a slope asks for, by the corrected matrix."""
         right, factors = slope.copy(), []
-        for step, change, product in reversed(self._pairs):
+        for step, change, product in reversed(self.kept):
             factors.append(float(step @ right) / product)
             right -= factors[-1] * change
-        out = self._smoothed(right) * (self._scale if self._pairs else 1.0)
-        for (step, change, product), factor in zip(self._pairs, reversed(factors), strict=True):
+        out = self._smoothed(right) * (self._scale if self.kept else 1.0)
+        for (step, change, product), factor in zip(self.kept, reversed(factors), strict=True):
             out += step * (factor - float(change @ out) / product)
         return out
 

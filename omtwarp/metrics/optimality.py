@@ -203,16 +203,15 @@ def optimality(
     notify(2, {})
     best = dual.bound(fitted)
     if potential is not None:
-        given = dual.bound(real_numbers(potential, "potential", mass.shape))
-        best = min(best, given, key=lambda bound: bound.excess)
+        given = real_numbers(potential, "potential", mass.shape)
+        best = min(best, dual.bound(given), key=lambda bound: bound.excess)
     cost = 2.0 * float(mass @ dual.cost)
-    if cost - 2.0 * best.excess < worth_raising * cost:
-        ascent_steps = 0
+    most = ascent_steps if cost - 2.0 * best.excess >= worth_raising * cost else 0
 
     def ascended(done: int, ascent: Bound) -> None:
         notify(STEPS_BEFORE + done, {"gap": 2.0 * ascent.excess / cost})
 
-    best, steps = ascend(dual, best, ascent_steps, _excess_at(cost, enough), ascended)
+    best, steps = ascend(dual, best, most, _excess_at(cost, enough), ascended)
     vertex_gap = 2.0 * mass * best.vertex_gap
     lower = max(cost - float(vertex_gap.sum()), 0.0)  # no plan costs less than nothing
     notify(total, {"gap": _excess(cost, lower)})
@@ -317,12 +316,11 @@ def torus_optimality(surface: Surface, x: Floats, y: Floats, shift: Floats, latt
     fitted, _ = dual.initial_potential()
     best, taken = ascend(dual, dual.bound(fitted), ASCENT_STEPS, _excess_at(cost, GOOD_ENOUGH))
     lower = max(cost - 2.0 * best.excess, 0.0)
-    gap = _excess(cost, lower)
     steps = np.array([(i, j) for i in range(-2, 3) for j in range(-2, 3) if (i, j) != (0, 0)]) @ lattice
     other = squared_norms(moved[:, None] + steps).min(axis=1)
     # As many lattices are symmetric, two ways may be equally long but for rounding.
     wrapped = int((other < squared_norms(moved) * (1.0 - 1e-9)).sum())
-    numbers = {"relative_curl": curl, "cost": cost, "lower_bound": lower, "gap": gap}
+    numbers = {"relative_curl": curl, "cost": cost, "lower_bound": lower, "gap": _excess(cost, lower)}
     return TorusOptimality(**numbers, ascent_steps=taken, wrapped=wrapped)
 
 

@@ -91,27 +91,20 @@ def sample_triangles(
 
 @wp.func
 def solve_definite(matrix: mat66d, right: vec6d) -> vec6d:
-    """Return the solution of a symmetric positive definite system of six equations, by Cholesky's factorisation."""
-    low = matrix
+    """Return the solution of a symmetric positive definite system of six equations, by Gauss and Jordan's method."""
+    left = matrix
     x = right
     for j in range(6):
-        for k in range(j):
-            low[j, j] = low[j, j] - low[j, k] * low[j, k]
-        # Squared, of a least-squares system in units of its node: the ridge keeps pivots above.
-        low[j, j] = wp.sqrt(wp.max(low[j, j], wp.float64(1.0e-30)))
-        for i in range(j + 1, 6):
-            for k in range(j):
-                low[i, j] = low[i, j] - low[i, k] * low[j, k]
-            low[i, j] = low[i, j] / low[j, j]
-    for i in range(6):
-        for k in range(i):
-            x[i] = x[i] - low[i, k] * x[k]
-        x[i] = x[i] / low[i, i]
-    for m in range(6):
-        i = 5 - m
-        for k in range(i + 1, 6):
-            x[i] = x[i] - low[k, i] * x[k]
-        x[i] = x[i] / low[i, i]
+        # Of a least-squares system in units of its node: the ridge keeps pivots above.
+        pivot = wp.max(left[j, j], wp.float64(1.0e-30))
+        x[j] = x[j] / pivot
+        for k in range(j + 1, 6):
+            left[j, k] = left[j, k] / pivot
+        for i in range(6):
+            if i != j:
+                x[i] = x[i] - left[i, j] * x[j]
+                for k in range(j + 1, 6):
+                    left[i, k] = left[i, k] - left[i, j] * left[j, k]
     return x
 
 
@@ -350,24 +343,18 @@ def c_transform(
                     relied = wp.min(relied, bound - wp.float64(1.0e-14))
             if inside and node >= tree.leaf_count:
                 leaf = node - tree.leaf_count
-                corner = wp.vec3d()
-                middle = wp.vec3d()
-                for k in range(3):
-                    one = SAMPLES * leaf + k
-                    corner[k] = cost_of(x, tree.places[one], tree.flat) - tree.values[one]
-                    middle[k] = cost_of(x, tree.places[one + 3], tree.flat) - tree.values[one + 3]
+                sampled = vec6d()
+                for s in range(SAMPLES):
+                    one = SAMPLES * leaf + s
+                    sampled[s] = cost_of(x, tree.places[one], tree.flat) - tree.values[one]
+                    if sampled[s] < best:
+                        best = sampled[s]
+                        best_leaf = leaf
+                        best_weights = sample_weights(s)
+                corner = wp.vec3d(sampled[0], sampled[1], sampled[2])
                 bulge = wp.vec3d()
                 for k in range(3):
-                    bulge[k] = wp.float64(4.0) * middle[k] - TWO * (corner[k] + corner[(k + 1) % 3])
-                    b = sample_weights(k)
-                    value = corner[k]
-                    if middle[k] < value:
-                        value = middle[k]
-                        b = sample_weights(k + 3)
-                    if value < best:
-                        best = value
-                        best_leaf = leaf
-                        best_weights = b
+                    bulge[k] = wp.float64(4.0) * sampled[k + 3] - TWO * (corner[k] + corner[(k + 1) % 3])
                 b = lowest_on_triangle(corner, bulge)
                 if potential_at(corner, bulge, b) < best:
                     z, psi = sample_at(tree.triangles[leaf], b @ tree.corners[leaf], tree)

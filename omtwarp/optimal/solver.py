@@ -324,10 +324,9 @@ class _Newton:
 
         So it is where symmetry holds every vertex, as on a sphere of 80 triangles, whose areas are flat.
         """
-        if not self.constrained or decrement > self._enough(terms):
-            return False
-        left = float(self.compliance.numpy() @ q.numpy() ** 2)  # B u = C q - missing
-        return terms.largest <= self.max_error and left > (1.0 - LEAST_AREA_GAIN) * self.stiffness * terms.squares
+        near = self.constrained and decrement <= self._enough(terms) and terms.largest <= self.max_error
+        least_left = (1.0 - LEAST_AREA_GAIN) * self.stiffness * terms.squares
+        return near and float(self.compliance.numpy() @ q.numpy() ** 2) > least_left  # B u = C q - missing
 
     def _penalised_energy(self, terms: MapTerms) -> float:
         """Return cost plus shape plus penalty on area errors; it needs no multipliers."""

@@ -292,10 +292,6 @@ class PaperFlow:
             held |= touching(self.faces, marked(len(self.map), self.faces[flipped]))
         return False
 
-    def accept(self) -> None:
-        """Accept the map that :meth:`advance` made as the current one."""
-        self.dual_map, self.map = self.advanced, self.advanced_map
-
 
 def _dual_weights(points: Floats, faces: Ints) -> Floats:
     """Return the barycentric coordinates of the dual vertices, clamped to their triangles, shape [F, 3]."""
@@ -426,7 +422,7 @@ class _Descent:
                     area = self._flow.area_of(self._flow.advanced_map)
                     if area > self._largest_area:
                         return "area"
-                    self._flow.accept()
+                    self._flow.dual_map, self._flow.map = self._flow.advanced, self._flow.advanced_map
                     self._cost, self._area = reached, area
                 self._steps[resolution] = (growth if accepted else 0.5) * step
                 tried, taken = tried + 1, taken + accepted
