@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from omtwarp.device.arrays import sent, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.device.threads import each, launch_parts
+from omtwarp.device.threads import FIRST_THREAD, each, launch_parts
 from omtwarp.mesh.arrays import TINY, Floats, cross, dots, norms, squared_norms
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics import optimality_kernels as kernels, tree_kernels as trees
@@ -112,7 +112,7 @@ class _Pairs:
         for step, change, product in reversed(self.kept):
             factors.append(float(step @ right) / product)
             right -= factors[-1] * change
-        out = self._smoothed(right) * (self._scale if self.kept else 1.0)
+        out = self._smoothed(right) * self._scale
         for (step, change, product), factor in zip(self.kept, reversed(factors), strict=True):
             out += step * (factor - float(change @ out) / product)
         return out
@@ -229,7 +229,7 @@ class MapDual:
         tree.nodal = sent(potential, wp.float64, device)
         wp.launch(kernels.sample_triangles, dim=len(tree.triangles), outputs=[tree], device=device)
         if not self._fitted:
-            wp.launch(kernels.fit_nodes, dim=(len(tree.models), 1), outputs=[tree], device=device)
+            launch_parts(kernels.fit_nodes, len(tree.models) - 1, [FIRST_THREAD], [tree], device)
             self._fitted = True
         tree.extremes.fill_(kernels.NOTHING)
         wp.launch(kernels.raise_paraboloids, dim=len(tree.triangles), outputs=[tree], device=device)
@@ -253,8 +253,8 @@ class MapDual:
         reach = float(np.sqrt(2.0 * (own + (self.cost - own).max()).max()))  # nothing farther is better
         far = np.ceil(np.linalg.norm(np.linalg.pinv(self._lattice), axis=0) * reach).astype(int) + 1
         steps = [(i, j) for i in range(-far[0], far[0] + 1) for j in range(-far[1], far[1] + 1)]
-        vectors = np.array(steps) @ self._lattice
-        return vectors[np.argsort(squared_norms(vectors), kind="stable")]
+        repeats = np.array(steps) @ self._lattice
+        return repeats[np.argsort(squared_norms(repeats), kind="stable")]
 
     @property
     def tolerance(self) -> float:

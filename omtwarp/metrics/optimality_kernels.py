@@ -126,13 +126,13 @@ def terms_at(w: wp.vec3d, axis: wp.vec3d, other: wp.vec3d) -> vec6d:
 
 @wp.kernel
 def fit_nodes(
+    begin: int,
     # Data in and out:
     tree: Tree,
 ):
-    """Choose the centre of a node and its axes, and fit a paraboloid to the potential there."""
-    node, _compiled_once = wp.tid()
-    if node == 0:
-        return
+    """Choose the centre of a node and its axes, and fit a paraboloid to the potential there; nodes begin at 1."""
+    place, _compiled_once = wp.tid()
+    node = begin + place + 1
     first, last = leaves_below(node, tree.leaf_count, tree.triangles.shape[0])
     if first > last:
         return
