@@ -95,9 +95,7 @@ OTHERS = {
         "optimal/nested.py": "LEAST_COARSE MOST_COARSE",
         "optimal/patch_kernels.py": "DEFINITE MERIT EXPECTED LENGTH",
         "moser.py": "parts",
-        "solvers/cholesky/dissection.py": (
-            "MAX_LEAF_VERTICES CUT_WINDOW MAX_CUT_RATIO MIN_REFINED BAND_RINGS BAND_SHARE LEAST_SAVED WITHIN_PART"
-        ),
+        "solvers/cholesky/dissection.py": "MAX_LEAF_VERTICES CUT_WINDOW MIN_REFINED BAND_RINGS",
         "solvers/cholesky/envelope.py": "COLUMNS",
         "solvers/cholesky/multifrontal.py": "MIN_PARALLEL_OPERATIONS MIN_LIMITED_OPERATIONS BRANCHES_PER_THREAD",
         "solvers/cholesky/saddle.py": "UNKNOWNS COORDINATES",

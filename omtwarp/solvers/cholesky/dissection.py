@@ -1,10 +1,9 @@
 """Nested dissection of a surface mesh, and the fronts of the elimination that follows from it.
 
-Parts are halved repeatedly across their longest direction, or another where too many edges would cross, at the
-position near the middle that the fewest edges cross; the ends of those edges on one side, in large parts the fewest
-vertices near the cut, separate the two halves and are eliminated after them (George, "Nested dissection of a regular
-finite element mesh", 1973). All parts of a depth are cut together, so that the work is a few sorts of all vertices for
-every depth.
+Parts are halved repeatedly across the direction, and at the position, with the least ratio cut: the edges that cross
+over the product of the halves' numbers of vertices (Wei and Cheng, "Ratio cut partitioning for hierarchical designs",
+1991). The ends of those edges on one side, in large parts the fewest vertices near the cut, separate the two halves and
+are eliminated after them (George, "Nested dissection of a regular finite element mesh", 1973).
 
 The fewest vertices are those of a minimum cut within a band around the first one: every vertex of the band is an arc of
 capacity one, the halves beside it are source and sink, and the arcs of a minimum cut are the fewest vertices that
@@ -23,27 +22,23 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from omtwarp.device.arrays import sent, vectors
+from omtwarp.device.start import wp
+from omtwarp.device.threads import Each, each, launch_parts
 from omtwarp.geometry.intrinsic import intrinsic_edges
 from omtwarp.mesh.arrays import edge_keys
 from omtwarp.mesh.surface import Surface
+from omtwarp.solvers.cholesky.halving_kernels import Parts, divide_parts, halve_parts
 
 Mask = NDArray[np.bool_]
 
 MAX_LEAF_VERTICES = 24  # vertices of a part that is cut no further: dense elimination is then as fast
-CUT_WINDOW = 0.2  # how far from the middle of a part it may be cut
-# Other directions are tried where a cut crosses more edges than this times √(vertices of the part); scans have 2 to 4.
-MAX_CUT_RATIO = 5.0
-# Larger parts are separated by the fewest vertices within so many rings around the straight cut, and within this share
-# of the part's vertices from it. A map of the skull takes 0.85 times the time with 1000 and 3, a gargoyle's, a bust's
-# and a blob's of 100,000 triangles the same, a bunny's 0.96 times. With 6 rings operations are fewer by a tenth, and
-# are found in twice the time.
-MIN_REFINED, BAND_RINGS, BAND_SHARE = 1000, 3, 0.15
-# Where that saves less than this share at one depth, deeper parts keep their straight cuts: scans save 6 to 44 % at
-# nearly every depth, a blob of a million regular triangles 4 % of the operations for half of its dissection's time.
-LEAST_SAVED = 0.05
-
-# Of a unit that a part's positions take: less than 1, so that rounding puts none into the next part.
-WITHIN_PART = 0.999
+# How far from the middle of a part it may be cut, as a share of it, so that trees stay flat: of twelve surfaces a
+# factorisation takes the same operations to 2 % with 0.2 and without a limit.
+CUT_WINDOW = 0.3
+# Larger parts are separated by the fewest vertices within so many rings around the straight cut. A factorisation takes
+# a thirtieth less with 300 and the same with 5 rings, of which there are more to search.
+MIN_REFINED, BAND_RINGS = 1000, 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,178 +206,43 @@ def _depth(nodes: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.frexp(nodes.astype(np.float64))[1].astype(np.int64)
 
 
-def _bisect(points: NDArray[np.float64], ends: NDArray[np.int32], leaf: int) -> NDArray[np.int64]:
+def _bisect(points: NDArray[np.float64], edges: NDArray[np.int32], leaf: int) -> NDArray[np.int64]:
     """Bisect the mesh recursively; return every vertex's node in the tree of dissection, see :func:`_fronts`."""
-    points, edges = np.asarray(points, dtype=np.float64), ends.astype(np.int64)
-    count = len(points)
-    node = np.ones(count, dtype=np.int64)
-    alive = np.arange(count)
-    part = np.zeros(count, dtype=np.int64)  # of every vertex alive, numbered without gaps
-    sizes = np.array([count])
-    slot = np.empty(count, dtype=np.int64)
-    worthwhile = True  # whether fewer vertices separate than straight cuts need
-    while sizes.max() > leaf:
-        positions, axes = _principal_axes(points[alive], part, sizes)
-        slot[alive] = np.arange(len(alive))
-        pairs = slot[edges]
-        cut = _halves(positions, axes[:, :, 2], part, sizes, pairs)
-        # Where triangles are long, a part may be longest in the direction that its edges run in.
-        many = MAX_CUT_RATIO * np.sqrt(sizes)
-        if (cut.crossings > many)[sizes > leaf].any():
-            coordinates = np.broadcast_to(np.eye(3), axes.shape)
-            for tried in (axes[:, :, 1], axes[:, :, 0], *(coordinates[:, :, k] for k in range(3))):
-                cut = cut.or_better(_halves(positions, tried, part, sizes, pairs), cut.crossings > many, part)
-        divided = (sizes > leaf)[part]
-        side = (cut.share > 0.0) & divided
-        separates = _ends(pairs, side, part, len(sizes))
-        refined = (sizes > MIN_REFINED)[part]
-        if worthwhile and refined.any():
-            before = int(separates[refined].sum())
-            separates, side = _fewer(pairs, cut.share, refined, separates, side, part, len(sizes))
-            worthwhile = int(separates[refined].sum()) <= (1.0 - LEAST_SAVED) * before
-        stays = ~separates & divided
-        going = alive[stays]
-        node[going] = 2 * node[going] + side[stays]
-        # Parts that are small enough are done.
-        alive = going
-        if not len(alive):
-            break
-        edges = edges[node[edges[:, 0]] == node[edges[:, 1]]]
-        active = np.zeros(count, dtype=bool)
-        active[alive] = True
-        edges = edges[active[edges[:, 0]]]
-        edges = edges[active[edges[:, 1]]]
-        numbers = 2 * part[stays] + side[stays]
-        sizes = np.bincount(numbers)
-        present = np.flatnonzero(sizes)
-        renumber = np.zeros(len(sizes), dtype=np.int64)
-        renumber[present] = np.arange(len(present))
-        part, sizes = renumber[numbers], sizes[present]
-    return node
+    count, parts = len(points), Parts()
+    parts.positions, parts.edges = vectors(points, "cpu"), sent(edges.copy(), wp.vec2i)
+    parts.vertices, parts.node = sent(np.arange(count), wp.int32), sent(np.ones(count, dtype=np.int64), wp.int64)
+    parts.second, parts.separates = (wp.empty(count, dtype=wp.bool) for _ in range(2))
+    for name in ("ring", "rank", "counters", "passed"):
+        setattr(parts, name, wp.empty(count, dtype=wp.int32))
+    parts.along, parts.edges_passed = wp.empty(count, dtype=wp.float64), wp.empty(len(edges), dtype=wp.vec2i)
+    stretches = np.array([[0, count, 0, len(edges)]], dtype=np.int32)
+    while len(stretches := stretches[stretches[:, 1] - stretches[:, 0] > leaf]):
+        given, halves = each(sent(stretches, wp.vec4i)), wp.empty(2 * len(stretches), dtype=wp.vec4i)
+        launch_parts(
+            halve_parts, len(stretches), [*given, wp.float64(CUT_WINDOW), MIN_REFINED, BAND_RINGS], [parts], "cpu", 2
+        )
+        _separate_by_fewest(stretches[stretches[:, 1] - stretches[:, 0] > MIN_REFINED], parts)
+        launch_parts(divide_parts, len(stretches), [*given, parts], [Each(halves, 2)], "cpu", 2)
+        stretches = halves.numpy()
+    return parts.node.numpy()
 
 
-def _ends(pairs: NDArray[np.int64], side: Mask, part: NDArray[np.int64], parts: int) -> Mask:
-    """Return which vertices are the ends of the edges that cross, of every part on the side with fewer of them, [N]."""
-    across = pairs[side[pairs[:, 0]] != side[pairs[:, 1]]]
-    ends = np.zeros(len(side), dtype=bool)
-    ends[across] = True
-    below, above = (np.bincount(part[ends & (side == which)], minlength=parts) for which in (False, True))
-    return ends & (side == (above < below)[part])
-
-
-def _fewer(
-    pairs: NDArray[np.int64],
-    share: NDArray[np.float64],
-    refined: Mask,
-    separates: Mask,
-    side: Mask,
-    part: NDArray[np.int64],
-    parts: int,
-) -> tuple[Mask, Mask]:
-    """Return separators and sides with fewer separating vertices in some parts, near those given.
-
-    Args:
-        pairs: edges between vertices of the same part, shape [E, 2].
-        share: how far a vertex is from the cut of its part, in parts of its size, shape [N].
-        refined: vertices of the parts in question, shape [N].
-        separates, side: which vertices separate, and which are in the second half, shape [N].
-        part: of every vertex, shape [N].
-        parts: how many there are.
-    """
-    chosen = np.flatnonzero(refined)
-    place = np.empty(len(refined), dtype=np.int64)
-    place[chosen] = np.arange(len(chosen))
-    edges = place[pairs[refined[pairs[:, 0]]]]
-    of_chosen = part[chosen]
-    near = np.abs(share[chosen]) < BAND_SHARE
-    band = separates[chosen]
-    one, other = edges[near[edges[:, 0]] & near[edges[:, 1]]].T.copy()
-    for _ in range(BAND_RINGS):
-        ends = band[one] | band[other]
-        band[one[ends]] = band[other[ends]] = True
-    fewest, second = least_separators(edges, band, side[chosen])
-    # A cut is kept where that leaves nothing on one side.
-    empty = np.zeros(parts, dtype=bool)
-    for which in (False, True):
-        empty |= np.bincount(of_chosen[~fewest & (second == which)], minlength=parts) == 0
-    taken = ~empty[of_chosen]
-    separates, side = separates.copy(), side.copy()
-    separates[chosen[taken]], side[chosen[taken]] = fewest[taken], second[taken]
-    return separates, side
-
-
-@dataclass(frozen=True)
-class _Cut:
-    """Cuts of some parts in two.
-
-    Attributes:
-        share: how far every vertex is from the cut of its part, in vertices over those of the part; positive in the
-            second half, never 0, shape [N].
-        crossings: how many edges cross each cut, counted as more where the halves differ in size, shape [P].
-    """
-
-    share: NDArray[np.float64]
-    crossings: NDArray[np.float64]
-
-    def or_better(self, other: _Cut, wanted: Mask, part: NDArray[np.int64]) -> _Cut:
-        """Return the cuts with those of another in place of them in the parts wanted where fewer edges cross."""
-        better = wanted & (other.crossings < self.crossings)
-        share = np.where(better[part], other.share, self.share)
-        return _Cut(share, np.where(better, other.crossings, self.crossings))
-
-
-def _halves(
-    positions: NDArray[np.float64],
-    directions: NDArray[np.float64],
-    part: NDArray[np.int64],
-    sizes: NDArray[np.int64],
-    edges: NDArray[np.int64],
-) -> _Cut:
-    """Cut every part across a direction, where the fewest edges cross near its middle.
-
-    Args:
-        positions: of the vertices, relative to the middle of their part, shape [N, 3].
-        directions: of the parts, shape [P, 3].
-        part: of every vertex, shape [N].
-        sizes: of the parts, shape [P].
-        edges: between vertices of the same part, shape [E, 2].
-    """
-    count = len(positions)
-    starts = np.cumsum(sizes) - sizes
-    along = np.einsum("ij,ij->i", positions, directions[part])
-    # Parts one after another, each on less than a unit: positions relative to their middles share one scale.
-    lowest, highest = float(along.min()), float(along.max())
-    ranked = np.argsort((along - lowest) * (WITHIN_PART / max(highest - lowest, np.finfo(float).tiny)) + part)
-    rank = np.empty(count, dtype=np.int64)
-    rank[ranked] = np.arange(count)
-    one, other = rank[edges[:, 0]], rank[edges[:, 1]]
-    low, high = np.minimum(one, other), np.maximum(one, other)
-    crossed = np.cumsum(np.bincount(low, minlength=count) - np.bincount(high, minlength=count))
-    owner = part[ranked]
-    share = (np.arange(count) - starts[owner] + 1.0) / sizes[owner] - 0.5
-    score = np.where(np.abs(share) <= CUT_WINDOW, crossed * (1.0 + 4.0 * share**2), np.inf)
-    # The middle itself always lies in the window, whatever the size of the part.
-    middle = starts + sizes // 2 - 1
-    score[middle] = np.minimum(score[middle], crossed[middle])
-    least = np.minimum.reduceat(score, starts)
-    best = np.flatnonzero(score == least[owner])
-    cut = np.empty(len(sizes), dtype=np.int64)
-    cut[owner[best[::-1]]] = best[::-1]  # the first of equals
-    return _Cut((rank - cut[part] - 0.5) / sizes[part], least)
-
-
-def _principal_axes(
-    points: NDArray[np.float64], part: NDArray[np.int64], sizes: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return positions relative to the parts' centres, shape [N, 3], and the parts' axes as columns, the main last."""
-    count = len(sizes)
-    mean = np.stack([np.bincount(part, points[:, k], count) for k in range(3)], axis=1) / sizes[:, None]
-    centred = points - mean[part]
-    moments = np.empty((count, 3, 3))
-    for i in range(3):
-        for j in range(i + 1):
-            moments[:, i, j] = moments[:, j, i] = np.bincount(part, centred[:, i] * centred[:, j], count)
-    return centred, np.linalg.eigh(moments)[1]
+def _separate_by_fewest(stretches: NDArray[np.int32], parts: Parts) -> None:
+    """Separate the halves of some parts by the fewest vertices in the rings around those that do."""
+    if not len(stretches):
+        return
+    names = (parts.vertices, parts.edges, parts.ring, parts.second, parts.separates)
+    vertices, edges, ring, second, separates = (array.numpy() for array in names)
+    own = [vertices[part[0] : part[1]] for part in stretches]
+    band = np.zeros(len(ring), dtype=bool)
+    for part in own:
+        band[part] = ring[part] > 0
+    near = np.concatenate([edges[part[2] : part[3]] for part in stretches])
+    fewest, beyond = least_separators(near[band[near[:, 0]] | band[near[:, 1]]], band, second)
+    for part in own:
+        # A cut is kept where that leaves nothing on one side.
+        if 0 < int(beyond[part].sum()) < len(part) - int(fewest[part].sum()):
+            separates[part], second[part] = fewest[part], beyond[part]
 
 
 def _boundaries(node: NDArray[np.int64], edges: NDArray[np.int64]) -> NDArray[np.int64]:
