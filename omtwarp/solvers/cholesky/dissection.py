@@ -309,67 +309,6 @@ def _surface_nodes(surface: Surface) -> NDArray[np.int64]:
     return surface.cached("tree of dissection", tree)
 
 
-def of_unknowns(
-    nodes: Dissection,
-    order: NDArray[np.int64],
-    first: NDArray[np.int64],
-    owned: NDArray[np.int64],
-    row_keys: NDArray[np.int64],
-    couplings: NDArray[np.int64],
-) -> Dissection:
-    """Return the dissection of unknowns of which every node of a graph has some, with the fronts of that graph.
-
-    Args:
-        nodes: the dissection of the graph.
-        order: unknown in every place of the elimination, shape [U].
-        first: place of the first unknown that a front eliminates, shape [N].
-        owned: number of unknowns it eliminates, shape [N].
-        row_keys: front times U plus place of every row of every front, shape [R]; sorted here.
-        couplings: pairs of unknowns that the matrix couples, shape [E, 2].
-    """
-    total, fronts = len(order), len(owned)
-    keys = np.sort(row_keys)
-    of_row = keys // total
-    rows = keys - of_row * total
-    starts = np.searchsorted(of_row, np.arange(fronts + 1))
-    upward = np.full(len(rows), -1, dtype=np.int32)
-    passed = np.flatnonzero(rows >= (first + owned)[of_row])
-    above = nodes.parent[of_row[passed]]
-    upward[passed] = np.searchsorted(keys, above * total + rows[passed]) - starts[above]
-    place = np.empty(total, dtype=np.int64)
-    place[order] = np.arange(total)
-    one, other = place[couplings[:, 0]], place[couplings[:, 1]]
-    low, high = np.minimum(one, other), np.maximum(one, other)
-    edge_front = np.repeat(np.arange(fronts), owned)[low]
-    entering = _stable_order(edge_front, fronts)
-    edge_front, low, high = edge_front[entering], low[entering], high[entering]
-    return Dissection(
-        order=order,
-        depths=nodes.depths,
-        first=first,
-        owned=owned,
-        starts=starts,
-        rows=rows.astype(np.int32),
-        parent=nodes.parent,
-        upward=upward,
-        entering=entering.astype(np.int32),
-        edge_starts=np.searchsorted(edge_front, np.arange(fronts + 1)).astype(np.int32),
-        edge_row=(np.searchsorted(keys, edge_front * total + high) - starts[edge_front]).astype(np.int32),
-        edge_column=(low - first[edge_front]).astype(np.int32),
-        edge_turned=np.zeros(len(entering), dtype=np.bool_),
-        edges=couplings.astype(np.int32),
-    )
-
-
-def edge_blocks(edges: NDArray[np.int32], size: int) -> NDArray[np.int64]:
-    """Return the pairs of unknowns, two at each end, that edges (i, j) couple: rows of i, columns of j, [4 E, 2].
-
-    Coordinate c of vertex v is unknown ``size * v + c``.
-    """
-    i, j = (size * edges[:, k].astype(np.int64) for k in range(2))
-    return np.stack([np.stack([i + a, j + b], axis=1) for a in range(2) for b in range(2)], axis=1).reshape(-1, 2)
-
-
 def least_separators(edges: NDArray[np.int64], band: Mask, second: Mask) -> tuple[Mask, Mask]:
     """Return the fewest vertices of a band that separate the two sides of it.
 

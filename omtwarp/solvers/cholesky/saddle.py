@@ -11,6 +11,7 @@ References:
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from omtwarp.device.arrays import empty
 from omtwarp.device.start import wp
 from omtwarp.mesh.arrays import Floats
-from omtwarp.solvers.cholesky.dissection import Dissection, dissect, edge_blocks, of_unknowns
+from omtwarp.solvers.cholesky.dissection import Dissection, dissect
 
 COORDINATES = 2  # unknowns of a vertex
 
@@ -82,6 +83,8 @@ class SaddleMatrix:
 
 UNKNOWNS = 3  # of a vertex that has a multiplier of its own
 
+Numbers = NDArray[np.integer]
+
 
 def expand(d: Dissection, each: int = UNKNOWNS) -> tuple[Dissection, NDArray[np.int32]]:
     """Return the order of elimination of the unknowns of vertices.
@@ -93,26 +96,7 @@ def expand(d: Dissection, each: int = UNKNOWNS) -> tuple[Dissection, NDArray[np.
     Returns:
         The dissection of the unknowns, and how many of those that a front eliminates are multipliers, shape [fronts].
     """
-    count, total = d.vertex_count, each * d.vertex_count
-    fronts, multipliers = len(d.owned), each - COORDINATES
-    front_of = np.repeat(np.arange(fronts), d.owned)  # of every place of a vertex
-    begin, inside = each * d.first[front_of], np.arange(count) - d.first[front_of]
-    own: NDArray[np.int64] = np.arange(count, dtype=np.int64)
-    # Places of a vertex's unknowns, by its own place, and the unknowns.
-    places = [begin + 2 * inside, begin + 2 * inside + 1, begin + 2 * d.owned[front_of] + inside][:each]
-    unknowns = [2 * d.order, 2 * d.order + 1, 2 * count + d.order][:each]
-    of_vertices = np.stack(places, axis=1)
-    order = np.empty(total, dtype=np.int64)
-    order[of_vertices] = np.stack(unknowns, axis=1)
-    of_row = np.repeat(np.arange(fronts), each * np.diff(d.starts))
-    i, j = (d.edges[:, k].astype(np.int64) for k in range(2))
-    ends = [(i, j), (j, i)][: 2 * multipliers]
-    slopes = [np.stack([np.stack([2 * count + p, 2 * q + b], axis=1) for b in range(2)], axis=1) for p, q in ends]
-    inner = np.stack([2 * own, 2 * own + 1], axis=1)
-    couplings = [edge_blocks(d.edges, COORDINATES), *(part.reshape(-1, 2) for part in slopes), inner]
-    row_keys = of_row * total + of_vertices[d.rows].ravel()
-    expanded = of_unknowns(d, order, each * d.first, each * d.owned, row_keys, np.concatenate(couplings))
-    return expanded, (multipliers * d.owned).astype(np.int32)
+    return _expand_nodes(d, *(np.full(d.vertex_count, most, np.int8) for most in (COORDINATES, each - COORDINATES)))
 
 
 def expand_with_cells(
@@ -134,56 +118,118 @@ def expand_with_cells(
     joints = np.stack([cells.ravel(), numbers], axis=1)
     places = np.concatenate([points, points[cells].mean(axis=1)])
     nodes = dissect(places, np.concatenate([edges, joints]).astype(np.int32))
-    return _expand_nodes(nodes, len(points), edges, joints)
+    is_cell = (np.arange(len(places)) >= len(points)).astype(np.int8)
+    return _expand_nodes(nodes, COORDINATES * (1 - is_cell), is_cell)
 
 
 def _expand_nodes(
-    d: Dissection, vertices: int, edges: NDArray[np.int32], joints: NDArray[np.int64]
+    d: Dissection, coordinates: NDArray[np.int8], multipliers: NDArray[np.int8]
 ) -> tuple[Dissection, NDArray[np.int32]]:
-    """Order the unknowns of vertices and cells as their nodes are ordered.
+    """Order the unknowns of the nodes of a graph as the nodes are ordered, with the same fronts.
 
     Args:
-        d: of the nodes, the first ``vertices`` of which are vertices and the others cells.
-        vertices: V.
-        edges: of the mesh, shape [E, 2].
-        joints: vertex and cell, as nodes, of every coupling between them, shape [J, 2].
+        d: of the nodes.
+        coordinates: how many every node has, 2 or none, shape [nodes].
+        multipliers: how many it has, 1 or none, shape [nodes].
 
     Returns:
         The dissection of the unknowns, and how many of those that a front eliminates are multipliers, shape [fronts].
-        Inside a front the coordinates come first.
+        Among the unknowns that a front eliminates the coordinates come first.
     """
-    nodes, fronts = d.vertex_count, len(d.owned)
-    total = COORDINATES * vertices + (nodes - vertices)
-    front_of = np.repeat(np.arange(fronts), d.owned)  # of every place of a node
-    is_cell = d.order >= vertices
-    own_cells = np.bincount(front_of[is_cell], minlength=fronts)
-    owned = COORDINATES * (d.owned - own_cells) + own_cells
-    first = np.cumsum(owned) - owned
-    # Rank of a node among those of its kind in its front.
-    cells_before: NDArray[np.int64] = np.cumsum(is_cell) - is_cell
-    cell_rank: NDArray[np.int64] = cells_before - cells_before[d.first[front_of]]
-    vertex_rank = np.arange(nodes) - d.first[front_of] - cell_rank
-    begin = first[front_of]
-    place = np.where(
-        is_cell, begin + COORDINATES * (d.owned - own_cells)[front_of] + cell_rank, begin + COORDINATES * vertex_rank
-    )  # of the first unknown of the node in every place
-    unknown = np.where(is_cell, vertices + d.order, COORDINATES * d.order)  # 2 V + c = V + node
-    count = np.where(is_cell, 1, COORDINATES)
+    nodes, fronts, kinds = d.vertex_count, np.arange(len(d.owned)), (coordinates, multipliers)
+    ends = np.append(d.first, nodes)
+    of_place, of_row, in_row = np.repeat(fronts, d.owned), np.repeat(fronts, d.sizes), d.order[d.rows]
+    # Of each kind the first unknown of every node, its place, and where it is among the rows of all fronts. These rows
+    # are in groups that one front eliminates, each with the coordinates first.
+    changes = np.diff(of_place[d.rows], prepend=-1, append=-1) != 0
+    changes[d.starts] = True
+    unknowns, _ = _lay_out([(counts, [0, nodes]) for counts in kinds])
+    places, first = _lay_out([(counts[d.order], ends) for counts in kinds])
+    at, groups = _lay_out([(counts[in_row], np.flatnonzero(changes)) for counts in kinds])
+    starts = np.append(at[0][d.starts[:-1]], groups[-1])
+    inside = np.array(at) - starts[of_row].astype(np.int32)
 
-    order = np.empty(total, dtype=np.int64)
-    order[place] = unknown
-    order[place[~is_cell] + 1] = unknown[~is_cell] + 1
+    # The row of the parent is any where the front eliminates the row itself.
+    order, above = np.empty(first[-1], dtype=np.int64), d.starts[d.parent[of_row]] + d.upward
+    rows, upward = (np.empty(starts[-1], dtype=np.int32) for _ in range(2))
+    for kind, counts in enumerate(kinds):
+        which = np.arange(COORDINATES - kind, dtype=np.int32)[:, None]
+        k = _chosen(counts[d.order])
+        order[places[kind][k] + which] = unknowns[kind][d.order[k]] + which
+        k = _chosen(counts[in_row])
+        rows[at[kind][k] + which] = places[kind][d.rows[k]] + which
+        upward[at[kind][k] + which] = np.where(d.upward[k] >= 0, inside[kind][above[k]] + which, np.int32(-1))
 
-    of_node_row = np.repeat(np.arange(fronts), np.diff(d.starts))
-    copies = count[d.rows]
-    of_row = np.repeat(of_node_row, copies)
-    within = np.arange(len(of_row)) - np.repeat(np.cumsum(copies) - copies, copies)
-    row_keys = of_row * total + np.repeat(place[d.rows], copies) + within
+    # Couplings in the order of their numbers, and of every front: the kind of the first unknown, the second being a
+    # coordinate; the nodes of both, in the order of the edges; their rows, in the order of entering; and which of the
+    # unknowns of their nodes they are.
+    (i, j), own = np.ascontiguousarray(d.edges.T, dtype=np.intp), np.arange(nodes)
+    begin = d.starts[np.repeat(fronts, np.diff(d.edge_starts))]
+    row_i, row_j = (begin + np.where(d.edge_turned == turned, d.edge_row, d.edge_column) for turned in (False, True))
+    own_row = d.starts[of_place] + own - d.first[of_place]
+    couplings = [
+        (0, i, j, row_i, row_j, [(0, 0), (0, 1), (1, 0), (1, 1)]),
+        (1, i, j, row_i, row_j, [(0, 0), (0, 1)]),
+        (1, j, i, row_j, row_i, [(0, 0), (0, 1)]),
+        (0, own, own, own_row, own_row, [(0, 1)]),
+    ]
+    many = [np.minimum(kinds[kind][a] * coordinates[b], len(pairs)) for kind, a, b, *_, pairs in couplings]
+    numbers, (_, total) = _lay_out([(counts, [0, len(counts)]) for counts in many])
+    entered = [(d.entering, d.edge_starts)] * 3 + [(d.order, ends)]
+    into, edge_starts = _lay_out([(counts[k], bounds) for counts, (k, bounds) in zip(many, entered, strict=True)])
+    entering, edge_row, edge_column = (np.empty(total, dtype=np.int32) for _ in range(3))
+    edges = rest = np.empty((total, 2), dtype=np.int32)
+    for n, (kind, one, other, row, column, pairs) in enumerate(couplings):
+        k = _chosen(many[n])
+        x, y = unknowns[kind][one[k]], unknowns[0][other[k]]
+        part, rest = np.split(rest, [many[n].sum()])
+        np.stack([end for a, b in pairs for end in (x + a, y + b)], axis=1, out=part.reshape(-1, 2 * len(pairs)))
+        enters, _ = entered[n]
+        k = _chosen(many[n][enters])
+        to, number = into[n][k].astype(np.intp), numbers[n][enters[k]]
+        x, y = inside[kind][row[k]], inside[0][column[k]]
+        for step, (a, b) in enumerate(pairs):
+            entering[step:][to] = number + step
+            p, q = x + a, y + b
+            edge_row[step:][to], edge_column[step:][to] = np.maximum(p, q), np.minimum(p, q)
+    expanded = replace(
+        d,
+        order=order,
+        first=first[:-1],
+        owned=np.diff(first),
+        starts=starts,
+        rows=rows,
+        upward=upward,
+        entering=entering,
+        edge_starts=edge_starts.astype(np.int32),
+        edge_row=edge_row,
+        edge_column=edge_column,
+        edge_turned=np.zeros(total, dtype=np.bool_),
+        edges=edges,
+    )
+    return expanded, np.bincount(of_place, multipliers[d.order], len(fronts)).astype(np.int32)
 
-    v, c = COORDINATES * joints[:, 0].astype(np.int64), vertices + joints[:, 1].astype(np.int64)
-    gradients = np.stack([np.stack([c, v + b], axis=1) for b in range(2)], axis=1)
-    own = COORDINATES * np.arange(vertices, dtype=np.int64)
-    inner = np.stack([own, own + 1], axis=1)
-    couplings = np.concatenate([edge_blocks(edges, COORDINATES), gradients.reshape(-1, 2), inner])
-    expanded = of_unknowns(d, order, first, owned, row_keys, couplings)
-    return expanded, own_cells.astype(np.int32)
+
+def _lay_out(kinds: list[tuple[Numbers, Numbers | list[int]]]) -> tuple[list[NDArray[np.int32]], NDArray[np.int64]]:
+    """Return where entries are that stand group by group, and in every group kind by kind.
+
+    Args:
+        kinds: of every kind, how many entries each of its items has, shape [items], and where the items of every group
+            begin, and the end, shape [groups + 1].
+
+    Returns:
+        Of every kind, where the entries of each item begin, shape [items] each; and where groups begin, and the end,
+        shape [groups + 1].
+    """
+    before = [np.append(np.int32(0), np.cumsum(counts, dtype=np.int32)) for counts, _ in kinds]
+    begins = np.array([entries[bounds] for entries, (_, bounds) in zip(before, kinds, strict=True)])
+    at, ahead = [], begins[:, :-1].sum(axis=0, dtype=np.int32)
+    for entries, begin, (_, bounds) in zip(before, begins, kinds, strict=True):
+        at.append(entries[:-1] + np.repeat(ahead - begin[:-1], np.diff(bounds)))
+        ahead += np.diff(begin)
+    return at, begins.sum(axis=0, dtype=np.int64)
+
+
+def _chosen(counts: NDArray[np.int8]) -> slice | NDArray[np.intp]:
+    """Return which items have entries, without a list where all have."""
+    return slice(None) if counts.all() else np.flatnonzero(counts)
