@@ -212,8 +212,7 @@ def _bisect(points: NDArray[np.float64], edges: NDArray[np.int32], leaf: int) ->
     parts.positions, parts.edges = vectors(points, "cpu"), sent(edges.copy(), wp.vec2i)
     parts.vertices, parts.node = sent(np.arange(count), wp.int32), sent(np.ones(count, dtype=np.int64), wp.int64)
     parts.second, parts.separates = (wp.empty(count, dtype=wp.bool) for _ in range(2))
-    for name in ("ring", "rank", "counters", "passed"):
-        setattr(parts, name, wp.empty(count, dtype=wp.int32))
+    parts.ring, parts.rank, parts.counts, parts.passed = (wp.empty(count, dtype=wp.int32) for _ in range(4))
     parts.along, parts.edges_passed = wp.empty(count, dtype=wp.float64), wp.empty(len(edges), dtype=wp.vec2i)
     stretches = np.array([[0, count, 0, len(edges)]], dtype=np.int32)
     while len(stretches := stretches[stretches[:, 1] - stretches[:, 0] > leaf]):

@@ -23,7 +23,7 @@ class Parts:
     rank: wp.array[wp.int32]  # how many vertices of its part come before it along a direction
     # By place in the stretches:
     along: wp.array[wp.float64]
-    counters: wp.array[wp.int32]
+    counts: wp.array[wp.int32]
     passed: wp.array[wp.int32]
     edges_passed: wp.array[wp.vec2i]
 
@@ -32,7 +32,7 @@ class Parts:
 CUT_ACROSS = """
     const int begin = part[0], count = part[1] - begin;
     const int* vertex = parts.vertices.data + begin;
-    int *rank = parts.rank.data, *counter = parts.counters.data + begin;
+    int *rank = parts.rank.data, *counter = parts.counts.data + begin;
     double *along = parts.along.data + begin, lowest = 1e300, highest = -1e300;
     for (int i = 0; i < count; ++i) {
         const auto& at = parts.positions.data[vertex[i]];
@@ -197,18 +197,17 @@ def divide_parts(
                 first += 1
     for i in range(second):
         parts.vertices[first + i] = parts.passed[part[0] + i]
-    first_edge = int(part[2])
-    second_edge = int(0)
     for e in range(part[2], part[3]):
-        ends = parts.edges[e]
-        if not (parts.separates[ends[0]] or parts.separates[ends[1]]):
-            if parts.second[ends[0]]:
-                parts.edges_passed[part[2] + second_edge] = ends
-                second_edge += 1
-            else:
-                parts.edges[first_edge] = ends
-                first_edge += 1
-    for e in range(second_edge):
-        parts.edges[first_edge + e] = parts.edges_passed[part[2] + e]
-    halves[2 * p] = wp.vec4i(part[0], first, part[2], first_edge)
-    halves[2 * p + 1] = wp.vec4i(first, first + second, first_edge, first_edge + second_edge)
+        parts.edges_passed[e] = parts.edges[e]
+    middle_edge = int(part[2])
+    last_edge = int(part[2])
+    for half in range(2):
+        middle_edge = last_edge
+        for e in range(part[2], part[3]):
+            ends = parts.edges_passed[e]
+            gone = parts.separates[ends[0]] or parts.separates[ends[1]]
+            if not gone and parts.second[ends[0]] == (half == 1):
+                parts.edges[last_edge] = ends
+                last_edge += 1
+    halves[2 * p] = wp.vec4i(part[0], first, part[2], middle_edge)
+    halves[2 * p + 1] = wp.vec4i(first, first + second, middle_edge, last_edge)
