@@ -6,7 +6,8 @@ meshes of 300 to 20,000 faces.
 
 import sys
 import warnings
-from collections.abc import Iterable
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -79,15 +80,16 @@ def ordinary_shape(seed: int) -> tuple[str, Surface]:
             return kind.__name__, surface
 
 
-def examine(shapes_of_seeds: Iterable[tuple[str, Surface]]) -> list[dict]:
+def examine(shape: Callable[[int], tuple[str, Surface]], seeds: range) -> list[dict]:
     found = []
-    for number, (kind, surface) in enumerate(shapes_of_seeds):
+    for seed in seeds:
+        kind, surface = shape(seed)
         with warnings.catch_warnings(record=True) as told:
             warnings.simplefilter("always")
             result = omtwarp.map_to_sphere(surface, device="cpu")
         optimality = result.report["optimality"]
         found.append({
-            "kind": f"{kind} {number}",
+            "kind": f"{kind} {seed}",
             "faces": surface.face_count,
             "points": covers_once(result.conformal if result.source is None else result.source, surface.faces),
             "bijective": omtwarp.certify(surface, result.sphere, device="cpu").bijective,
@@ -101,12 +103,12 @@ def examine(shapes_of_seeds: Iterable[tuple[str, Surface]]) -> list[dict]:
 
 @pytest.fixture(scope="module")
 def examined() -> list[dict]:
-    return examine(random_shape(seed, MOST_VERTICES) for seed in range(FIRST, FIRST + COUNT))
+    return examine(partial(random_shape, most_vertices=MOST_VERTICES), range(FIRST, FIRST + COUNT))
 
 
 @pytest.fixture(scope="module")
 def ordinary() -> list[dict]:
-    return examine(ordinary_shape(seed) for seed in range(COUNT))
+    return examine(ordinary_shape, range(COUNT))
 
 
 def test_ordinary_surfaces_keep_every_promise(ordinary):

@@ -230,8 +230,8 @@ def _separate_by_fewest(stretches: NDArray[np.int32], parts: Parts) -> None:
     """Separate the halves of some parts by the fewest vertices in the rings around those that do."""
     if not len(stretches):
         return
-    names = (parts.vertices, parts.edges, parts.ring, parts.second, parts.separates)
-    vertices, edges, ring, second, separates = (array.numpy() for array in names)
+    arrays = (parts.vertices, parts.edges, parts.ring, parts.second, parts.separates)
+    vertices, edges, ring, second, separates = (array.numpy() for array in arrays)
     own = [vertices[part[0] : part[1]] for part in stretches]
     band = np.zeros(len(ring), dtype=bool)
     for part in own:

@@ -83,8 +83,6 @@ class SaddleMatrix:
 
 UNKNOWNS = 3  # of a vertex that has a multiplier of its own
 
-Numbers = NDArray[np.integer]
-
 
 def expand(d: Dissection, each: int = UNKNOWNS) -> tuple[Dissection, NDArray[np.int32]]:
     """Return the order of elimination of the unknowns of vertices.
@@ -210,7 +208,9 @@ def _expand_nodes(
     return expanded, np.bincount(of_place, multipliers[d.order], len(fronts)).astype(np.int32)
 
 
-def _lay_out(kinds: list[tuple[Numbers, Numbers | list[int]]]) -> tuple[list[NDArray[np.int32]], NDArray[np.int64]]:
+def _lay_out(
+    kinds: list[tuple[NDArray[np.integer], NDArray[np.integer] | list[int]]],
+) -> tuple[list[NDArray[np.int32]], NDArray[np.int64]]:
     """Return where entries are that stand group by group, and in every group kind by kind.
 
     Args:
