@@ -21,11 +21,11 @@ from omtwarp.mapping.pipeline import map_closed, map_to_sphere
 from omtwarp.mapping.verdict import accepted, judge
 from omtwarp.maps.result import MapResult, MeshReport, StageReport, SurfaceReport, origin_arrays
 from omtwarp.measures import face_weights
-from omtwarp.mesh.arrays import Floats, cross, edge_keys, normalised
+from omtwarp.mesh.arrays import Floats, edge_keys, normalised
 from omtwarp.mesh.origins import Derived, Origins
 from omtwarp.mesh.quarter import PARTS, quarter
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, triangle_areas
-from omtwarp.mesh.validate import mesh_arrays, unit_coordinates
+from omtwarp.mesh.validate import mesh_arrays, signed_volume
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.open_surfaces import held
 from omtwarp.open_surfaces.caps import disk_to_cap, hemisphere_to_disk, pack_caps
@@ -450,9 +450,8 @@ def _surface(opened: _Opened, weights: Floats | None = None) -> Surface:
     mirror image.
     """
     filled = opened.filled
-    corners = unit_coordinates(filled.vertices)[filled.faces]
-    volume = float(np.einsum("ij,ij->i", corners[:, 0], cross(corners[:, 1], corners[:, 2])).sum())
-    own = filled.vertices * np.array([-1.0, 1.0, 1.0]) if volume < 0.0 else filled.vertices
+    inwards = signed_volume(filled.vertices, filled.faces) < 0.0
+    own = filled.vertices * np.array([-1.0, 1.0, 1.0]) if inwards else filled.vertices
     surface = Surface(own, filled.faces)
     filling, own = filled.patch >= opened.small, filled.patch < 0
     if weights is None and not filling.any():

@@ -260,7 +260,7 @@ def _topological_defects(points: Floats, faces: NDArray[np.int64], sound: bool) 
         defects.append(Defect("several-components", pieces, first, text, remedy))
     if sound and orientable and not crowded.any() and not pinched.any() and topology.genus > 0:
         defects.append(_handles(topology))
-    if sound and not defects and _signed_volume(points, faces) < 0:
+    if sound and not defects and signed_volume(points, faces) < 0:
         text = f"inward orientation: all {number(len(faces), 'face')} are clockwise seen from outside, first face 0"
         defects.append(Defect("inward-orientation", len(faces), 0, text, f"turn them with {REPAIR}"))
     return defects
@@ -436,7 +436,7 @@ def spanning_forest(count: int, links: NDArray) -> NDArray[np.bool_]:
     return chosen
 
 
-def _signed_volume(points: Floats, faces: NDArray[np.int64]) -> float:
+def signed_volume(points: Floats, faces: NDArray[np.integer]) -> float:
     """Return the enclosed volume, in units of half the extent cubed; 0 where it is smaller than its rounding error."""
     p0, p1, p2 = (unit_coordinates(points)[faces[:, k]] for k in range(3))
     each = np.einsum("ij,ij->i", p0, cross(p1, p2)) / 6.0
