@@ -438,7 +438,7 @@ def spanning_forest(count: int, links: NDArray) -> NDArray[np.bool_]:
 
 def signed_volume(points: Floats, faces: NDArray[np.integer]) -> float:
     """Return the enclosed volume, in units of half the extent cubed; 0 where it is smaller than its rounding error."""
-    p0, p1, p2 = (unit_coordinates(points)[faces[:, k]] for k in range(3))
+    p0, p1, p2 = unit_coordinates(points)[faces.T]
     each = np.einsum("ij,ij->i", p0, cross(p1, p2)) / 6.0
     volume = float(each.sum())
     return volume if abs(volume) > ROUND_OFF * float(np.abs(each).sum()) else 0.0
