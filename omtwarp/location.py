@@ -14,7 +14,7 @@ from omtwarp.device.start import KERNEL_OPTIONS, LARGE, ONE, THREE, ZERO, wp
 from omtwarp.device.threads import Each, each, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.spherical import TINY
-from omtwarp.mesh.arrays import Floats, Ints, normalised
+from omtwarp.mesh.arrays import Floats, Ints, normalised, real_numbers, whole_numbers
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -278,12 +278,14 @@ class Locator:
         device: ``auto``, ``cpu`` or ``cuda:N``.
 
     Raises:
-        OmtwarpError: no triangles.
+        OmtwarpError: no triangles, or arrays that are not those of a triangulation.
     """
 
     def __init__(self, points: ArrayLike, faces: ArrayLike, *, device: str | None = "auto") -> None:
         self.device = resolve_device(device)
-        self._points, self._faces = vectors(points, self.device), triangles(faces, self.device)
+        corners = real_numbers(points, "the points", (None, 3))
+        faces = whole_numbers(faces, "the triangles", (None, 3), below=len(corners))
+        self._points, self._faces = vectors(corners, self.device), triangles(faces, self.device)
         if len(self._faces) == 0:
             raise OmtwarpError("a sphere without triangles: nothing can be located on it")
         lower, upper = (wp.empty(len(self._faces), dtype=wp.vec3, device=self.device) for _ in range(2))
@@ -295,10 +297,11 @@ class Locator:
         """Return the triangle that holds each point, and where the ray from the centre through the point meets it.
 
         Args:
-            points: of any length but 0, float64, shape [P, 3]; or a Warp array of vec3d.
+            points: of lengths from 1e-150 to 1e150, shape [P, 3]; or a Warp array of vec3d.
 
         Raises:
-            OmtwarpError: a point lies in no triangle: the triangulation does not cover the sphere.
+            OmtwarpError: a point lies in no triangle, as the triangulation does not cover the sphere or its length is
+                none of these.
         """
         return self._search(points, closest=False)
 
@@ -317,7 +320,8 @@ class Locator:
         return self._search(points, closest=True)
 
     def _search(self, points: ArrayLike | wp.array, closest: bool) -> Found:
-        queries = vectors(points, self.device)
+        given = points if isinstance(points, wp.array) else real_numbers(points, "the points", (None, 3))
+        queries = vectors(given, self.device)
         count = len(queries)
         triangles = wp.empty(count, dtype=wp.int32, device=self.device)
         coordinates = wp.empty(count, dtype=wp.vec3d, device=self.device)
@@ -332,6 +336,6 @@ class Locator:
             missed = np.flatnonzero(faces < 0)
             raise OmtwarpError(
                 f"{len(missed)} of {count} points lie in no triangle, first point {missed[0]}: the triangulation does "
-                "not cover the sphere"
+                "not cover the sphere, or the point has no direction"
             )
         return Found(faces, coordinates.numpy().reshape(-1, 3))

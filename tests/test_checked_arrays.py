@@ -10,8 +10,10 @@ from hypothesis import given, strategies as st
 
 import omtwarp
 from omtwarp.errors import OmtwarpError
+from omtwarp.location import Locator
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.shapes import blob, icosphere
+from omtwarp.shape_analysis import expand
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -114,6 +116,8 @@ TAKES_POINTS |= {
     "MapResult, source": lambda points: MapResult(VERTICES, FACES, SPHERE, SPHERE, np.ones(COUNT), source=points),
     "MapResult, filled": lambda points: surface_map(filled_vertices=VERTICES, filled_sphere=points),
     "torus": lambda points: torus_map(vertices=points),
+    "Locator": lambda points: Locator(points, FACES),
+    "expand": lambda points: expand(points, VERTICES, 2),
 }
 TAKES_A_SPHERE = {
     name for name in TAKES_POINTS if name.endswith((", sphere", ", start", ", source", ", moser", ", initial"))
@@ -123,6 +127,7 @@ TAKES_FACES = {
     "distortion": lambda faces: omtwarp.distortion((VERTICES, faces), SPHERE),
     "certify": lambda faces: omtwarp.certify((VERTICES, faces), SPHERE),
     "Surface": lambda faces: omtwarp.Surface(VERTICES, faces),
+    "Locator": lambda faces: Locator(SPHERE, faces),
     "map_to_sphere": lambda faces: omtwarp.map_to_sphere((VERTICES, faces)),
     "MapResult": lambda faces: MapResult(VERTICES, faces, SPHERE, SPHERE, np.ones(COUNT)),
     "MapResult, filled": lambda faces: surface_map(filled_faces=[[0, 1, 2.5]] if faces is None else faces),

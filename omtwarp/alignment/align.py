@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from omtwarp.alignment.rotation_search import Best, best_rotations, complex_coefficients, improved
+from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError, OmtwarpWarning, choose
 from omtwarp.geometry.axes import fitted_rotation
-from omtwarp.geometry.harmonics import check_degree, harmonics_in_parts
+from omtwarp.geometry.harmonics import harmonics_in_parts
 from omtwarp.geometry.sphere_hierarchy import triangle_solid_angles
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.arrays import TINY, Floats, in_range, normalised, norms, real_numbers
+from omtwarp.mesh.arrays import TINY, Floats, in_range, normalised, norms, real_numbers, whole_number
 from omtwarp.mesh.surface import sums_around
 from omtwarp.options import AlignBy, AlignByLike
 from omtwarp.resampling import SpherePoints, as_points
@@ -266,6 +267,7 @@ def align_to_axes(given: PointsLike) -> Alignment:
     return Alignment(rotation, turned, "axes", float(certain[1]), -1.0, False, frame, "the shape's own axes")
 
 
+@blas_threads(1)
 def align(
     given: PointsLike,
     to: PointsLike = "axes",
@@ -323,7 +325,7 @@ def align(
     .. [1] W. Kabsch, "A solution for the best rotation to relate two sets of vectors", Acta Cryst. A32 (1976).
     """
     own, by = dict(features or {}), choose(AlignBy, by)
-    _check_options(degree, own, to_features or {})
+    degree = _checked_degree(degree, own, to_features or {})
     of_features = {"features": own, "degree": degree != DEGREE}
     if isinstance(to, str) and to == "axes":
         _leave_out({**of_features, "mirror": mirror, "by": by != AlignBy.AUTO}, "to another map", "to='axes'")
@@ -380,16 +382,15 @@ def _leave_out(options: Mapping[str, object], of: str, given: str) -> None:
         raise OmtwarpError(f"'{name}' is of alignments {of}: leave it out with {given}")
 
 
-def _check_options(degree: int, features: Mapping[str, object], to_features: Mapping[str, object]) -> None:
-    """Refuse a degree out of range, and features of one side alone.
+def _checked_degree(degree: int, features: Mapping[str, object], to_features: Mapping[str, object]) -> int:
+    """Return the degree as an int; refuse one out of range, and features of one side alone.
 
     Raises:
         OmtwarpError: the degree is out of range, or a feature is missing on a side.
     """
     if set(features) != set(to_features):
         raise OmtwarpError("features have to be given for both sides, with the same names")
-    if not 1 <= check_degree(degree) <= 64:
-        raise OmtwarpError(f"the degree is {degree}: give a whole number from 1 to 64")
+    return whole_number(degree, "the degree", least=1, most=64)
 
 
 def _same_faces(one: SpherePoints, other: SpherePoints) -> bool:

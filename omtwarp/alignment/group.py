@@ -16,8 +16,10 @@ from omtwarp.alignment.align import (
     varying_features,
 )
 from omtwarp.alignment.rotation_search import Complex, best_rotation, complex_coefficients, rotated
+from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.axes import fitted_rotation
+from omtwarp.geometry.harmonics import check_degree
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.arrays import Bools, Floats, Ints
 from omtwarp.options import Progress, tell
@@ -54,6 +56,7 @@ class GroupAlignment:
     mirrored: Bools
 
 
+@blas_threads(1)
 def procrustes_mean(
     maps: Sequence[PointsLike],
     *,
@@ -84,6 +87,7 @@ def procrustes_mean(
 
     .. [1] J. C. Gower, "Generalized Procrustes analysis", Psychometrika 40 (1975).
     """
+    degree = check_degree(degree)
     if len(maps) < 2:
         raise OmtwarpError("a group needs at least two maps")
     common = as_points(grid, "the grid")

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError, check_word
 from omtwarp.files.inputs import read_bytes
 from omtwarp.files.output import write_text
 from omtwarp.geometry.harmonics import check_degree, degree_of, harmonics_in_parts, power_per_degree
-from omtwarp.mesh.arrays import Floats, cross, norms
+from omtwarp.mesh.arrays import Floats, cross, norms, real_numbers, whole_number, whole_numbers
 from omtwarp.mesh.shapes import icosphere
 from omtwarp.mesh.surface import Surface, sums_around, triangle_areas
 
@@ -35,10 +36,10 @@ class Expansion:
     coefficients: Floats
 
     def __post_init__(self) -> None:
-        given = np.array(self.coefficients, dtype=np.float64)
+        given = np.array(real_numbers(self.coefficients, "coefficients", None))
         given = given[:, None] if given.ndim == 1 else given
-        if given.ndim != 2 or not np.isfinite(given).all():
-            raise OmtwarpError(f"coefficients of shape {list(given.shape)}: expected finite numbers, [(L + 1)², C]")
+        if given.ndim != 2:
+            raise OmtwarpError(f"coefficients of shape {list(given.shape)}: expected [(L + 1)², C]")
         degree_of(len(given))
         given.flags.writeable = False
         object.__setattr__(self, "coefficients", given)
@@ -48,9 +49,10 @@ class Expansion:
         """L, the highest degree."""
         return degree_of(len(self.coefficients))
 
+    @blas_threads(1)
     def at(self, points: ArrayLike) -> Floats:
         """Evaluate the sum at unit vectors, shape [N, 3]; returns shape [N, C]."""
-        directions = np.asarray(points, dtype=np.float64)
+        directions = real_numbers(points, "points", (None, 3))
         out = np.empty((len(directions), self.coefficients.shape[1]))
         for part, basis in harmonics_in_parts(directions, self.degree):
             out[part] = basis @ self.coefficients
@@ -62,7 +64,8 @@ class Expansion:
         Raises:
             OmtwarpError: the expansion does not reach that degree.
         """
-        if check_degree(degree) > self.degree:
+        degree = check_degree(degree)
+        if degree > self.degree:
             raise OmtwarpError(f"cannot cut coefficients of degree {self.degree} at degree {degree}")
         return Expansion(self.coefficients[: (degree + 1) ** 2])
 
@@ -81,10 +84,12 @@ class Expansion:
         """
         if self.coefficients.shape[1] != 3:
             raise OmtwarpError(f"an expansion of {self.coefficients.shape[1]} components is no surface: it needs 3")
-        grid = icosphere(sphere) if isinstance(sphere, int) else sphere
-        return Surface(self.at(grid.vertices), grid.faces)
+        if isinstance(sphere, int | float | np.number):
+            sphere = icosphere(whole_number(sphere, "the frequency", least=1))
+        return Surface(self.at(sphere.vertices), sphere.faces)
 
 
+@blas_threads(1)
 def expand(
     sphere: ArrayLike,
     values: ArrayLike,
@@ -117,7 +122,8 @@ def expand(
         [0.0, 4.666667, 0.0, 0.0, 0.0]
     """
     degree = check_degree(degree)
-    points, data = np.asarray(sphere, dtype=np.float64), np.asarray(values, dtype=np.float64)
+    points = real_numbers(sphere, "the points", None, finite=False)
+    data = real_numbers(values, "the data", None, finite=False)
     data = data[:, None] if data.ndim == 1 else data
     if points.ndim != 2 or points.shape[1] != 3 or data.ndim != 2 or len(data) != len(points):
         raise OmtwarpError(f"data of shape {list(data.shape)} at points of shape {list(points.shape)}: they do not fit")
@@ -128,7 +134,9 @@ def expand(
     if np.abs(lengths - 1.0).max() > 1e-3:
         span = f"{lengths.min():.4g} to {lengths.max():.4g}"
         raise OmtwarpError(f"the points do not lie on the unit sphere: their lengths go from {span}")
-    triangles = None if faces is None else np.asarray(faces, dtype=np.int64)
+    triangles = None
+    if faces is not None:
+        triangles = whole_numbers(faces, "faces", (None, 3), below=len(points)).astype(np.int64)
     if method == "quadrature":
         if triangles is None:
             raise OmtwarpError("quadrature integrates over triangles: give faces")

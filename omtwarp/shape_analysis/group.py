@@ -16,7 +16,7 @@ from scipy.stats import false_discovery_control
 from omtwarp.alignment import GroupAlignment, procrustes_mean
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Floats, whole_number
 from omtwarp.mesh.surface import Surface, vertex_normals
 from omtwarp.options import Progress
 from omtwarp.resampling import as_points
@@ -139,8 +139,7 @@ def linear_effects(
     known = np.asarray(np.isfinite(given).all(axis=(0, 2)))
     if not known.any():
         raise OmtwarpError("there is no point at which the values of all shapes are known")
-    if permutations < 1:
-        raise OmtwarpError(f"{permutations} permutations: give at least 1")
+    permutations, seed = whole_number(permutations, "permutations", least=1), whole_number(seed, "the seed")
     columns = check_table(table, len(given), factors, given.shape[2])
     effects = {}
     for name, (tested, levels) in columns.items():
@@ -218,9 +217,8 @@ def _tested(
     added = np.linalg.qr(left)[0]
     residuals = values.reshape(count, -1)
     residuals = residuals - kept @ (kept.T @ residuals)
-    size = None
-    if tested.shape[1] == 1:
-        size = (left.T @ residuals / (left**2).sum()).reshape(points, width)
+    alone = tested.shape[1] == 1
+    size = (left.T @ residuals / (left**2).sum()).reshape(points, width) if alone else None
     # Residuals of a point below this part of its values are round-off: there is nothing to be explained.
     sizes = np.linalg.norm(residuals, axis=0)
     residuals = np.where(sizes > 1e-12 * np.linalg.norm(values.reshape(count, -1), axis=0), residuals, 0.0)
@@ -367,8 +365,8 @@ def study_group(
         >>> study.mean, study.components.scores.shape
         (Surface(642 vertices, 1280 faces), (3, 2))
     """
-    if components < 1 or permutations < 1:
-        raise OmtwarpError(f"{components} components, {permutations} permutations: give at least 1 of each")
+    components = whole_number(components, "components", least=1)
+    permutations, seed = whole_number(permutations, "permutations", least=1), whole_number(seed, "the seed")
     table = table_of(labels, covariates)
     if table:
         check_table(table, len(maps), GROUP)

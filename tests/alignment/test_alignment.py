@@ -370,6 +370,12 @@ def test_what_cannot_be_aligned_is_refused():
         align(blob, blob, features={"a": np.ones(count)}, to_features={"a": np.ones(count)})
     with pytest.raises(OmtwarpError, match="at least two maps"):
         procrustes_mean([blob])
+    for degree in (0, 65, 2.5, "many"):
+        with pytest.raises(OmtwarpError, match="the degree: must be a whole number from 1 to 64"):
+            align(blob, blob, degree=degree)
+    with pytest.raises(OmtwarpError, match="the degree"):
+        procrustes_mean([blob, blob], degree=-1)
+    assert align(blob, blob, degree=16.0).score == align(blob, blob, degree=16).score
     with pytest.raises(OmtwarpError, match="needs a grid with triangles"):
         procrustes_mean([blob, blob], grid="healpix:4")
     stretched = SpherePoints(mesh_grid(pushed_north(SPHERE.vertices, 0.9), SPHERE.faces), blob.vertices)

@@ -161,6 +161,13 @@ def test_power_and_reconstruction_turn_with_the_sphere():
     other = expand(SPHERE.vertices @ turn.T, surface.vertices, 8)
     np.testing.assert_allclose(one.power(), other.power(), rtol=2e-3)
     np.testing.assert_allclose(other.at(SPHERE.vertices @ turn.T), one.at(SPHERE.vertices), atol=0.02)
-    assert one.surface(4).vertex_count == 162
+    assert one.surface(4).vertex_count == one.surface(np.int64(4)).vertex_count == 162
+    assert one.truncated(3.0).degree == 3
+    for wrong in (
+        lambda: one.surface(0), lambda: one.truncated(9), lambda: one.at("x"), lambda: one.at(3.0),
+        lambda: Expansion(np.ones(4) * 1j), lambda: Expansion("x"),
+    ):  # fmt: skip
+        with pytest.raises(OmtwarpError):
+            wrong()
     with pytest.raises(OmtwarpError, match="no surface"):
         Expansion(np.ones(4)).surface()

@@ -119,6 +119,12 @@ def test_tables_that_cannot_be_tested_are_one_line(table, words):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("wrong", [{"permutations": 0}, {"permutations": "9"}, {"permutations": True}, {"seed": -1}])
+def test_numbers_that_count_nothing_are_one_line(wrong):
+    with pytest.raises(OmtwarpError, match="must be a whole number"):
+        linear_effects(NOISE, {"age": AGE}, **wrong)
+
+
 def test_numbers_of_factors_are_words():
     numbered = [1, 2, 3] * (COUNT // 3)
     found = linear_effects(NOISE, {"site": numbered}, factors=["site"], permutations=9)["site"]
