@@ -11,6 +11,7 @@ cores.
 
 import contextlib
 import os
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
@@ -146,15 +147,29 @@ def parts_of(count: int, device: wp.Device, least: int = SMALLEST_SHARED_LAUNCH)
     return [slice(a, b) for a, b in pairwise([count * k // parts for k in range(parts + 1)])]
 
 
+_limit, _limit_lock, _limited = contextlib.ExitStack(), threading.Lock(), 0
+
+
 @contextlib.contextmanager
 def blas_threads(count: int) -> Iterator[None]:
     """Limit the linear algebra of NumPy and SciPy to a number of threads, as a context or a decorator.
 
     OpenBLAS's threads wait for one another by spinning: with other threads or programs running, a product of two
-    vectors can take a hundred times as long. Sums on one thread also have the same bits on every machine.
+    vectors can take a hundred times as long. Sums on one thread also have the same bits on every machine. The limit is
+    the process's: of those that overlap in several threads the first sets it, and the last to end lifts it.
     """
-    with _controller().limit(limits=count, user_api="blas"):
+    global _limited
+    with _limit_lock:
+        if not _limited:
+            _limit.enter_context(_controller().limit(limits=count, user_api="blas"))
+        _limited += 1
+    try:
         yield
+    finally:
+        with _limit_lock:
+            _limited -= 1
+            if not _limited:
+                _limit.close()
 
 
 @lru_cache(maxsize=1)

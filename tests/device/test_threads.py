@@ -69,6 +69,31 @@ def test_blas_threads_are_put_back():
     assert counts() == before
 
 
+def test_the_limit_of_blas_lasts_until_the_last_of_several_threads_ends():
+    def counts():
+        return [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
+
+    def first():
+        with threads.blas_threads(1):
+            both.wait()
+        ended.set()
+
+    def second():
+        with threads.blas_threads(1):
+            both.wait()
+            ended.wait()
+            within.extend(counts())
+
+    before, within = counts(), []
+    both, ended = threading.Barrier(2), threading.Event()
+    workers = [threading.Thread(target=work) for work in (first, second)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    assert set(within) <= {1} and counts() == before
+
+
 @wp.kernel
 def double_kernel(source: wp.array[wp.float64], target: wp.array[wp.float64]):
     i = wp.tid()
