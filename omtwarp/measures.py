@@ -58,7 +58,7 @@ class TargetDensity:
 
     def at(self, points: ArrayLike) -> Floats:
         """Evaluate the density, mean 1 over the sphere, at unit vectors, shape [N, 3]; returns shape [N]."""
-        values = self._values(np.asarray(points, dtype=np.float64), positive=self._lowest == 0.0)
+        values = self._values(real_numbers(points, "points", (None, 3)), positive=self._lowest == 0.0)
         return np.maximum(values, self._lowest) * (SPHERE_AREA / self.mass)
 
     def on_triangles(self, sphere: Floats, faces: Ints) -> Floats:
@@ -78,7 +78,7 @@ class TargetDensity:
 
     def _values(self, points: Floats, positive: bool) -> Floats:
         try:
-            values = real_numbers(self._density(points), "values", None, finite=False)
+            values = real_numbers(self._density(points.copy()), "values", None, finite=False)
         except (TypeError, ValueError) as error:
             raise OmtwarpError(f"the target density cannot be evaluated: {error}") from error
         if values.shape != (len(points),):

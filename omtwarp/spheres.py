@@ -65,9 +65,7 @@ class SphereGrid:
     @cached_property
     def triangles(self) -> Ints:
         """The grid's faces, or the Delaunay triangulation of its points, int32, shape [F, 3]."""
-        if self.faces is not None:
-            return self.faces
-        return sphere_from_directions(self.points).faces
+        return sphere_from_directions(self.points).faces if self.faces is None else self.faces
 
     @property
     def own_points(self) -> int:
@@ -194,7 +192,7 @@ def named_grid(name: str) -> SphereGrid:
         level = _within(int(match[1]), 0, 8, name)
 
         hierarchy = sphere_hierarchy(level)
-        return SphereGrid(text, hierarchy.vertices, hierarchy.faces, (hierarchy.node_count,))
+        return SphereGrid(text, hierarchy.vertices.copy(), hierarchy.faces.copy(), (hierarchy.node_count,))
     if match := re.fullmatch(r"fsaverage(\d*)", text):
         level = _within(int(match[1] or 7), 3, 7, name)
         points, faces = freesurfer_icosahedron(level)

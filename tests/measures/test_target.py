@@ -217,6 +217,18 @@ def test_what_is_no_density_is_refused_in_one_line(target, message):
         omtwarp.map_to_sphere(icosphere(3), target=target, device="cpu")
 
 
+def test_a_density_may_change_the_points_it_is_given():
+    def tripled(points):
+        z = points[:, 2].copy()
+        points *= 3.0
+        return 2.0 + z
+
+    points = np.eye(3)
+    found = TargetDensity(tripled).at(points)
+    np.testing.assert_array_equal(points, np.eye(3))
+    np.testing.assert_array_equal(found, TargetDensity(lambda points: 2.0 + points[:, 2]).at(points))
+
+
 @pytest.mark.parametrize("option", [{"method": "tutte"}, {"scheme": "paper"}, {"method": "haker"}])
 def test_methods_that_know_the_uniform_sphere_alone_say_so(option):
     with pytest.raises(OmtwarpError, match="a target density needs"):

@@ -114,3 +114,15 @@ def test_other_spheres_are_refused():
 def test_names_out_of_range(name):
     with pytest.raises(OmtwarpError, match=name):
         named_grid(name)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_arrays_of_a_grid_are_the_callers_own(name):
+    before = named_grid(name).points.copy()
+    taken = named_grid(name)
+    taken.points[:] *= 100.0
+    if taken.faces is not None:
+        taken.faces[:] = 0
+    again = named_grid(name)
+    np.testing.assert_array_equal(again.points, before)
+    assert again.faces is None or again.faces.any()
