@@ -132,12 +132,9 @@ def _on_sphere(mesh: PaintedMesh, sphere: Floats, atlas: Atlas, where: wp.Device
     """Return a mesh's colours on the picture of an atlas, sRGB and opacity from 0 to 1, float32 [H, W, 4]."""
     cut = unwrap(sphere, mesh.faces, atlas)
     layout, part = sphere_layout(cut, atlas, sphere, where)
-    own = None
-    if mesh.uv is not None:
-        own = np.nan_to_num(own_at_parts(cut, mesh.faces, mesh.uv))[part]
-    colors = None
-    if mesh.vertex_colors is not None:
-        colors = (cut.weights @ (mesh.vertex_colors / 255.0))[cut.faces][part]
+    own = None if mesh.uv is None else np.nan_to_num(own_at_parts(cut, mesh.faces, mesh.uv))[part]
+    given = mesh.vertex_colors
+    colors = None if given is None else (cut.weights @ (given / 255.0))[cut.faces][part]
     return bake_materials(layout, own, mesh.material_of[cut.source_face][part], mesh.materials, colors, -1)
 
 

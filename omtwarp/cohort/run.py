@@ -107,9 +107,7 @@ def run_cohort(
     with folder_of_results(target, *RESULTS):  # refused before the work, not after it
         make_folders(target)
     limits = time_limit, int(memory_limit * 2**30)
-    jobs = []
-    for item in items:
-        jobs.append(Job(item.id, str(item.path.absolute()), str(target), key_of(item.path, on), asked, *limits))
+    jobs = [Job(one.id, str(one.path.absolute()), str(target), key_of(one.path, on), asked, *limits) for one in items]
     _require_other_inputs(jobs, target)
     mine = [] if collect else jobs[part - 1 :: parts]
     todo = [job for job in mine if (record := read_record(job)) is None or (retry and record["status"] != OK)]

@@ -102,10 +102,7 @@ def conformal_map(
     points = surface.scaled_vertices
     face = most_regular_face(points @ principal_axes(surface).frame.T, surface.faces)
     pinned = int(surface.faces[face, 0])
-    if intrinsic:
-        solver = intrinsic_solver(surface, pinned)
-    else:
-        solver = cotangent_solver(surface, points, pinned)
+    solver = intrinsic_solver(surface, pinned) if intrinsic else cotangent_solver(surface, points, pinned)
     tell(progress, "conformal", 2, 4, {})
     corners = surface.faces[face]
     plane = solver.solve(dipole(surface.vertex_count, corners, points[corners]))

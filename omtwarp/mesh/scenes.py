@@ -147,9 +147,7 @@ class GltfInput:
         uri = entry.get("uri", "")
         if entry.get("mimeType") == "image/ktx2" or not ("bufferView" in entry or uri):
             return None
-        if "bufferView" in entry:
-            return self._view(entry["bufferView"])[0]
-        return self._named(uri)
+        return self._view(entry["bufferView"])[0] if "bufferView" in entry else self._named(uri)
 
     def _named(self, uri: str) -> bytes | None:
         """Return what a URI holds, or the content of the file that it names; None where nothing is there."""

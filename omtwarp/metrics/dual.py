@@ -174,9 +174,7 @@ class MapDual:
         self.surface, self.mass, self._x, self._y, self._lattice = surface, mass, x, y, lattice
         self._apart = np.zeros(3) if shift is None else edge_steps(surface, shift)
         self.log, self.cost = self._logs(y, x), self._costs(x, y)
-        corners = y[surface.faces]
-        if shift is not None:
-            corners = corners + shift
+        corners = y[surface.faces] if shift is None else y[surface.faces] + shift
         logs, others = self.log[surface.faces], np.roll(corners, -1, axis=1)
         ahead, back = self._logs(corners, others), self._logs(others, corners)
         # Of ψ on the edges (k, k+1): those that a quadratic of the distance along the edge has whose slopes at the ends

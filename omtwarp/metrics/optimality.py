@@ -375,9 +375,7 @@ def relative_curl(
     surface, cost = as_surface(surface), choose(Cost, cost)
     x, y = (p.numpy() if isinstance(p, wp.array) else as_sphere(p, surface) for p in (start, sphere))
     log = log_maps(y, x)
-    if cost == Cost.GEODESIC:
-        log = normalised(log)
-    return _curl(surface, y[surface.faces], log).relative
+    return _curl(surface, y[surface.faces], normalised(log) if cost == Cost.GEODESIC else log).relative
 
 
 def _masses(given: ArrayLike, count: int) -> Floats:

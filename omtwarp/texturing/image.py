@@ -50,9 +50,7 @@ def read_image(source: PictureLike) -> NDArray[np.generic]:
         path = Path(source)
         with open_input(path, LARGEST_PICTURE_FILE, "picture") as stream:
             return decoded(stream, str(path))
-    if isinstance(source, pil.Image):
-        return _from_pil(source, "image")
-    return _from_array(source)
+    return _from_pil(source, "image") if isinstance(source, pil.Image) else _from_array(source)
 
 
 def decoded(stream: BinaryIO, name: str) -> NDArray[np.generic]:
