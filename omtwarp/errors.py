@@ -38,6 +38,9 @@ class OmtwarpError(ValueError):
         unknown device 'gpu': use auto, cpu, cuda or cuda:N
     """
 
+    def __init__(self, text: str) -> None:
+        super().__init__(one_line(text) if "\n" in text else text)  # it may show an array
+
 
 class LacksArray(OmtwarpError, AttributeError):
     """Raised where an array of a map is read that maps to its domain do not have; ``hasattr`` says so too."""

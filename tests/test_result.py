@@ -79,6 +79,9 @@ def test_distortion_of_every_stage(result):
     assert result.distortion("conformal").area["surface"] > result.distortion("moser").area["surface"]
     with pytest.raises(OmtwarpError, match="no stage 'refined'"):
         result.distortion("refined")
+    with pytest.raises(OmtwarpError, match="no stage '") as caught:
+        result.distortion(np.ones((40, 3)))
+    assert "\n" not in str(caught.value)
     with pytest.raises(OmtwarpError, match="no stage 'report'"):
         result.distortion("report")
 

@@ -189,7 +189,7 @@ def register(
         (True, True)
     """
     stiffness = real_number(stiffness, "the stiffness", above=0.0)
-    max_strain = real_number(max_strain, "max_strain", above=0.0)
+    max_strain = min(real_number(max_strain, "max_strain", above=0.0), 500.0)  # powers of two: float64 ends at 1,024
     weight_of_areas = area_penalty(keep_areas)
     here, there = two_sides(moving, target, features, to_features)
     usual = {} if features else FOLDING_WEIGHTS
