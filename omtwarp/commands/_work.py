@@ -14,7 +14,7 @@ import omtwarp
 from omtwarp.commands._options import Printing, Source
 from omtwarp.commands._streams import is_standard_output, progress_bar, say, warnings_as_lines
 from omtwarp.errors import OmtwarpError
-from omtwarp.files.output import check_output, make_folder
+from omtwarp.files.output import check_output, guard_results, make_folder
 from omtwarp.options import Domain, MapOptions, Method, parse_device
 
 if TYPE_CHECKING:
@@ -226,6 +226,7 @@ def outputs_of(meshes: Sequence[Path], output: Output, suffix: str) -> list[Outp
     if not output.exists():
         _made.append(output)
     make_folder(output)
+    guard_results(output, *(target.name for target in targets if target))
     return targets
 
 

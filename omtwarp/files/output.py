@@ -185,13 +185,14 @@ def keeping(inputs: Iterable[Path], *, force: bool = False) -> Iterator[None]:
         force: whether companions and results replace files that the package did not write, except those kept.
     """
     global _noting, _forced
-    before = list(_kept), _noting, _forced
+    before, results = (list(_kept), _noting, _forced), list(_results)
     _kept.extend(inputs)
     _noting, _forced = True, force
     try:
         yield
     finally:
         _kept[:], _noting, _forced = before
+        _results[:] = results
         contents.clear()
 
 
@@ -208,7 +209,17 @@ def note_input(path: str | os.PathLike[str]) -> bool:
 
 @contextlib.contextmanager
 def folder_of_results(folder: Path, *names: str) -> Iterator[None]:
-    """Replace nothing in a folder in the meantime but what the package wrote there before.
+    """Replace nothing in a folder in the meantime but what the package wrote there; see :func:`guard_results`."""
+    before = list(_results)
+    guard_results(folder, *names)
+    try:
+        yield
+    finally:
+        _results[:] = before
+
+
+def guard_results(folder: Path, *names: str) -> None:
+    """Replace nothing in a folder, to the end of :func:`keeping`, but what the package wrote there before.
 
     Args:
         folder: where results go; it need not exist yet.
@@ -221,10 +232,6 @@ def folder_of_results(folder: Path, *names: str) -> Iterator[None]:
     for name in names:
         require_own(folder / name, _may_replace(place / name))
     _results.append(place)
-    try:
-        yield
-    finally:
-        _results.remove(place)
 
 
 def require_own(given: Path, own: bool) -> None:
