@@ -5,12 +5,14 @@ written when the command has succeeded; messages of the command and its progress
 """
 
 import contextlib
+import gzip
 import io
 import logging
 import os
 import sys
 import time
 import warnings
+import zlib
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
@@ -154,14 +156,24 @@ def input_file(given: object) -> object:
         raise OmtwarpError("standard input is empty")
     if len(data) > LARGEST_MESH_FILE:
         raise OmtwarpError(f"standard input has more than the {amount(LARGEST_MESH_FILE)} that a file may have")
+    file = _current.folder() / f"standard-input{_suffix_of(data)}"
+    file.write_bytes(data)
+    _current.names[str(file)] = "standard input"
+    return file
+
+
+def _suffix_of(data: bytes) -> str:
+    """Return the suffix of the format that the first bytes of a file tell, also inside of gzip."""
+    if data.startswith(b"\x1f\x8b"):
+        with contextlib.suppress(OSError, EOFError, zlib.error), gzip.open(io.BytesIO(data)) as stream:
+            return f"{_suffix_of(stream.read(1024))}.gz"
+    if b"<VTKFile" in data[:1024]:
+        return ".vtu" if b"UnstructuredGrid" in data[:1024] else ".vtp"
     suffix = next((suffix for head, suffix in _HEADS if data.startswith(head)), None)
     if suffix is None:
         binary_stl = len(data) >= 84 and len(data) == 84 + 50 * int.from_bytes(data[80:84], "little")
         suffix = ".stl" if binary_stl else ".obj"
-    file = _current.folder() / f"standard-input{suffix}"
-    file.write_bytes(data)
-    _current.names[str(file)] = "standard input"
-    return file
+    return suffix
 
 
 def input_table(given: str) -> str | io.StringIO:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 import json
 import os
@@ -66,6 +67,28 @@ def test_standard_input_is_known_by_its_first_bytes(folder, monkeypatch, capfdbi
     assert not list(folder.glob(PREFIX + "*"))
 
 
+@pytest.mark.parametrize("suffix", [".ply", ".off", ".obj", ".gii", ".vtk"])
+def test_standard_input_may_be_compressed(folder, monkeypatch, capfdbinary, suffix):
+    given = gzip.compress((folder / f"ball{suffix}").read_bytes())
+    status, out, err = run(monkeypatch, capfdbinary, ["check", "-"], given)
+    assert (status, err) == (0, "") and b"standard input: 42 vertices, 80 faces" in out
+
+
+@pytest.mark.parametrize(("kind", "cells"), [("PolyData", "Polys"), ("UnstructuredGrid", "Cells")])
+def test_vtk_files_of_xml_are_known_on_standard_input(folder, monkeypatch, capfdbinary, kind, cells):
+    def array(name, values, width=1):
+        text = " ".join(map(str, np.ravel(values).tolist()))
+        return f'<DataArray type="Float64" Name="{name}" NumberOfComponents="{width}" format="ascii">{text}</DataArray>'
+
+    count = len(BALL.faces)
+    given = f'<?xml version="1.0"?><VTKFile type="{kind}" byte_order="LittleEndian"><{kind}><Piece><Points>'
+    given += array("Points", BALL.vertices, 3) + f"</Points><{cells}>" + array("connectivity", BALL.faces)
+    given += array("offsets", 3 * np.arange(1, count + 1)) + array("types", np.full(count, 5))
+    given += f"</{cells}></Piece></{kind}></VTKFile>"
+    status, out, err = run(monkeypatch, capfdbinary, ["check", "-"], given.encode())
+    assert (status, err) == (0, "") and b"standard input: 42 vertices, 80 faces" in out
+
+
 def test_a_map_goes_through_a_pipe(folder, monkeypatch, capfdbinary):
     given = (folder / "map.npz").read_bytes()
     words = ["texture", "--map", "-", "-o", "-", "--size", "64", "--device", "cpu"]
@@ -116,8 +139,21 @@ def test_maps_of_several_meshes(folder, monkeypatch, capfdbinary):
     assert status == 0 and first["output"] == "maps/ball.npz" and first["bijective"] and first["flips"] == 0
     assert second["report"] == "maps/other.json" and "omtwarp: conformal: " in err
     assert sorted(path.name for path in (folder / "maps").iterdir()) == [
-        "ball.json", "ball.npz", "other.json", "other.npz",
+        ".omtwarp.json", "ball.json", "ball.npz", "other.json", "other.npz",
     ]  # fmt: skip
+
+
+def test_a_folder_for_several_results_keeps_what_the_user_has_there(folder, monkeypatch, capfdbinary):
+    (folder / "other.off").write_bytes((folder / "ball.off").read_bytes())
+    words = ["map", "ball.ply", "other.off", "-o", "maps", "--until", "conformal", "--device", "cpu", "--quiet"]
+    (folder / "maps").mkdir()
+    (folder / "maps/other.npz").write_bytes(b"precious")
+    status, _, err = run(monkeypatch, capfdbinary, words)
+    assert status == 1 and "cannot write 'maps/other.npz': omtwarp did not write what is there" in err
+    assert (folder / "maps/other.npz").read_bytes() == b"precious" and not (folder / "maps/ball.npz").exists()
+    for again in ([*words, "--force"], words):  # what it wrote itself it replaces
+        assert run(monkeypatch, capfdbinary, again)[0] == 0
+        assert (folder / "maps/other.npz").stat().st_size > 1000
 
 
 def test_torus_and_exact_maps_of_several_meshes(folder, monkeypatch, capfdbinary):
@@ -154,7 +190,8 @@ def test_several_meshes_go_to_a_directory(folder, monkeypatch, capfdbinary, smal
     status, out, err = run(monkeypatch, capfdbinary, [*words, "made"])
     assert status == 1 and err.splitlines()[-1] == "omtwarp: error: 1 of 3 meshes failed: none.ply"
     assert [facts["output"] for facts in json.loads(out)] == [f"made/ball{suffix}", f"made/other{suffix}"]
-    assert sorted(path.name for path in (folder / "made").iterdir()) == [f"ball{suffix}", f"other{suffix}"]
+    written = sorted(path.name for path in (folder / "made").iterdir())
+    assert written == [".omtwarp.json", f"ball{suffix}", f"other{suffix}"]
     status, out, err = run(monkeypatch, capfdbinary, [*words, "-"])
     assert (status, out) == (1, b"") and "3 files cannot go to standard output: name a directory" in err
     status, out, err = run(monkeypatch, capfdbinary, [*words, "made", "--map", "map.npz"])
