@@ -333,7 +333,7 @@ class MapOptions:
         of_method = {Method.OMT: self.until, Method.MOSER: Stage.MOSER, Method.HAKER: Stage.CONFORMAL}
         last = of_method.get(self.method, Stage.CONFORMAL)  # whose place barycentric maps take
         every = tuple(Stage)
-        wanted = every[: every.index(last) + 1]
+        wanted = every[: min(every.index(last), every.index(self.until)) + 1]
         return tuple(stage for stage in wanted if stage is not Stage.REFINE or self.refine is not None)
 
     def to_dict(self) -> ChosenOptions:

@@ -82,6 +82,7 @@ def test_stages_follow_from_the_options():
     assert MapOptions(until=Stage.MOSER).stages == every[:2]
     assert MapOptions(method=Method.HAKER).stages == every[:1]
     assert MapOptions(method=Method.MOSER, until=Stage.REFINE).stages == every[:2]
+    assert MapOptions(method=Method.MOSER, until=Stage.CONFORMAL).stages == every[:1]
 
 
 @pytest.mark.parametrize(
