@@ -214,6 +214,9 @@ def colored(values: Floats, colormap: str, low: float, high: float, target: Targ
         target: the triangles on the picture.
     """
     missing = np.isnan(values)
+    # Texels sum samples: the colours' ends are scaled to a size of 1, since sums of large numbers would overflow.
+    scale = -int(np.frexp(max(abs(low), abs(high)))[1])
+    values, low, high = np.ldexp(values, scale), np.ldexp(low, scale), np.ldexp(high, scale)
     channels = target.spread(np.column_stack([np.where(missing, 0.0, values), missing]))
     picture = bake_corners(target.uv, channels, target.size, padding=PADDING, device=target.device)
     sums, without = picture[..., 0], picture[..., 1]

@@ -233,6 +233,9 @@ def test_scalars_are_coloured_and_data_of_files_baked(tmp_path):
     height = np.einsum("fk,fk->f", weights, vertices[faces][..., 2])
     expected = colormap_table("viridis")[np.rint((height + 1) / 2 * 255).astype(int)]
     assert np.percentile(np.abs(shown(made) - expected), 99) < 8
+    np.save(tmp_path / "huge.npy", vertices[:, 2] * 2.0**1000)
+    huge = paint((vertices, faces, sphere), mesh, bake=[tmp_path / "huge.npy"], size=256)
+    np.testing.assert_array_equal(huge.materials[0].picture, made.materials[0].picture)
     np.save(tmp_path / "short.npy", np.zeros(5))
     with pytest.raises(OmtwarpError, match="5 values for 642 vertices"):
         paint((vertices, faces, sphere), mesh, bake=[tmp_path / "short.npy"], size=64)
