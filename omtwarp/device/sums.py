@@ -75,32 +75,15 @@ def finish_sum(
 
 
 @wp.kernel
-def largest_of_rows(
+def raise_to_largest(
     values: wp.array[wp.float64],
-    # Data out:
+    # Data in and out:
     largest: wp.array[wp.float64],
 ):
-    """Compute the largest absolute values of GROUP numbers each."""
-    thread = wp.tid()
-    found = wp.float64(0.0)
-    i = first_row(thread)
-    for _ in range(GROUP):
-        if i < values.shape[0]:
-            found = wp.max(found, wp.abs(values[i]))
-        i += LANES
-    largest[thread] = found
-
-
-@wp.kernel
-def finish_largest(
-    values: wp.array[wp.float64],
-    # Data out:
-    largest: wp.array[wp.float64],
-):
-    found = wp.float64(0.0)
-    for i in range(values.shape[0]):
-        found = wp.max(found, wp.abs(values[i]))
-    largest[0] = found
+    """Raise a number to the largest absolute value; what is no number does not count."""
+    size = wp.abs(values[wp.tid()])
+    if size > largest[0]:
+        wp.atomic_max(largest, 0, size)
 
 
 # Partial sums are reduced to at most this many rows; the thread that needs the total adds those.
@@ -159,11 +142,8 @@ class DeviceSum:
 
     def largest(self, a: wp.array, out: wp.array) -> None:
         """Write the largest absolute value to the first element of ``out``; what is no number does not count."""
-        while a.size > MAX_PARTIAL_ROWS:
-            partial = wp.empty(partial_count(a.size), dtype=wp.float64, device=self.device)
-            wp.launch(largest_of_rows, dim=partial.size, inputs=[a], outputs=[partial], device=self.device)
-            a = partial
-        wp.launch(finish_largest, dim=1, inputs=[a], outputs=[out], device=self.device)
+        out.zero_()
+        wp.launch(raise_to_largest, dim=a.size, inputs=[a], outputs=[out], device=self.device)
 
     def _workspace_for(self, length: int) -> tuple[wp.array, RowSums, RowSums]:
         """Return the workspace of a length: an array of partial products, and the sums of values and of products."""
