@@ -170,6 +170,8 @@ def run_map(
         front (AXIS): The axis towards longitude 0; guessed where --up is given.
     """
 
+    import numpy as np
+
     from omtwarp.mesh.neuro import structure_of
     from omtwarp.mesh.write import SUFFIXES
 
@@ -200,9 +202,11 @@ def run_map(
             result = standing(result, None, up, front)
         if structure is not None:
             result.report["structure"] = structure
-        joined = sound.mesh if sound.surface.origins is sound.mesh and kind is None and not mapping.exact else None
-        if joined is not None:
+        joined, own = sound.mesh if sound.surface.origins is sound.mesh else None, sound.surface
+        if joined is not None and np.array_equal(result.vertices[: own.vertex_count], own.vertices):
             result = result.with_arrays({"vertex_of_file": joined.vertex_of_file})
+        if joined is not None and not np.array_equal(result.faces, own.faces):
+            joined = None  # a mesh of the sphere has further vertices
         with staged(target) as file:
             save(result, file, like=mesh, radius=radius, beside=beside, joined=joined)
         if report_target is not None:

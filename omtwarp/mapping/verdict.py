@@ -173,8 +173,7 @@ def judge(
     """
     if Stage.OMT not in options.stages:
         return []
-    if image is None:
-        image = triangle_areas(sphere, goal.faces)
+    image = triangle_areas(sphere, goal.faces) if image is None else image
     mean, distorted = _area_distortion(goal, image, parts)
     unmatched, findings, uniform = [], [], uniform and not options.exact
     if isinstance(options.refine, AreaMatch) and (missed := not_matched(options.refine.area, mean)):

@@ -147,13 +147,16 @@ def mesh_content(file: Path) -> tuple[bytes, str]:
     return data, suffix
 
 
+CUT = "its handles were cut open for a map"
+
+
 def _read_npz(data: bytes) -> Triangles:
-    arrays = read_arrays(io.BytesIO(data), ("vertices", "faces"))
-    if len(arrays) < 2:
+    arrays = read_arrays(io.BytesIO(data), ("vertices", "faces", "loop_pairs"))
+    if not {"vertices", "faces"} <= arrays.keys():
         raise OmtwarpError("no arrays 'vertices' and 'faces' in it")
     if arrays["vertices"].dtype.kind not in "iuf" or arrays["faces"].dtype.kind not in "iu":
         raise OmtwarpError("'vertices' are not real numbers, or 'faces' not whole ones")
-    return arrays["vertices"], arrays["faces"], []
+    return arrays["vertices"], arrays["faces"], [CUT] if "loop_pairs" in arrays else []
 
 
 def _read_ply(data: bytes) -> Triangles:
@@ -450,7 +453,7 @@ def read_joined_mesh(
     first, joined, of_file = np.arange(count), file.faces, None
     if number is not None:
         stays, places = compressed(number)
-        if not shared or not Topology(places[file.faces], count).on_boundary.any():
+        if not shared or CUT in notes or not Topology(places[file.faces], count).on_boundary.any():
             first, joined, of_file = np.flatnonzero(stays), places[file.faces], places
             copies = count - len(first)
             notes = (*notes, f"joined {copies} {'copy' if copies == 1 else 'copies'} of vertices along seams")

@@ -138,9 +138,7 @@ def adaptive(
     given = np.asarray(by_area.sum(axis=0)).ravel()
     scale = np.divide(source_areas, given, out=np.zeros_like(given), where=given > 0)
     corrected = sparse.csr_matrix(by_area @ sparse.diags_array(scale))
-    if source.own is not None:
-        corrected = _without_rows(corrected, _empty(forward))
-    return _rows_to_one(corrected)
+    return _rows_to_one(corrected if source.own is None else _without_rows(corrected, _empty(forward)))
 
 
 def conservative(source: SphereGrid, target: SphereGrid, device: str | None = "auto") -> sparse.csr_matrix:

@@ -105,8 +105,7 @@ def _from_array(source: ArrayLike) -> NDArray[np.generic]:
         raise OmtwarpError("image array of complex numbers: give floats in 0..1, or uint8")
     if array.dtype == object or array.dtype.kind not in "uifb":
         raise OmtwarpError(f"image of type {type(source).__name__}: give a path, a PIL image or an array")
-    if array.ndim == 2:
-        array = array[..., None]
+    array = array[..., None] if array.ndim == 2 else array
     if array.ndim != 3 or array.shape[2] not in (1, 3, 4) or 0 in array.shape:
         raise OmtwarpError(f"image array of shape {list(np.shape(source))}: give [H, W], [H, W, 3] or [H, W, 4]")
     if array.shape[2] == 1:

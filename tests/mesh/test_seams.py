@@ -71,6 +71,32 @@ def test_map_keeps_the_vertices_of_the_file(split, capsys):
     assert all(material.picture is not None for material in painted.materials)
 
 
+def test_options_that_add_no_vertices_or_add_them_behind_keep_those_of_the_file(split):
+    _, folder = split
+    file, joined = folder / "split.glb", read_joined_mesh(folder / "split.glb")
+    words = ["map", file, "--device", "cpu", "--quiet"]
+    assert run(*words, "-o", folder / "ball.ply", "--fill-area", "natural", "--until", "conformal") == 0
+    np.testing.assert_array_equal(omtwarp.read_mesh(folder / "ball.ply").faces, joined.file.faces)
+    assert run(*words, "-o", folder / "exact.npz", "--exact") == 0
+    result = omtwarp.MapResult.load(folder / "exact.npz")
+    assert len(result.vertices) > len(joined.file.vertices)
+    np.testing.assert_array_equal(result.vertices[result.vertex_of_file], joined.file.vertices)
+    assert run(*words, "-o", folder / "exact.ply", "--exact") == 0
+    assert len(omtwarp.read_mesh(folder / "exact.ply").vertices) == len(result.vertices)
+
+
+def test_cuts_of_a_map_are_joined_again_beside_a_hole(tmp_path):
+    ring = trimesh.creation.torus(1.0, 0.4, major_sections=16, minor_sections=8)
+    holed = ring.faces[(ring.faces != ring.faces[0, 0]).all(axis=1)]
+    used, faces = np.unique(holed, return_inverse=True)
+    vertices, faces = ring.vertices[used], faces.reshape(-1, 3)
+    omtwarp.map_surface((vertices, faces), cut=True, fill_area="small").save(tmp_path / "cut.npz")
+    again = read_joined_mesh(tmp_path / "cut.npz")
+    assert len(again.file.vertices) > len(vertices)
+    np.testing.assert_array_equal(again.vertices, vertices)
+    assert any("cut open" in note for note in again.notes)
+
+
 def test_what_does_not_belong_together_is_left_apart(tmp_path):
     """Two balls of a scene are not joined, nor are copies of vertices in PLY whose joining would leave a hole."""
     ball = omtwarp.shapes.icosphere(2)
