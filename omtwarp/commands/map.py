@@ -170,8 +170,6 @@ def run_map(
         front (AXIS): The axis towards longitude 0; guessed where --up is given.
     """
 
-    import numpy as np
-
     from omtwarp.mesh.neuro import structure_of
     from omtwarp.mesh.write import SUFFIXES
 
@@ -202,11 +200,7 @@ def run_map(
             result = standing(result, None, up, front)
         if structure is not None:
             result.report["structure"] = structure
-        joined, own = sound.mesh if sound.surface.origins is sound.mesh else None, sound.surface
-        if joined is not None and np.array_equal(result.vertices[: own.vertex_count], own.vertices):
-            result = result.with_arrays({"vertex_of_file": joined.vertex_of_file})
-        if joined is not None and not np.array_equal(result.faces, own.faces):
-            joined = None  # a mesh of the sphere has further vertices
+        result, joined = with_copies(result, sound)
         with staged(target) as file:
             save(result, file, like=mesh, radius=radius, beside=beside, joined=joined)
         if report_target is not None:
@@ -253,6 +247,23 @@ def weights_of(mass: Mass, sound: Input, structure: str | None) -> tuple[NDArray
     if added:
         raise OmtwarpError(f"'{mass.weights}' has no weights for the {added} parts that --repair added to the mesh")
     return weights[origin], belong
+
+
+def with_copies(result: MapResult, sound: Input) -> tuple[MapResult, JoinedMesh | None]:
+    """Return a map that says which vertex each of the file's is, and what was read where a mesh has those alone.
+
+    Args:
+        result: the map.
+        sound: what was mapped.
+    """
+    import numpy as np
+
+    joined, own = sound.mesh, sound.surface
+    if own.origins is not joined:
+        return result, None  # no copies were joined, or the mesh was repaired
+    if np.array_equal(result.vertices[: own.vertex_count], own.vertices):
+        result = result.with_arrays({"vertex_of_file": joined.vertex_of_file})
+    return result, joined if np.array_equal(result.faces, own.faces) else None
 
 
 def save(

@@ -143,8 +143,7 @@ def two_sides(
     if isinstance(target, str) and features is None:
         target = with_side(target, moving.report.get("structure") if isinstance(moving, MapResult) else None)
     there, known = target_points(target)
-    if features and not to_features:
-        to_features = known
+    to_features = known if features and not to_features else to_features
     if set(features or {}) != set(to_features or {}):
         raise OmtwarpError("features have to be given for both sides, with the same names")
     if features and to_features:

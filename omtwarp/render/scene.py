@@ -476,8 +476,7 @@ def arrow_part(view: SurfaceView, arrows: Arrows) -> Part | None:
         return None
     chosen = _thin_out(positions, max(int(arrows.count), 1))
     chosen = chosen[lengths[chosen] > 0.02 * longest]  # shorter ones would be dots
-    if chosen.size == 0:
-        chosen = np.array([int(np.argmax(lengths))])
+    chosen = chosen if chosen.size else np.array([int(np.argmax(lengths))])
     way = vectors[chosen] / lengths[chosen][:, None]
     size = np.full(len(chosen), arrows.length) if arrows.uniform else arrows.length * lengths[chosen] / longest
     # Lifted off the surface by the shaft's thickness, so that they are not hidden in it.
