@@ -1,10 +1,4 @@
-"""Arrays that kernels on a device read, made of maps and meshes, and memory on the host that is shared and returned."""
-
-import contextlib
-import ctypes
-import sys
-from collections.abc import Callable
-from functools import lru_cache
+"""Arrays that kernels on a device read, made of maps and meshes, and memory on the host that is shared."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -75,24 +69,3 @@ class Workspace:
             self._numbers = np.empty(0)  # free the old array first: otherwise both exist for a moment
             self._numbers = np.empty(count)
         return self._numbers[:count]
-
-
-def give_back() -> None:
-    """Return freed memory from the C library to the system, where the library can (glibc).
-
-    The arrays of a stage do not fit into the gaps that the stage before leaves: on meshes of some ten thousand
-    triangles these gaps take more memory than the map itself.
-    """
-    trim = _trim()
-    if trim is not None:
-        trim(0)
-
-
-@lru_cache(maxsize=1)
-def _trim() -> Callable[[int], int] | None:
-    """Return ``malloc_trim`` of the GNU C library, or None."""
-    if sys.platform.startswith("linux"):
-        with contextlib.suppress(OSError, AttributeError):
-            trim: Callable[[int], int] = ctypes.CDLL("libc.so.6").malloc_trim
-            return trim
-    return None

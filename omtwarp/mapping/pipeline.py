@@ -15,7 +15,6 @@ import scipy
 from numpy.typing import ArrayLike
 
 from omtwarp.conformal import density
-from omtwarp.device.arrays import give_back
 from omtwarp.device.policy import resolve_device, solves_with_scipy, solving_with, wanted_solver
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
@@ -460,7 +459,6 @@ class MapComputation:
 
     def minimisation(self, sphere: Floats) -> Callable[..., OptimalMap]:
         """Return what finds the optimal map from a map near it: among symmetric maps where that one is symmetric."""
-        give_back()  # the largest matrices follow
         return partial(optimal_map, domain=self.mirrored(sphere), **self.common)
 
     def mirrored(self, sphere: Floats) -> MirroredSphere | None:
@@ -533,7 +531,6 @@ class MapComputation:
 
     def keep_every_area(self) -> None:
         """Compute the optimal map of the quartered mesh, in which every triangle of the mesh keeps its area."""
-        give_back()
         quartered = quarter(self.surface)
         self.surface = quartered.surface
         self.own = None if self.own is None else np.repeat(self.own, PARTS)
@@ -567,7 +564,6 @@ class MapComputation:
         weight = self.options.refine
         assert weight is not None
 
-        give_back()  # the largest matrices follow
         sphere = self.sphere if isinstance(weight, AreaMatch) else self.least_distorted(refinement_weight(weight))
         repaired = 0
         # With a target density the area that a triangle is to have depends on where it is: refinement is repeated with
@@ -600,7 +596,6 @@ class MapComputation:
 
         The time that this takes is recorded as a stage.
         """
-        give_back()
         self.notify(OPTIMALITY, 0, 1, {})
         last, steps = self.records[-1], 1
         figures: dict[str, float | int | None]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from omtwarp.device.arrays import Workspace, give_back
+from omtwarp.device.arrays import Workspace
 
 # In a process of its own: what other tests have freed, and what they keep, is no part of a map.
 MEASURE = """
@@ -44,8 +44,3 @@ def test_room_is_shared_and_grows():
     assert not np.shares_memory(first, larger)
     np.testing.assert_array_equal(first, np.arange(10))  # whoever still has it may read it
     assert np.shares_memory(larger, workspace.numbers(10))
-
-
-def test_what_is_freed_is_given_back():
-    give_back()
-    give_back()
