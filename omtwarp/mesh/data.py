@@ -306,7 +306,7 @@ def write_data(path: Path, data: VertexData, mesh: tuple[Floats, Ints] | None = 
         elif name.endswith(".ply"):
             if mesh is None:
                 raise OmtwarpError(f"cannot write '{path}': .ply needs a mesh with triangles; use .npy")
-            file.write_bytes(ply_bytes(mesh[0], mesh[1], dict(zip(data.names, data.values.T, strict=True))))
+            file.write_bytes(ply_bytes(mesh[0], mesh[1], zip(data.names, data.values.T, strict=True)))
         else:
             raise OmtwarpError(f"cannot write '{path}': unknown format of data, use {', '.join(DATA_SUFFIXES)}")
 
@@ -367,5 +367,8 @@ def _write_annot(file: Path, data: VertexData) -> None:
     # FreeSurfer identifies labels by their colours: two labels of one colour would become one.
     if len(np.unique(colors[:, :3], axis=0)) < len(keys):
         raise OmtwarpError("two labels have the same colour, by which the .annot format identifies them: change one")
+    lost = set(np.unique(data.values).tolist()) - {-1, 0, *keys}
+    if lost:
+        raise OmtwarpError(f"the .annot format cannot hold the label {min(lost)}: it is negative, or has no name")
     names = [data.table[key][0] for key in keys]
     nibabel_module().freesurfer.write_annot(file, places, colors, names, fill_ctab=True)

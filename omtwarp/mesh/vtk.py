@@ -3,7 +3,7 @@
 import base64
 import re
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
@@ -36,10 +36,21 @@ def write_vtk(file: Path, points: Floats, faces: Ints, beside: Mapping[str, NDAr
     body = [head.encode("ascii"), points.astype(">f8").tobytes(), polygons.encode("ascii"), cells.tobytes(), b"\n"]
     if beside:
         body.append(f"POINT_DATA {len(points)}\nFIELD FieldData {len(beside)}\n".encode("ascii"))
-        for name, values in beside.items():
-            body.append(f"{'_'.join(name.split()) or 'value'} 1 {len(points)} double\n".encode())
+        for word, values in zip(distinct_words(beside), beside.values(), strict=True):
+            body.append(f"{word} 1 {len(points)} double\n".encode())
             body += [np.asarray(values).astype(">f8").tobytes(), b"\n"]
     file.write_bytes(b"".join(body))
+
+
+def distinct_words(names: Iterable[str], *taken: str) -> list[str]:
+    """Return names without spaces, at which formats end them, each other than those before it and those taken."""
+    words = [*taken]
+    for name in names:
+        word = "_".join(name.split()) or "value"
+        while word in words:
+            word += "_"
+        words.append(word)
+    return words[len(taken) :]
 
 
 def read_vtk(data: bytes) -> Triangles:

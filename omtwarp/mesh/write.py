@@ -2,7 +2,7 @@
 
 import os
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.files.output import as_path, staged
 from omtwarp.mesh.arrays import Floats, Ints, norms, single_precision
 from omtwarp.mesh.neuro import FREESURFER_SUFFIXES, write_freesurfer_surface, write_gifti_surface
-from omtwarp.mesh.vtk import write_vtk
+from omtwarp.mesh.vtk import distinct_words, write_vtk
 
 SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb", ".gii", ".vtk", *FREESURFER_SUFFIXES)
 
@@ -61,7 +61,7 @@ def write_mesh(
 def _write(file: Path, suffix: str, points: Floats, triangles: Ints, beside: Mapping[str, NDArray] | None) -> None:
     """Write a mesh in a general format, not one of neuroimaging."""
     if suffix == ".ply":
-        file.write_bytes(ply_bytes(points, triangles, beside))
+        file.write_bytes(ply_bytes(points, triangles, (beside or {}).items()))
     elif suffix == ".obj":
         rows = [f"v {x!r} {y!r} {z!r}\n" for x, y, z in points.tolist()]
         rows += [f"f {a} {b} {c}\n" for a, b, c in (triangles + 1).tolist()]
@@ -202,12 +202,12 @@ class GltfFile:
         return len(self.content.accessors) - 1
 
 
-def ply_bytes(points: Floats, faces: Ints, properties: Mapping[str, NDArray[np.generic]] | None = None) -> bytes:
+def ply_bytes(points: Floats, faces: Ints, properties: Iterable[tuple[str, NDArray[np.generic]]] = ()) -> bytes:
     """Encode a mesh as binary PLY with further properties of its vertices: bytes, else all in double precision."""
-    given = properties or {}
-    names = ["x", "y", "z", *("_".join(name.split()) or "value" for name in given)]
+    given = list(properties)
+    names = ["x", "y", "z", *distinct_words((name for name, _ in given), "x", "y", "z")]
     head = f"ply\nformat binary_little_endian 1.0\ncomment omtwarp\nelement vertex {len(points)}\n"
-    columns = [*points.T, *map(np.asarray, given.values())]
+    columns = [*points.T, *(np.asarray(column) for _, column in given)]
     kinds = ["u1" if column.dtype == np.uint8 else "<f8" for column in columns]
     words = {"u1": "uchar", "<f8": "double"}
     head += "".join(f"property {words[kind]} {name}\n" for kind, name in zip(kinds, names, strict=True))
@@ -217,4 +217,4 @@ def ply_bytes(points: Floats, faces: Ints, properties: Mapping[str, NDArray[np.g
         table[str(k)] = column
     rows = np.empty(len(faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])
     rows["count"], rows["corners"] = 3, faces
-    return head.encode("ascii") + table.tobytes() + rows.tobytes()
+    return head.encode() + table.tobytes() + rows.tobytes()

@@ -291,6 +291,8 @@ def _sphere_beside(path: Path) -> Floats | None:
     if path.suffix.lower() != ".ply" or b" px\n" not in read_bytes(path, LARGEST_MESH_FILE, "mesh file")[:4096]:
         return None
     data = read_data(path)
+    if not {"px", "py", "pz"} <= set(data.names):
+        return None
     return np.stack([data.values[:, data.names.index(name)] for name in ("px", "py", "pz")], axis=1)
 
 

@@ -1,5 +1,7 @@
 """Formats of single precision hold the numbers that are written, or refuse them in one line."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -59,6 +61,28 @@ def test_names_of_columns_come_back_from_text(tmp_path, names):
     again = read_data(tmp_path / "a.csv")
     assert again.names == names
     np.testing.assert_array_equal(again.values, values)
+
+
+@pytest.mark.parametrize("names", [("x", "y"), ("a", "a", "b"), ("a b", "a_b"), ("Größe", "z"), ("", "value")])
+def test_columns_of_any_name_come_back_from_ply_beside_the_mesh(tmp_path, names):
+    values = np.random.default_rng(3).normal(size=(COUNT, len(names)))
+    write_data(tmp_path / "a.ply", VertexData(values, names), (BALL.vertices, BALL.faces))
+    again = read_data(tmp_path / "a.ply")
+    assert len(set(again.names)) == len(names)
+    np.testing.assert_array_equal(again.values, values)
+    np.testing.assert_array_equal(read_mesh(tmp_path / "a.ply").vertices, BALL.vertices)
+    write_mesh(tmp_path / "a.vtk", BALL.vertices, BALL.faces, beside=dict(zip(names, values.T, strict=True)))
+    listed = (tmp_path / "a.vtk").read_bytes().decode("utf-8", "replace")
+    assert len(set(re.findall(r"(\S+) 1 42 double", listed))) == len(set(names))
+
+
+@pytest.mark.parametrize("label", [3, -3])
+def test_labels_that_annot_would_lose_are_refused(tmp_path, label):
+    pytest.importorskip("nibabel")
+    data = data_of(np.where(np.arange(COUNT) < 5, label, 1), {1: ("one", (1.0, 0.0, 0.0, 1.0))})
+    with pytest.raises(OmtwarpError, match=f"cannot hold the label {label}"):
+        write_data(tmp_path / "lh.a.annot", data)
+    assert not (tmp_path / "lh.a.annot").exists()
 
 
 def test_other_numbers_are_single_precision(tmp_path):
