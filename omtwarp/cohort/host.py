@@ -80,7 +80,8 @@ def run_item(job: Job) -> Row:
         except OmtwarpError as error:
             record = recorded(ERROR, with_options(str(error)))  # a file, for the tables and pages of the command
         except Exception as error:
-            record = recorded(ERROR, unexpected(error))
+            full = str(error).startswith("Failed to allocate")  # a RuntimeError of Warp's
+            record = recorded(MEMORY, str(error)) if full else recorded(ERROR, unexpected(error))
         append_to_journal(job, str(record["status"]))
         return record
 

@@ -100,6 +100,8 @@ def run_cohort(
     """
     (part, parts), workers = shard, core_count() if workers is None else workers
     _require_possible(items, shard, workers, time_limit, memory_limit)
+    if register == GROUP and any(item.id == "template" for item in items):
+        raise OmtwarpError("an item is called 'template', as a result of register='group' is: give it another id")
     asked, on = _options_of_jobs(options, repair, fill_area, register)
     from omtwarp.cohort.page import write_page  # loads Warp, which fails before the work where it cannot start
 

@@ -118,11 +118,13 @@ def _from_text(text: str, name: str, folder: Path, delimiter: str = "") -> list[
         raise OmtwarpError(f"{name}, line {max(rows.line_num, 1)}: {error}") from None
     if "path" not in names:
         raise OmtwarpError(f"{name} has no column 'path': its first line is '{first[:80]}'")
+    if twice := [column for column, times in Counter(names).items() if times > 1]:
+        raise OmtwarpError(f"{name} has several columns called '{twice[0]}': its first line is '{first[:80]}'")
     for number, row in listed:
         if None in row or any(value is None for value in row.values()):
             raise OmtwarpError(f"{name}, line {number}: not {len(names)} columns as the first line has")
-        if not row["path"].strip():
-            raise OmtwarpError(f"{name}, line {number}: the path is empty")
+        if not row["path"].strip() or "\0" in row["path"]:
+            raise OmtwarpError(f"{name}, line {number}: the path is empty, or has a null byte")
         fields = {column: value for column, value in row.items() if column != "path"}
         entries.append((folder / row["path"].strip(), fields))
     if "id" not in names:

@@ -403,6 +403,8 @@ class TestManifest:
             ("file\na.ply\n", "no column 'path'"),
             ("path,group\na.ply\n", "line 2: not 2 columns"),
             ("path\n\n \n", "line 3: the path is empty"),
+            ("path\nb5\0.ply\n", "line 2: the path .* has a null byte"),
+            ("path,group,group\na.ply,1,2\n", "several columns called 'group'"),
             ("id,path\nA,a.ply\na,b.ply\n", "1 items .* have the name of another, the first is 'a'"),
             ("id,path\n../..,a.ply\n", "has no letter or digit"),
             ("path\n", "names no surface"),
@@ -505,6 +507,26 @@ def test_maps_are_registered_after_they_are_made(tmp_path, monkeypatch, capsys, 
     assert ends[0].report["registration"]["certificate"]["flips"] == 0
     np.testing.assert_allclose(ends[0].sphere, ends[1].sphere, atol=1e-6)  # of one surface
     assert map_of(Path("out"), rows[0]) == Path("out", folder, "s0.npz")
+
+
+def test_an_item_with_the_name_of_a_result_is_refused_before_the_work(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (path,) = write_shapes(tmp_path / "in", 1)
+    (tmp_path / "list.csv").write_text(f"path,id\n{path},template\n")
+    with pytest.raises(SystemExit) as ended:
+        main(["cohort", "list.csv", "-o", "out", "--register", "group"])
+    assert ended.value.code == 1 and "an item is called 'template'" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_memory_that_warp_does_not_get_is_told_as_memory(tmp_path, monkeypatch, items_here):
+    def full(*_, **__):
+        raise RuntimeError("Failed to allocate 393216 bytes on device 'cpu'")
+
+    write_shapes(tmp_path / "in", 1)
+    monkeypatch.setattr("omtwarp.cohort.host._map", full)
+    found = run_cohort(read_manifest(tmp_path / "in"), tmp_path / "out", workers=1, device="cpu")
+    assert found.counts == {"memory": 1}
 
 
 @pytest.mark.parametrize(("to", "words"), [("none.npz", "none.npz"), ("list.csv", "list.csv"), ("ico2", "no folds")])
