@@ -270,8 +270,7 @@ def _side_by_side(
     centres = centres[np.argsort(order)]
     for _ in range(rounds_apart):
         shares = covered * wanted / total
-        if exact:
-            shares = held.shares_of_polygons(rims, shares, wanted)
+        shares = held.shares_of_polygons(rims, shares, wanted) if exact else shares
         capped = [_on_cap(each, share, wanted=goal)[0] for each, share, goal in zip(maps, shares, goals, strict=True)]
         placed = [_placed(each, centre, share) for each, share, centre in zip(capped, shares, centres, strict=True)]
         reach = np.array([_reach(each, centre) for each, centre in zip(placed, centres, strict=True)])

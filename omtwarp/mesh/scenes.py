@@ -392,7 +392,6 @@ def placed_meshes(scene: trimesh.Scene) -> list[tuple[str, trimesh.Trimesh, Floa
             points, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces)
             if not np.array_equal(matrix, np.eye(4)):
                 points = points @ matrix[:3, :3].T + matrix[:3, 3]
-            if np.linalg.det(matrix[:3, :3]) < 0:
-                faces = faces[:, ::-1]
+            faces = faces[:, ::-1] if np.linalg.det(matrix[:3, :3]) < 0 else faces
             meshes.append((str(name), mesh, points, faces))
     return meshes

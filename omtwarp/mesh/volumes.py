@@ -56,8 +56,7 @@ def label_surfaces(data: bytes, suffix: str, rounds: int = ROUNDS) -> tuple[Floa
     surfaces = [surface_of(volume == label) for label in labels]
     placed = [(smoothed(*one, rounds) @ affine[:3, :3].T + affine[:3, 3], one[1]) for one in surfaces]
     vertices, corners = taken_together(placed)
-    if np.linalg.det(affine[:3, :3]) < 0.0:
-        corners = corners[:, ::-1]
+    corners = corners[:, ::-1] if np.linalg.det(affine[:3, :3]) < 0.0 else corners
     shown = ", ".join(f"{label:.0f}" for label in labels[:8]) + (", ..." if len(labels) > 8 else "")
     notes = [f"took the surfaces of {len(labels)} label{'s' * (len(labels) > 1)} ({shown}) together"]
     notes += [f"smoothed them by {rounds} round{'s' * (rounds != 1)} of Taubin's filter"]

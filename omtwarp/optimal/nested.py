@@ -147,8 +147,7 @@ def coarse_surface(
     cells = np.floor(along[own])
     order = np.lexsort((squared_norms(along[own] - cells - 0.5), *cells.T[::-1]))
     chosen = own[order[np.diff(cells[order], axis=0, prepend=np.nan).any(axis=1)]]
-    if mirror is not None:
-        chosen = np.union1d(chosen, mirror[chosen])
+    chosen = chosen if mirror is None else np.union1d(chosen, mirror[chosen])
     try:
         hull = ConvexHull(points[chosen]).simplices
     except QhullError as error:

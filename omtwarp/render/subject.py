@@ -184,8 +184,7 @@ def painted_view(mesh: PaintedMesh) -> SurfaceView:
         colors = mesh.vertex_colors if image is None and color is None else None
         materials.append(SurfaceMaterial(image if known else None, color, colors))
     uv = None if mesh.uv is None else np.nan_to_num(mesh.uv)
-    if not any(material.image is not None for material in materials):
-        uv = None
+    uv = uv if any(material.image is not None for material in materials) else None
     return SurfaceView(mesh.vertices, mesh.faces, uv=uv, materials=materials, face_material=mesh.material_of)
 
 

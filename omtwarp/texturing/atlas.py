@@ -330,6 +330,11 @@ def is_power_of_two(number: int) -> bool:
     return number > 0 and number & (number - 1) == 0
 
 
+def width_of(size: int | None) -> int | None:
+    """Return :func:`check_size` of a width in texels, where one is given."""
+    return None if size is None else check_size((size,))[0]
+
+
 def check_size(size: int | tuple[int, ...], least: int = 16) -> tuple[int, ...]:
     """Check the size of a picture, one or two numbers; return its sides in texels.
 

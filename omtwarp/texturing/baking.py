@@ -558,7 +558,8 @@ def bake_materials(
         if not len(mine):
             continue
         if material.picture is None and colors is not None:
-            evaluate = partial(layout.interpolate, sent(colors, wp.float64, where))
+            shown = tinted(colors.astype(np.float32), np.array(material.color, dtype=np.float32))
+            evaluate = partial(layout.interpolate, sent(shown, wp.float64, where))
         else:
             white = np.ones((1, 1, 4), dtype=np.float32)
             picture = white if material.picture is None else with_opacity(as_floats(material.picture))

@@ -85,13 +85,13 @@ def _from_pil(image: Image, name: str) -> NDArray[np.generic]:
     if image.width * image.height > MOST_TEXELS:
         most = f"{MOST_TEXELS / 1e6:.0f} million"
         raise OmtwarpError(f"{name}: {image.width}x{image.height} texels; a picture may have {most} at most")
+    turned = ImageOps.exif_transpose(image)
     if image.mode in ("I;16", "I;16L", "I;16B", "I", "F"):  # more than 8 bits: Pillow's own conversion would clip
-        values = np.asarray(image, dtype=np.float32)
+        values = np.asarray(turned, dtype=np.float32)
         top = 65535.0 if image.mode != "F" else 1.0
         if image.format == "TIFF" and image.mode == "I" and values.max() <= 255.0:  # bytes in 32 bits
             top = 255.0
         return np.repeat(np.clip(values / top, 0.0, 1.0)[..., None], 3, axis=2)
-    turned = ImageOps.exif_transpose(image)
     alpha = turned.mode in ("RGBA", "LA", "PA") or "transparency" in turned.info
     return np.asarray(turned.convert("RGBA" if alpha else "RGB"))
 
@@ -108,8 +108,7 @@ def _from_array(source: ArrayLike) -> NDArray[np.generic]:
     array = array[..., None] if array.ndim == 2 else array
     if array.ndim != 3 or array.shape[2] not in (1, 3, 4) or 0 in array.shape:
         raise OmtwarpError(f"image array of shape {list(np.shape(source))}: give [H, W], [H, W, 3] or [H, W, 4]")
-    if array.shape[2] == 1:
-        array = np.repeat(array, 3, axis=2)
+    array = np.repeat(array, 3, axis=2) if array.shape[2] == 1 else array
     if array.dtype == np.uint8:
         return np.ascontiguousarray(array)
     if array.dtype.kind in "ui":
@@ -137,6 +136,13 @@ def as_bytes(image: NDArray[np.generic]) -> Bytes:
     if image.dtype == np.uint8:
         return image.astype(np.uint8, copy=False)
     return np.clip(np.multiply(image, np.float32(255.0)) + np.float32(0.5), 0.0, 255.0).astype(np.uint8)
+
+
+def resized(image: Bytes, width: int, height: int) -> Bytes:
+    """Return a picture in another size."""
+    from PIL import Image
+
+    return np.asarray(Image.fromarray(image).resize((width, height), Image.Resampling.LANCZOS))
 
 
 def with_opacity(picture: NDArray[Number]) -> NDArray[Number]:
@@ -180,7 +186,7 @@ def webp_bytes(image: Bytes) -> bytes:
         raise OmtwarpError(f"WebP holds {longest_webp} texels a side, the texture has {width} x {height}: write PNG")
     stream = io.BytesIO()
     # More effort saves a tenth of the bytes and takes twice as long.
-    Image.fromarray(image).save(stream, format="WEBP", lossless=True, method=0)
+    Image.fromarray(image).save(stream, format="WEBP", lossless=True, exact=True, method=0)
     return stream.getvalue()
 
 

@@ -17,18 +17,18 @@ from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError, OmtwarpWarning, check_word
 from omtwarp.maps.domains import is_torus_map
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.arrays import Floats, Ints
+from omtwarp.mesh.arrays import Floats, Ints, real_numbers
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.polygons import grid_shares, grid_triangles
-from omtwarp.mesh.surface import plane_areas, triangle_areas, vertex_normals
+from omtwarp.mesh.surface import as_faces, plane_areas, triangle_areas, vertex_normals
 from omtwarp.options import AtlasLike, CoordinatesLike, KeepLike, PatternLike, ProjectionLike
 from omtwarp.texturing import bakes, baking, image as pictures
-from omtwarp.texturing.atlas import SIZE, check_size, make_atlas
+from omtwarp.texturing.atlas import SIZE, check_size, make_atlas, width_of
 from omtwarp.texturing.baking import PADDING, Picture, Source
 from omtwarp.texturing.export import WHITE, Material, corner_tangents
 from omtwarp.texturing.image import PictureLike
 from omtwarp.texturing.painted import PaintedMesh
-from omtwarp.texturing.patterns import Pattern
+from omtwarp.texturing.patterns import Pattern, pattern as by_name
 from omtwarp.texturing.seams import shares_of_corners
 from omtwarp.texturing.smooth import SmoothMap, smooth_map
 from omtwarp.texturing.textured import MapLike, SphereMap, as_map, spheres_of, texture
@@ -112,13 +112,15 @@ def paint(
     else:
         vertices, faces, sphere = as_map(result)
         parts, on_map = spheres_of(result), triangle_areas(sphere, faces)
-    names = tuple(os.fspath(name) for name in bake)
+    names = tuple(os.fspath(name) for name in ([bake] if isinstance(bake, str | os.PathLike) else bake))
     color = color_among(names, detail is not None, pattern, image, keep)
     if image is None and pattern is None and (keep is not None or not names):
         pattern = "circles"
     fine = None
     if detail is not None:
-        fine = (np.asarray(detail[0], dtype=np.float64), np.ascontiguousarray(detail[1], dtype=np.int32))
+        points = real_numbers(detail[0], "vertices of the detail", (None, 3))
+        fine = points, as_faces(detail[1], len(points))
+    size = width_of(size)
     stored = result if isinstance(result, MapResult) else None
     origins, structure = (None, None) if stored is None else (stored.origins, stored.report.get("structure"))
     painting = _Painting(
@@ -295,7 +297,7 @@ class _Painting:
 
         def on_sphere(which: NDArray, uv: Floats, size: tuple[int, int]) -> Picture:
             faces, finer = _divided(smooth, which, uv)
-            source = cast("Source", self.pattern if self.image is None else self.image)
+            source = cast("Source", by_name(self.pattern or "circles") if self.image is None else self.image)
             return baking.bake_to_uv(
                 source, smooth.sphere, faces, finer, size=size, rotation=turn, projection=self.projection,
                 padding=PADDING, device=self.where,
@@ -314,10 +316,8 @@ class _Painting:
         color, picture = np.array(material.color, dtype=np.float32), material.picture
         if picture is None:
             return np.broadcast_to(color, like.shape)
-        from PIL import Image
-
         if picture.shape[1::-1] != size:
-            picture = np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.LANCZOS))
+            picture = pictures.resized(picture, *size)
         return baking.tinted(pictures.with_opacity(pictures.as_floats(picture)), color)
 
     def _together(self, pattern: NDArray[np.float32], base: NDArray[np.float32]) -> NDArray[np.float32]:

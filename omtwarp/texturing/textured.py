@@ -108,7 +108,7 @@ def texture(
             raise OmtwarpError(f"texture size '{size}': a map to a torus takes a width in texels")
         if (projection, atlas, rotate, seam_longitude) != ("equirectangular", "cube", None, 180.0):
             raise OmtwarpError("projection, atlas, rotation and seam are for textures on the sphere: leave them out")
-        return texture_torus(result, image, pattern, size)
+        return texture_torus(result, image, pattern, layouts.width_of(size))
     vertices, faces, sphere = as_map(result)
     check_word("projection", projection, ProjectionName)
     rotation = _rotation(rotate, vertices, faces, sphere)
@@ -167,6 +167,8 @@ def texture_torus(
         picture = torus_pattern(str(pattern or "circles"), result.lattice, size)
     else:
         picture = pictures.as_bytes(pictures.read_image(image))
+        if size is not None:
+            picture = pictures.resized(picture, size, max(round(size * picture.shape[0] / picture.shape[1]), 1))
     coordinates, wraps, faces = result.coordinates, result.wraps, result.faces
     whole = wraps - np.floor((coordinates[faces] + wraps).min(axis=1, keepdims=True))
     materials, files = (Material("texture", picture=picture),), _named(image)

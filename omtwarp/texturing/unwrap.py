@@ -86,7 +86,8 @@ def laid_out(result: MapLike, aspect: float = 1.0, margin: float = MARGIN) -> tu
         parts = domains_of(result, len(faces))
         disk = getattr(result, "disk", None)
         if disk is None:
-            charts = _cubes(vertices, faces, sphere, parts)
+            beside = getattr(result, "part", None)  # parts side by side on one sphere have charts of their own too
+            charts = _cubes(vertices, faces, sphere, parts if beside is None else beside)
         else:  # one chart for each part, without a cut
             plane = disk[faces]
             scale = _scales(triangle_areas(vertices, faces), np.abs(plane_areas(plane)), parts)

@@ -177,6 +177,14 @@ def test_overlapping_coordinates_are_warned_of(halves):
         ({"bake": ["roundness"]}, "cannot bake 'roundness'"),
         ({"bake": ["gone.npy"]}, "no such file"),
         ({"bake": ["ao"], "detail": (np.eye(3), [[0, 1, 2]])}, "no normals are baked"),
+        ({"bake": ["normal"], "detail": (np.eye(3), [[0, 1, 3]])}, "out of range"),
+        ({"bake": ["normal"], "detail": (np.full((3, 3), np.nan), [[0, 1, 2]])}, "not finite"),
+        ({"bake": "roundness"}, "cannot bake 'roundness'"),
+        ({"pattern": "foo"}, "unknown pattern 'foo'"),
+        *(
+            ({"size": size, "bake": ["normal"]}, "texture size")
+            for size in ("64", (64, 64), np.nan, 64.5, -1, 0, 40_000)
+        ),
         ({"image": np.zeros((4, 8, 3)), "pattern": "checker"}, "both an image and a pattern"),
     ],
 )
@@ -455,3 +463,9 @@ def test_colours_at_vertices_tint_no_new_picture(halves):
     assert paint(result, tinted, pattern="checker", uv="own", size=64).vertex_colors is None
     assert paint(result, tinted, bake=["curvature"], uv="own", size=64).vertex_colors is None
     np.testing.assert_array_equal(paint(result, tinted, bake=["ao"], uv="own", size=64).vertex_colors, red)
+    grey = replace(tinted, materials=(Material("grey", (0.5, 0.5, 0.5, 1.0)),), face_material=None)
+    kept = paint(result, grey, pattern="checker", keep="over", opacity=0.0, uv="own", size=64).materials[0].picture
+    whole = paint(
+        result, replace(grey, materials=(Material("white"),)), pattern="checker", keep="over", opacity=0.0, size=64
+    )
+    np.testing.assert_allclose(kept[..., :3], 0.5 * whole.materials[0].picture[..., :3], atol=1.0)  # as glTF has them

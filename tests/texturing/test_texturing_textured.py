@@ -1,5 +1,6 @@
 """The textured surface in pictures, and its files as other programs read them."""
 
+import io
 import json
 import os
 import struct
@@ -195,6 +196,14 @@ def test_glb_in_trimesh(textured, tmp_path):
     assert np.array_equal(own.faces, faces) and np.array_equal(own.visual.uv, uv)
 
 
+def test_pictures_of_sixteen_bits_are_turned_as_they_say(tmp_path):
+    upright = np.random.default_rng(0).integers(0, 256, (8, 12)).astype(np.uint16) * 257
+    tags = Image.Exif()
+    tags[0x112] = 6  # turn clockwise to show
+    Image.fromarray(np.rot90(upright).copy()).save(tmp_path / "deep.png", exif=tags)
+    np.testing.assert_allclose(read_image(tmp_path / "deep.png")[..., 0], upright / 65535.0, atol=1e-7)
+
+
 def test_webp_holds_the_same_texels(textured, tmp_path):
     """As another library reads them, which needs the extension: the file says so."""
     (path,) = textured.export(tmp_path / "surface.glb", texture_format="webp")
@@ -210,6 +219,9 @@ def test_webp_holds_the_same_texels(textured, tmp_path):
     assert content[start : start + 4] == b"RIFF" and document["images"][0]["mimeType"] == "image/webp"
     with pytest.raises(OmtwarpError, match=r"WebP textures are for .glb"):
         textured.export(tmp_path / "surface.obj", texture_format="webp")
+    clear = np.random.default_rng(0).integers(0, 256, (32, 48, 4)).astype(np.uint8)
+    clear[:, :24, 3] = 0  # colours below transparent texels are kept too, as filters mix them with others
+    np.testing.assert_array_equal(read_image(Image.open(io.BytesIO(webp_bytes(clear)))), clear)
     with pytest.raises(OmtwarpError, match="WebP holds 16383 texels a side"):
         webp_bytes(np.zeros((1, 16384, 3), dtype=np.uint8))
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import cKDTree
 
 import omtwarp
 from omtwarp.device.start import wp
@@ -133,3 +134,23 @@ def test_boxes_on_shelves_lie_apart():
             apart = (low[:, None] >= high[None]).any(axis=2) | (high[:, None] <= low[None]).any(axis=2)
             assert (apart | np.eye(count, dtype=bool)).all()
             assert (scale * sizes).prod(axis=1).sum() > (0.4 if count > 1 else 0.1) * width
+
+
+def test_a_picture_on_a_torus_has_the_size_asked_for(ring):
+    picture = np.zeros((40, 100, 3), dtype=np.uint8)
+    assert omtwarp.texture(ring, picture).materials[0].picture.shape == (40, 100, 3)
+    assert omtwarp.texture(ring, picture, size=50).materials[0].picture.shape == (20, 50, 3)
+    for size in (-5, 0, True, 51.5):
+        with pytest.raises(OmtwarpError, match="texture size"):
+            omtwarp.texture(ring, picture, size=size)
+
+
+def test_parts_on_one_sphere_have_charts_of_their_own(blobs):
+    together = omtwarp.map_surface(blobs, together=True, device="cpu", until="conformal")
+    mesh, _ = laid_out(together, aspect=1.5, margin=0.02)
+    assert_apart(together, mesh, 1.5)
+    corners = mesh.uv * (1.5, 1.0)
+    points = [corners[together.part == k].reshape(-1, 2) for k in range(3)]
+    for k in range(3):
+        others = cKDTree(np.concatenate([points[n] for n in range(3) if n != k]))
+        assert others.query(points[k])[0].min() > 0.999 * 2 * 0.02
