@@ -76,6 +76,11 @@ def with_options(text: str) -> str:
     return ARGUMENT.sub(lambda match: f"--{match[1].replace('_', '-')}{' ' if match[2] else ''}{match[2] or ''}", text)
 
 
+def out_of_memory(error: Exception) -> bool:
+    """Return whether an error says that memory is used up: Python's own, or Warp's, which is a RuntimeError."""
+    return isinstance(error, MemoryError) or str(error).startswith("Failed to allocate")
+
+
 def unexpected(error: Exception, hint: str = "") -> str:
     """Return a line about an error that is not the package's own: the system's about a file, or one in the package.
 

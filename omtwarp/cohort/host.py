@@ -25,7 +25,7 @@ import numpy as np
 
 from omtwarp.cohort.item import ERROR, MEMORY, OK, Job, Row, append_to_journal, locked, read_record, write_record
 from omtwarp.device.policy import asks_for_cuda
-from omtwarp.errors import OmtwarpError, OmtwarpWarning, choose, unexpected, with_options
+from omtwarp.errors import OmtwarpError, OmtwarpWarning, choose, out_of_memory, unexpected, with_options
 from omtwarp.files.limits import address_space
 from omtwarp.files.output import digest_of, staged
 from omtwarp.mapping.any_surface import in_file, map_surface
@@ -75,13 +75,13 @@ def run_item(job: Job) -> Row:
                 result.save(file)
                 made: Row = {"map_size": file.stat().st_size, "map_digest": digest_of(file)}
                 record = recorded(OK, numbers=numbers | made)
-        except MemoryError:
-            record = recorded(MEMORY, f"needs more than {job.memory_limit / 2**30:.3g} GiB of memory")
         except OmtwarpError as error:
             record = recorded(ERROR, with_options(str(error)))  # a file, for the tables and pages of the command
         except Exception as error:
-            full = str(error).startswith("Failed to allocate")  # a RuntimeError of Warp's
-            record = recorded(MEMORY, str(error)) if full else recorded(ERROR, unexpected(error))
+            if out_of_memory(error):
+                record = recorded(MEMORY, f"needs more than {job.memory_limit / 2**30:.3g} GiB of memory")
+            else:
+                record = recorded(ERROR, unexpected(error))
         append_to_journal(job, str(record["status"]))
         return record
 

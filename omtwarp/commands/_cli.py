@@ -14,7 +14,7 @@ import omtwarp
 from omtwarp.commands import function_of
 from omtwarp.commands._command import as_command
 from omtwarp.commands._streams import say, standard_streams, warnings_as_lines
-from omtwarp.errors import INTERRUPTED, OmtwarpError, unexpected
+from omtwarp.errors import INTERRUPTED, OmtwarpError, out_of_memory, unexpected
 from omtwarp.files.interruptions import LINE, ending_the_process
 
 SUMMARIES = {
@@ -136,11 +136,11 @@ def main(arguments: list[str] | None = None) -> None:
                     _fail(str(error))
         except BrokenPipeError:  # the reader of the output has ended
             sys.exit(1)
-        except MemoryError:
-            _fail("out of memory: use a coarser mesh, or a machine with more")
         except KeyboardInterrupt:
             _interrupted()
         except Exception as error:
+            if out_of_memory(error):
+                _fail("out of memory: use a coarser mesh, or a machine with more")
             if os.environ.get("OMTWARP_TRACEBACK"):
                 raise
             _fail(unexpected(error, " (OMTWARP_TRACEBACK=1 shows where; please report it)"))

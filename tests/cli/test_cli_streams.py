@@ -99,6 +99,17 @@ def test_a_map_goes_through_a_pipe(folder, monkeypatch, capfdbinary):
     assert not list(folder.glob(PREFIX + "*"))
 
 
+@pytest.mark.parametrize("error", [MemoryError(), RuntimeError("Failed to allocate 393216 bytes on device 'cpu'")])
+def test_memory_that_is_used_up_is_one_line(folder, monkeypatch, capfdbinary, error):
+    def full(*_, **__):
+        raise error
+
+    monkeypatch.setattr("omtwarp.commands.map.make_map", full)
+    status, _, err = run(monkeypatch, capfdbinary, ["map", "ball.ply", "-o", "full.npz"])
+    assert status == 1 and err == "omtwarp: error: out of memory: use a coarser mesh, or a machine with more\n"
+    assert not (folder / "full.npz").exists()
+
+
 def test_streams_that_fail_are_one_line(folder, monkeypatch, capfdbinary):
     for given, words in ((b"", "standard input is empty"), (b"ply\nnonsense", "standard input: cannot be read as ply")):
         status, out, err = run(monkeypatch, capfdbinary, ["check", "-"], given)
