@@ -185,14 +185,13 @@ def keeping(inputs: Iterable[Path], *, force: bool = False) -> Iterator[None]:
         force: whether companions and results replace files that the package did not write, except those kept.
     """
     global _noting, _forced
-    before, results = (list(_kept), _noting, _forced), list(_results)
+    before = list(_kept), list(_results), _noting, _forced
     _kept.extend(inputs)
     _noting, _forced = True, force
     try:
         yield
     finally:
-        _kept[:], _noting, _forced = before
-        _results[:] = results
+        _kept[:], _results[:], _noting, _forced = before
         contents.clear()
 
 

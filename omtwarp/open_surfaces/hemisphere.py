@@ -33,7 +33,8 @@ def mirror_frame(double: Double, sphere: Floats, masses: Floats) -> Floats:
     _, vectors = np.linalg.eigh(paired + paired.T)
     surface = ~(double.copied | double.on_boundary)
     north = vectors[:, 0]
-    north = -north if (masses[surface] * (sphere[surface] @ north)).sum() < 0.0 else north
+    if (masses[surface] * (sphere[surface] @ north)).sum() < 0.0:
+        north = -north
     east = vectors[:, 2]
     return np.stack([east, cross(north, east), north], axis=1)
 

@@ -134,9 +134,7 @@ def expand(
     if np.abs(lengths - 1.0).max() > 1e-3:
         span = f"{lengths.min():.4g} to {lengths.max():.4g}"
         raise OmtwarpError(f"the points do not lie on the unit sphere: their lengths go from {span}")
-    triangles = None
-    if faces is not None:
-        triangles = whole_numbers(faces, "faces", (None, 3), below=len(points)).astype(np.int64)
+    triangles = None if faces is None else whole_numbers(faces, "faces", (None, 3), below=len(points))
     if method == "quadrature":
         if triangles is None:
             raise OmtwarpError("quadrature integrates over triangles: give faces")

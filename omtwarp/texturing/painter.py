@@ -297,7 +297,7 @@ class _Painting:
 
         def on_sphere(which: NDArray, uv: Floats, size: tuple[int, int]) -> Picture:
             faces, finer = _divided(smooth, which, uv)
-            source = cast("Source", by_name(self.pattern or "circles") if self.image is None else self.image)
+            source: Source = by_name(self.pattern or "circles") if self.image is None else self.image
             return baking.bake_to_uv(
                 source, smooth.sphere, faces, finer, size=size, rotation=turn, projection=self.projection,
                 padding=PADDING, device=self.where,
