@@ -192,16 +192,13 @@ def duplicate_faces(faces: NDArray[np.int64], vertex_count: int) -> NDArray[np.b
     edge = low * vertex_count + middle
     order = np.lexsort((high, edge)) if vertex_count >= 2**21 else np.argsort(edge * vertex_count + high, kind="stable")
     same = (edge[order[1:]] == edge[order[:-1]]) & (high[order[1:]] == high[order[:-1]])
-    duplicate = np.zeros(len(faces), dtype=bool)
-    duplicate[order[1:][same]] = True
-    return duplicate
+    return marked(len(faces), order[1:][same])
 
 
 def _geometric_defects(points: Floats, faces: NDArray[np.int64]) -> list[Defect]:
     """Find coordinates that are no numbers, degenerate faces, and vertices in no face."""
     finite = np.isfinite(points).all(axis=1)
-    used = np.zeros(len(points), dtype=bool)
-    used[faces] = True
+    used = marked(len(points), faces)
     flat = zero_area_faces(unit_coordinates(points), faces) if finite.all() else np.zeros(len(faces), dtype=bool)
     write_anew = f"write the file anew, or drop them with {REPAIR}"
     cases = [
@@ -329,9 +326,7 @@ class Topology:
     @property
     def on_boundary(self) -> NDArray[np.bool_]:
         """The vertices of edges that one face alone has, shape [V]."""
-        mask = np.zeros(self.vertex_count, dtype=bool)
-        mask[self.edges[self.edge_face_count == 1]] = True
-        return mask
+        return marked(self.vertex_count, self.edges[self.edge_face_count == 1])
 
     @property
     def face_edges(self) -> NDArray[np.int64]:
@@ -431,9 +426,7 @@ def spanning_forest(count: int, links: NDArray) -> NDArray[np.bool_]:
     number = np.arange(1, len(links) + 1, dtype=np.float64)
     graph = sparse.csr_array((number, (links[:, 0], links[:, 1])), shape=(count, count))
     taken = csgraph.minimum_spanning_tree(graph).data
-    chosen = np.zeros(len(links), dtype=bool)
-    chosen[np.round(taken).astype(np.int64) - 1] = True
-    return chosen
+    return marked(len(links), np.round(taken).astype(np.int64) - 1)
 
 
 def signed_volume(points: Floats, faces: NDArray[np.integer]) -> float:

@@ -12,7 +12,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import KERNEL_OPTIONS, wp
 from omtwarp.flips.exact import Examined, examine
 from omtwarp.geometry.spherical import triple_product
-from omtwarp.mesh.arrays import Floats, Ints, cross, normalised, real_numbers, require_unit_length
+from omtwarp.mesh.arrays import Floats, Ints, cross, marked, normalised, real_numbers, require_unit_length
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, as_faces, as_triangles, triangle_areas
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -149,9 +149,7 @@ def certify_triangles(
     facts = examine(sphere, faces, device=device) if examined is None else examined
     signs, turns = facts.signs, facts.turns
     bad = np.flatnonzero(signs <= 0)
-    used = np.zeros(len(turns), dtype=bool)
-    used[faces] = True
-    wound = np.flatnonzero(used & (turns != 1))
+    wound = np.flatnonzero(marked(len(turns), faces) & (turns != 1))
     areas = triangle_areas(sphere, faces)
     smallest = int(np.argmin(areas))
     a, b, c = (sphere[faces[:, k]] for k in range(3))

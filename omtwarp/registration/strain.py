@@ -7,7 +7,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.flips.exact import flipped_faces
 from omtwarp.geometry.sphere_hierarchy import triangle_solid_angles
-from omtwarp.mesh.arrays import TINY, Floats, dots
+from omtwarp.mesh.arrays import TINY, Floats, dots, marked
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.surface import Surface, sums_around, triangle_areas
 from omtwarp.optimal.cells import MeasuredRings, RingCells
@@ -87,8 +87,7 @@ def kept_within(
         if not over.any():
             break
         energy = energy or ShapeEnergy(surface, resolve_device("cpu"), 1.0)
-        chosen = np.zeros(surface.vertex_count, dtype=bool)
-        chosen[surface.faces[over]] = True
+        chosen = marked(surface.vertex_count, surface.faces[over])
         # Rounds per ring, after so many, a ring of vertices more is freed
         chosen = grow(surface.faces, chosen, done // 4)
         chosen &= ~near_held

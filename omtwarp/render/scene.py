@@ -16,6 +16,7 @@ from omtwarp.mesh.arrays import (
     Floats,
     Ints,
     cross,
+    marked,
     normalised,
     norms,
     real_numbers,
@@ -432,9 +433,7 @@ def _arrays(view: SurfaceView) -> tuple[Floats, Ints]:
 
 def _used(view: SurfaceView) -> Floats:
     vertices, faces = _arrays(view)
-    used = np.zeros(len(vertices), dtype=bool)
-    used[faces.ravel()] = True
-    return vertices[used]
+    return vertices[marked(len(vertices), faces)]
 
 
 def _checked(name: str, values: ArrayLike, shapes: list[tuple[int, ...]]) -> Floats:

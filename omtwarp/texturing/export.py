@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.colors import to_linear
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.output import as_path, companion, staged
-from omtwarp.mesh.arrays import ROUND_OFF, TINY, Bytes, Floats, Ints, normalised, summed
+from omtwarp.mesh.arrays import ROUND_OFF, TINY, Bytes, Floats, Ints, marked, normalised, summed
 from omtwarp.mesh.scenes import BRIGHTER
 from omtwarp.mesh.write import GltfFile, in_single_precision
 from omtwarp.options import TextureFormat
@@ -225,8 +225,7 @@ def split_corners(faces: Ints, values: Floats, count: int) -> tuple[Ints, Ints, 
     at = np.zeros((count, width))
     at[vertex] = flat
     # Only vertices on borders have several: their corners are sorted, all others' are as they should be.
-    several = np.zeros(count, dtype=bool)
-    several[vertex[(flat != at[vertex]) @ np.ones(width, dtype=np.int8) > 0]] = True
+    several = marked(count, vertex[(flat != at[vertex]) @ np.ones(width, dtype=np.int8) > 0])
     some = np.flatnonzero(several[vertex])
     order = some[np.lexsort((*flat[some].T[::-1], vertex[some]))]
     v, each = vertex[order], flat[order]

@@ -20,7 +20,7 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from omtwarp.location import combined
-from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints, cross, normalised, norms
+from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints, cross, marked, normalised, norms
 from omtwarp.texturing.atlas import ON_CUT, Arc, Atlas
 
 # Corners, edge midpoints and the centroid, where the linear coordinates are compared with the exact ones.
@@ -166,9 +166,7 @@ class CutMesh:
         start = self._add_vertices(combined(ends, np.stack([1.0 - t, t], axis=1), count))
 
         # A face with such an edge has two of their ends at least: most faces are set aside by that.
-        ended = np.zeros(len(self.points), dtype=bool)
-        ended[ends] = True
-        met = np.flatnonzero(ended[self.faces] @ np.ones(3, dtype=np.int8) >= 2)
+        met = np.flatnonzero(marked(len(self.points), ends)[self.faces] @ np.ones(3, dtype=np.int8) >= 2)
         tails = self.faces[met].astype(np.int64)
         heads = np.roll(tails, -1, axis=1)
         wanted = np.minimum(tails, heads) * count + np.maximum(tails, heads)

@@ -30,7 +30,7 @@ from scipy.sparse.linalg import cg
 from omtwarp.flips.exact import flipped_faces
 from omtwarp.geometry.operators import corner_cotangents
 from omtwarp.location import combined
-from omtwarp.mesh.arrays import Floats, Ints, normalised, summed
+from omtwarp.mesh.arrays import Floats, Ints, marked, normalised, summed
 from omtwarp.mesh.polygons import grid_shares, grid_triangles
 from omtwarp.mesh.surface import unit_normals, vertex_normals
 from omtwarp.mesh.validate import Topology
@@ -151,8 +151,7 @@ class SmoothCurves:
     def divided(self, parts: int, which: NDArray[np.int64] | None = None) -> SmoothMap:
         """Divide the triangles of the map: all of them, or some that are given by number."""
         if which is not None:
-            kept = np.zeros(len(self.ends), dtype=bool)
-            kept[self.edge_of[which]] = True
+            kept = marked(len(self.ends), self.edge_of[which])
             edge_of = (np.cumsum(kept) - 1)[self.edge_of[which]]
             ends, towards = self.ends[kept], self.towards[kept]
             return replace(self, faces=self.faces[which], edge_of=edge_of, ends=ends, towards=towards).divided(parts)
@@ -356,9 +355,7 @@ def _without_flips(
         touched = np.unique(faces[open_faces[flipped]])
         touched = touched[kept[touched] > 0.0]
         kept[touched] = 0.5 * kept[touched] if rounds < HALVINGS else 0.0
-        changed = np.zeros(len(sphere), dtype=bool)
-        changed[touched] = True
-        around = np.flatnonzero(changed[faces].any(axis=1))
+        around = np.flatnonzero(marked(len(sphere), touched)[faces].any(axis=1))
         number = grid[around] - len(sphere)
         new = number >= 0
         number, scale = number[new], (kept[faces[around]] @ share.T)[new]

@@ -26,7 +26,7 @@ from omtwarp.device.arrays import sent, vectors
 from omtwarp.device.start import wp
 from omtwarp.device.threads import Each, each, launch_parts
 from omtwarp.geometry.intrinsic import intrinsic_edges
-from omtwarp.mesh.arrays import edge_keys
+from omtwarp.mesh.arrays import edge_keys, marked
 from omtwarp.mesh.surface import Surface
 from omtwarp.solvers.cholesky.halving_kernels import Parts, divide_parts, halve_parts
 
@@ -346,11 +346,9 @@ def least_separators(edges: NDArray[np.int64], band: Mask, second: Mask) -> tupl
     left = graph - maximum_flow(graph, source, sink).flow
     left.data = (left.data > 0).astype(np.int32)
     left.eliminate_zeros()
-    reached = np.zeros(2 * count + 2, dtype=bool)
-    reached[breadth_first_order(left, source, return_predecessors=False)] = True
+    reached = marked(2 * count + 2, breadth_first_order(left, source, return_predecessors=False))
     entered, passed = reached[:count], reached[count : 2 * count]
-    separates = np.zeros(len(band), dtype=bool)
-    separates[vertices[entered & ~passed]] = True
+    separates = marked(len(band), vertices[entered & ~passed])
     beyond = second & ~band
     beyond[vertices[~entered]] = True
     return separates, beyond
