@@ -139,10 +139,10 @@ def run_distance(
     ends = load_whole_map(first), load_whole_map(second)
     with progress_bar(printing.quiet, printing.verbose) as progress:
         distances = shape_distance(*ends, degree=degree, scale=scale, device=device, progress=progress)
-    coefficients, transport = f"{distances.coefficients:.6g}", f"{distances.transport:.6g}"
+    apart, transport = f"{distances.coefficients:.6g}", f"{distances.transport:.6g}"
     if printing.quiet and not printing.as_json:
-        print(coefficients, transport)
-    line = f"coefficients {coefficients} (the surfaces' unit), transport {transport} radians"
+        print(apart, transport)
+    line = f"coefficients {apart} ({'at size 1' if scale else 'unit of the surfaces'}), transport {transport} radians"
     show_facts({"first": str(first), "second": str(second), **distances.to_dict()}, line, printing)
 
 

@@ -303,6 +303,19 @@ def test_structure_of_the_brain_survives_every_command(desk, short_warps):
     assert run("resample", "c.npz", "--to", "lh.npz", "-o", "no.ply") == 1  # the name of which says CortexLeft
 
 
+def test_a_distance_of_scaled_shapes_has_no_unit(desk, capsys):
+    """The line names the unit; scaled to size 1, shapes ten times as large are as far apart."""
+    large = MapResult.load("lh.npz")
+    large.with_arrays({"vertices": 10.0 * large.vertices}).save("large.npz")
+    lines = []
+    for words in ([], ["--scale"]):
+        assert run("distance", "large.npz", "template.npz", "--degree", "4", *words) == 0
+        lines.append(capsys.readouterr().out)
+    assert "(unit of the surfaces)" in lines[0] and "(at size 1)" in lines[1]
+    far, near = (float(line.split()[1]) for line in lines)
+    assert far > 1.0 and near < 1e-6
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
