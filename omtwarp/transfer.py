@@ -80,7 +80,7 @@ def transfer_texture(
     where = resolve_device(device)
     vertices, faces, sphere = as_map(result)
     there, triangles, points = as_map(other)
-    source = mesh.on(vertices, faces)
+    source = mesh.on(vertices, faces, getattr(result, "origins", None))
     plain = all(material.picture is None for material in source.materials)
     if plain and len(source.materials) == 1 and source.vertex_colors is None:
         raise OmtwarpError("nothing to transfer: the mesh has neither a picture nor colours")
@@ -98,7 +98,7 @@ def transfer_texture(
         points = alignment.sphere
     layout = make_atlas(atlas, size if size is not None else SIZE)
     picture = _on_sphere(source, sphere, layout, where)
-    own = None if onto is None else onto.on(there, triangles)
+    own = None if onto is None else onto.on(there, triangles, getattr(other, "origins", None))
     if own is not None and uv == "own":
         coordinates = own.require_uv("the mesh that gets the texture")
         baked = bake_to_uv(
@@ -110,15 +110,11 @@ def transfer_texture(
         material = _material(source, baked)
         return replace(own, uv=coordinates, materials=(material,), face_material=None, vertex_colors=None, notes=())
     cut = unwrap(points, triangles, layout)
+    objects, numbers = ((), None) if own is None else (own.objects, own.face_object)
     return PaintedMesh(
-        cut.weights @ there,
-        cut.faces,
-        cut.uv,
-        (_material(source, picture),),
-        wraps_rows=False,
-        objects=() if own is None else own.objects,
-        face_object=None if own is None or own.face_object is None else own.face_object[cut.source_face],
-    )
+        cut.weights @ there, cut.faces, cut.uv, (_material(source, picture),), wraps_rows=False, objects=objects,
+        face_object=None if numbers is None else numbers[cut.source_face],
+    )  # fmt: skip
 
 
 def _points(result: Map) -> SpherePoints:

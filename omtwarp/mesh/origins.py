@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import Indices
+from omtwarp.mesh.arrays import Indices, Ints
 
 Numbers = TypeVar("Numbers", bound=np.generic)
 
@@ -58,6 +58,18 @@ class Origins:
         ends = np.full((len(self.vertex_origin), 2), -1)
         ends[new] = self.split_edges[: len(new)]
         return ends
+
+    def whole_faces(self, faces: Ints) -> Ints:
+        """Return the corners, vertices of this surface, of the face that each face is a part of, shape [F, 3].
+
+        A face without new corners is returned as it is, and so is a part of one whose corners are not all known.
+        """
+        old, whole = self.vertex_origin[faces] >= 0, faces.copy()
+        pairs = np.unique(np.column_stack([np.repeat(self.face_origin, 3), faces.ravel()])[old.ravel()], axis=0)
+        first, end = (np.searchsorted(pairs[:, 0], self.face_origin, side) for side in ("left", "right"))
+        part = ~old.all(axis=1) & (self.face_origin >= 0) & (end - first == 3)
+        whole[part] = pairs[first[part, None] + np.arange(3), 1]
+        return whole
 
     def prolong(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
         """Carry data at the vertices of the surface that this one was made from to the vertices of this one.

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import as_path
 from omtwarp.mesh.arrays import WELD, Bytes, Floats, Ints, real_numbers, whole_numbers
+from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.read import compressed, seam_copies
 from omtwarp.mesh.surface import plane_areas, unit_normals, vertex_normals
 from omtwarp.mesh.write import write_mesh
@@ -135,12 +136,9 @@ class PaintedMesh:
             raise OmtwarpError(f"objects of {len(self.face_object)} triangles given for {count}")
 
     def __repr__(self) -> str:
-        coordinates = "without texture coordinates" if self.uv is None else "with texture coordinates"
-        several = "s" * (len(self.materials) != 1)
-        return (
-            f"{type(self).__name__}({len(self.vertices)} vertices, {len(self.faces)} faces {coordinates}, "
-            f"{len(self.materials)} material{several})"
-        )
+        without, several = "out" * (self.uv is None), "s" * (len(self.materials) != 1)
+        mesh = f"{len(self.vertices)} vertices, {len(self.faces)} faces with{without} texture coordinates"
+        return f"{type(self).__name__}({mesh}, {len(self.materials)} material{several})"
 
     @property
     def material_of(self) -> Ints:
@@ -180,9 +178,8 @@ class PaintedMesh:
             raise OmtwarpError(f"a trimesh.Trimesh has one material, the mesh {len(self.materials)}: export it")
         material, (rows, vertex, uv) = self.materials[0], self.split()
         factor = np.rint(255 * linear(np.array(material.color))).astype(int).tolist()
-        factors = {"baseColorFactor": factor, "metallicFactor": material.metallic}
-        factors["roughnessFactor"] = material.roughness
-        look = trimesh.visual.material.PBRMaterial(name=material.name, baseColorTexture=self.pil(), **factors)
+        factors = {"metallicFactor": material.metallic, "roughnessFactor": material.roughness, "name": material.name}
+        look = trimesh.visual.material.PBRMaterial(baseColorFactor=factor, baseColorTexture=self.pil(), **factors)
         normals, visual = self.unit_normals()[vertex], trimesh.visual.TextureVisuals(uv=uv, material=look)
         return trimesh.Trimesh(self.vertices[vertex], rows, vertex_normals=normals, visual=visual, process=False)
 
@@ -220,14 +217,12 @@ class PaintedMesh:
             raise OmtwarpError(f"{name}: no texture coordinates in it; leave out uv='own' to lay out new ones")
         missing = ~np.isfinite(self.uv).all(axis=(1, 2))
         if missing.any():
-            raise OmtwarpError(
-                f"{name}: {missing.sum()} of {len(self.faces)} faces have no texture coordinates, first face "
-                f"{int(np.argmax(missing))}"
-            )
+            text = f"{missing.sum()} of {len(self.faces)} faces have no texture coordinates"
+            raise OmtwarpError(f"{name}: {text}, first face {missing.argmax()}")
         return self.uv
 
-    def on(self, vertices: ArrayLike, faces: ArrayLike, face_origin: ArrayLike | None = None) -> Self:
-        """Transfer coordinates and materials to a repaired, welded or renumbered copy of the mesh.
+    def on(self, vertices: ArrayLike, faces: ArrayLike, face_origin: ArrayLike | Origins | None = None) -> Self:
+        """Transfer coordinates and materials to a repaired, welded, divided or renumbered copy of the mesh.
 
         Corners are matched by their positions.
 
@@ -236,35 +231,41 @@ class PaintedMesh:
             faces: of the copy, shape [G, 3].
             face_origin: the triangle of this mesh that each of the copy was, -1 for a new one, shape [G]; by default
                 that with its corners at the same places, in any order. New triangles get the first material,
-                and coordinates of neighbouring triangles.
+                and coordinates of neighbouring triangles. Origins instead of numbers say which triangles of the copy
+                are parts of one, as those of an exact map are.
 
         Raises:
             OmtwarpError: the copy's triangles are not where this mesh's are.
         """
         points, triangles = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int32)
-        origin = self._same_triangles(points, triangles) if face_origin is None else np.asarray(face_origin)
+        divided = face_origin if isinstance(face_origin, Origins) else None
+        # A mesh of as many triangles, as unwrapping makes of a map, is divided as the copy is
+        whole = triangles if divided is None or len(self.faces) >= len(triangles) else divided.whole_faces(triangles)
+        given = None if divided is face_origin else np.asarray(face_origin)
+        origin = self._same_triangles(points, whole) if given is None else given
         kept = np.flatnonzero(origin >= 0)
-        here, there = points[triangles[kept]], self.vertices[self.faces[origin[kept]]]
+        here, there = points[whole[kept]], self.vertices[self.faces[origin[kept]]]
         apart = np.linalg.norm(here[:, :, None] - there[:, None, :], axis=3)
         corner = apart.argmin(axis=2)
-        if len(kept) and apart.min(axis=2).max() > (SAME_PLACE if face_origin is None else WELD) * self._extent:
+        if len(kept) and apart.min(axis=2).max() > (SAME_PLACE if given is None else WELD) * self._extent:
             raise OmtwarpError(ELSEWHERE)
         materials, objects = (
             None if known is None else np.where(origin >= 0, known[origin], 0).astype(np.int32)
             for known in (self.face_material, self.face_object)
         )
-        uv = None
+        share, part = np.tile(np.eye(3), (len(kept), 1, 1)), (whole != triangles).any(axis=1)[kept]
+        sides, inside = here[part, 1:] - here[part, :1], points[triangles[kept[part]]] - here[part, :1]
+        share[part, :, 1:] = np.round(8.0 * (inside @ np.linalg.pinv(sides))) / 8.0  # sides are halved alone
+        share[part, :, 0] = 1.0 - share[part, :, 1:].sum(axis=2)
+        uv = colors = None
         if self.uv is not None:
-            uv = np.full((len(triangles), 3, 2), np.nan)
-            uv[kept] = self.uv[origin[kept, None], corner]
-            at_vertex = np.full((len(points), 2), np.nan)
-            at_vertex[triangles[kept].ravel()] = uv[kept].reshape(-1, 2)
-            new = np.flatnonzero(origin < 0)
-            uv[new] = at_vertex[triangles[new]]
-        colors = None
+            own, at_vertex = share @ self.uv[origin[kept, None], corner], np.full((len(points), 2), np.nan)
+            at_vertex[triangles[kept]] = own
+            uv = at_vertex[triangles]
+            uv[kept] = own
         if self.vertex_colors is not None:
             colors = np.full((len(points), 4), 255, dtype=np.uint8)
-            colors[triangles[kept]] = self.vertex_colors[self.faces[origin[kept, None], corner]]
+            colors[triangles[kept]] = np.rint(share @ self.vertex_colors[self.faces[origin[kept, None], corner]])
         moved = replace(self, vertices=points, faces=triangles, uv=uv, face_material=materials, face_object=objects)
         return replace(moved, vertex_colors=colors, normals=None, layout=None)
 
@@ -362,17 +363,15 @@ class PaintedMesh:
         if (here == unused).all():
             raise OmtwarpError(ELSEWHERE)
         keys, wanted = np.sort(here, axis=1), np.sort(number.reshape(-1)[triangles], axis=1)
-        _, key = np.unique(np.concatenate([keys, wanted]), axis=0, return_inverse=True)
-        key = key.reshape(-1)
+        key = np.unique(np.concatenate([keys, wanted]), axis=0, return_inverse=True)[1].reshape(-1)
         place = np.full(int(key.max(initial=-1)) + 1, -1, dtype=np.int32)
         place[key[: len(keys)][::-1]] = np.arange(len(keys), dtype=np.int32)[::-1]  # the first of several wins
         origin = place[key[len(keys) :]]
-        lost = int((origin < 0).sum())
-        if lost:
+        lost = origin < 0
+        if lost.any():
             raise OmtwarpError(
-                f"{lost} of the map's {len(triangles)} faces are not in the mesh, first face "
-                f"{int(np.argmax(origin < 0))}: give the mesh that was mapped, or, for one that a "
-                "texture's seams cut, leave out the map"
+                f"{lost.sum()} of the map's {len(triangles)} faces are not in the mesh, first face {lost.argmax()}: "
+                "give the mesh that was mapped, or, for one that a texture's seams cut, leave out the map"
             )
         return origin
 

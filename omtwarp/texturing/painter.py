@@ -125,7 +125,7 @@ def paint(
     origins, structure = (None, None) if stored is None else (stored.origins, stored.report.get("structure"))
     painting = _Painting(
         vertices, faces, sphere, torus, parts, on_map, origins, structure,
-        None if mesh is None else mesh.on(vertices, faces), keep, 0.5 if opacity is None else opacity,
+        None if mesh is None else mesh.on(vertices, faces, origins), keep, 0.5 if opacity is None else opacity,
         names, color, fine,
         image, pattern, projection, atlas, rotate, size, resolve_device(device),
     )  # fmt: skip

@@ -226,8 +226,7 @@ COMMANDS = {
     "spharm {map} -o {out}.csv --degree 3 --reconstruction {out}.ply": NOT_THE_SPHERE,
     "distance {map} {closed} --degree 3": NOT_THE_SPHERE,
     "group {map} {closed} -o {out} --grid ico1 --degree 3": NOT_THE_SPHERE,
-    "transfer {painted} {mesh} --map-from {closed} --map-to {map} -o {out}.glb --size 32": NOT_THE_SPHERE
-    | dict.fromkeys(("exact", "exact disk", "exact together"), "not in the mesh"),
+    "transfer {painted} {mesh} --map-from {closed} --map-to {map} -o {out}.glb --size 32": NOT_THE_SPHERE,
     "transfer {own} {ball} --map-from {map} --map-to {closed} -o {out}.obj --size 32": NOT_THE_SPHERE,
     "texture {map} -o {out}.glb --size 64": {},
     "texture {map} -o {out}.obj --pattern checker --size 64": {},

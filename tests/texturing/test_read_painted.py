@@ -196,6 +196,41 @@ def test_coordinates_follow_another_order_of_the_same_triangles(tmp_path):
         mesh.on(points + 1.0, faces)
 
 
+@pytest.mark.filterwarnings("ignore::omtwarp.OmtwarpWarning")  # the mesh is coarse
+@pytest.mark.parametrize("exact", [False, True])
+def test_coordinates_follow_a_map_that_divides_triangles(exact):
+    """A sheet of squares, of which the diagonals at two corners are split, and with exact areas all edges.
+
+    Coordinates, colours and materials are read off the places, and the mesh lists its triangles in another order.
+    """
+    x, y = (side.ravel() for side in np.meshgrid(*[np.linspace(-1.0, 1.0, 7)] * 2, indexing="ij"))
+    number = np.arange(49).reshape(7, 7)
+    a, b, c, d = (number[i : 6 + i, j : 6 + j].ravel() for i, j in ((0, 0), (1, 0), (1, 1), (0, 1)))
+    points, faces = np.column_stack([x, y, 0.4 * np.exp(-(x**2) - y**2)]), np.r_[np.c_[a, b, d], np.c_[b, c, d]]
+    result = omtwarp.map_surface((points, faces), domain="hemisphere", exact=exact, device="cpu")
+    assert (result.vertex_origin < 0).sum() == (128 if exact else 2)
+
+    def colors(at):
+        return np.rint(120 + 100 * np.column_stack([at[:, :2], at[:, 0], np.ones(len(at))])).astype(np.uint8)
+
+    def side(triangles, at):
+        return (at[triangles].mean(axis=1)[:, 0] > 0).astype(int)
+
+    places, triangles, _ = shuffled(PaintedMesh(points, faces))
+    red, blue = Material("red"), Material("blue")
+    mesh = PaintedMesh(
+        places, triangles, 0.5 + 0.4 * places[triangles][..., :2], (red, blue), side(triangles, places), colors(places)
+    )
+    after = mesh.on(result.vertices, result.faces, result.origins)
+    np.testing.assert_allclose(after.uv, 0.5 + 0.4 * result.vertices[result.faces][..., :2], atol=1e-12)
+    np.testing.assert_array_equal(after.face_material, side(result.faces, result.vertices))
+    np.testing.assert_allclose(after.vertex_colors, colors(result.vertices), atol=1)
+    painted = omtwarp.paint(result, mesh, pattern="checker", keep="over", size=96, device="cpu")
+    assert [material.name for material in painted.materials] == ["red", "blue"]
+    again = after.on(result.vertices, result.faces[::-1], replace(result.origins, face_origin=result.face_origin[::-1]))
+    np.testing.assert_array_equal(again.uv, after.uv[::-1])  # a mesh that is divided as the map is
+
+
 def test_triangles_with_the_same_coordinates_along_every_axis_are_told_apart():
     """Three triangles across a cube, whose corners have the same x, the same y and the same z, in other pairs."""
     cube = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
