@@ -184,7 +184,8 @@ class MapResult(Displayable):
             triangles or shrinks them to nothing; shape [V, 3].
         moser: the initial mass-preserving map, shape [V, 3], where it was made.
         transported: the optimal map before refinement, shape [V, 3], where it was made.
-        measure: the area that every triangle was to have, total 4π, where weights were given, shape [F].
+        measure: the area that every triangle was to have, total 4π, where weights were given, shape [F]; of each part
+            that is mapped by itself, and less by what fills holes.
         target: the density asked for at the images of the vertices, mean 1, where one was given, shape [V].
         vertex_origin: after a repair, a cut, quartering or the splitting of edges, the vertex of the input that every
             vertex is or is a copy of, -1 for new ones; int64, shape [V].
