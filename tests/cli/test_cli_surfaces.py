@@ -173,6 +173,8 @@ def test_torus(capsys, tmp_path):
     assert status == 0, err
     status, _, err = run(capsys, "map", tmp_path / "ring.ply", "-o", tmp_path / "m.ply", "--torus")
     assert status == 0, err
+    status, _, err = run(capsys, "map", tmp_path / "ring.ply", "-o", tmp_path / "r.glb", "--torus", "--radius", "2")
+    assert status == 1 and "--radius is for spheres as meshes, not for .glb: leave it out" in err
     ring = read_mesh(tmp_path / "m.ply")
     assert len(ring.faces) == len(omtwarp.MapResult.load(tmp_path / "m.npz").faces)
     assert np.ptp(ring.vertices[:, 2]) < 0.7 * np.ptp(ring.vertices[:, 0])
