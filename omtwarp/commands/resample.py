@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import omtwarp
 from omtwarp.commands._options import Argument, Printing, Typed, output_option
 from omtwarp.commands._streams import STREAM, input_file, output_file, step_times
-from omtwarp.commands._work import show_facts, start_device
+from omtwarp.commands._work import refuse, show_facts, start_device
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_outputs
 from omtwarp.options import Device, Interpolation, MapOptions, Side
@@ -113,6 +113,7 @@ def run_resample(
     from omtwarp.spheres import is_named
 
     files = [file for file in (given.data, surface, *map(Path, (source, to))) if file is not None]
+    refuse({"--labels is of --data": given.labels and given.data is None})
     side = hemisphere or next(filter(None, map(structure_of, files)), None)
     source, to = (text if is_named(text) else with_side(text, side) for text in (source, to))
     here, there = (None if is_named(text) or is_average(text) else Path(text) for text in (source, to))
@@ -142,8 +143,7 @@ def run_resample(
 
 
 def _line(resampling: Resampling, output: Path, data: VertexData | None, as_labels: bool) -> str:
-    kind = "labels" if as_labels else "data"
-    what = "the surface" if data is None else f"{kind} with {data.values.shape[1]} column(s)"
+    what = "the surface" if data is None else f"{('data', 'labels')[as_labels]} with {data.values.shape[1]} column(s)"
     rows, columns = resampling.matrix.shape
     line = f"{output}: {what}, {resampling.method}, from {columns} to {rows} points"
     empty = 0 if data is None else int(resampling.empty.sum())

@@ -419,6 +419,7 @@ def test_one_name_for_two_outputs_is_refused(desk, capsys, words):
         ("register lh.npz -o x.npz --to fsaverage5-left --hemisphere right", "--hemisphere is of targets that have"),
         ("register lh.npz template.npz -o x --group --hemisphere left", "--hemisphere is of one map"),
         ("register lh.npz template.npz -o x --sequence --hemisphere left", "--hemisphere is of one map"),
+        ("resample lh.npz --to ico2 -o x.ply --labels", "--labels is of --data"),
         ("map lh.white.ply -o x.npz --weights-at vertices", "--weights-at is of --weights"),
         ("map lh.white.ply -o x.npz --target-floor 0.1", "--target-floor is of --target"),
         ("map lh.white.ply -o x.npz --until moser --refine area", "refine is of the stage refine"),
