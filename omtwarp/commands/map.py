@@ -179,7 +179,7 @@ def run_map(
     reports = _work.outputs_of(meshes, report, ".json")
     suffixes = (".ply",) if beside else (".npz", *SUFFIXES)
     check_outputs([*((target, suffixes) for target in targets), *((one, (".json",)) for one in reports)], *meshes)
-    whole = targets[0].suffix.lower() in (".npz", ".glb" if topology.torus else "")  # a textured torus
+    whole = targets[0].suffix.lower() in ((".npz", ".glb") if topology.torus else (".npz",))  # a textured torus
     _work.refuse({f"--radius is for spheres as meshes, not for {targets[0].suffix}": whole and radius != 1.0})
     kind = topology.keywords()
     _work.start_device(mapping.device)
