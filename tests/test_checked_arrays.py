@@ -145,7 +145,8 @@ def broken_numbers():
     cases = {"complex": plain + 0.5j, "objects": plain.astype(object), "text": plain.astype(str)}
     cases |= {"truth values": plain > 0, "masked": np.ma.array(plain, mask=np.arange(COUNT) == 3)}
     cases |= {"not a number": np.where(np.arange(COUNT) == 4, np.nan, plain), "infinite": np.full(COUNT, np.inf)}
-    return cases | {"short": plain[1:], "two columns": np.ones((COUNT, 2)), "a word": "x", "a dictionary": {}}
+    cases |= {"short": plain[1:], "empty": [], "two columns": np.ones((COUNT, 2))}
+    return cases | {"a word": "x", "a dictionary": {}}
 
 
 def in_two_columns(numbers):

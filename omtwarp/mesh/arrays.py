@@ -311,7 +311,7 @@ def _of_kind(values: object, name: str, kinds: str, shape: Shape) -> NDArray[np.
     except (TypeError, ValueError):  # rows of unequal length, among others
         raise OmtwarpError(f"{name}: must be numbers in rows of equal length") from None
     if array.size == 0:  # an empty list has the type and shape of nothing in particular
-        return np.zeros([length or 0 for length in shape])
+        return np.zeros([0, *(length or 0 for length in shape[1:])])
     if array.dtype.kind not in kinds:
         what = {"c": "complex numbers", "b": "truth values", "O": "objects", "U": "text", "S": "text"}
         raise OmtwarpError(f"{name}: must be real numbers, not {what.get(array.dtype.kind, str(array.dtype))}")
