@@ -25,7 +25,7 @@ from omtwarp.mesh.arrays import Floats, edge_keys, normalised
 from omtwarp.mesh.origins import Derived, Origins
 from omtwarp.mesh.quarter import PARTS, quarter
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, triangle_areas
-from omtwarp.mesh.validate import mesh_arrays, signed_volume
+from omtwarp.mesh.validate import as_arrays, mesh_arrays, signed_volume
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.open_surfaces import held
 from omtwarp.open_surfaces.caps import disk_to_cap, hemisphere_to_disk, pack_caps
@@ -131,9 +131,9 @@ def map_surface(
     chosen = MapOptions.parse(**options)
     loops = choose(CutAlong, cut_along)
     along = loops if cut else None
-    vertices, faces = mesh_arrays(mesh)
+    vertices, faces = as_arrays(*mesh_arrays(mesh))
     parts, of_file = parts_of(vertices, faces), mesh.origins if isinstance(mesh, Surface) else None
-    count = len(np.asarray(vertices))
+    count = len(vertices)
     together = together and len(parts) > 1
     if len(parts) == 1 and parts[0].is_sphere and domain in ("auto", "sphere"):
         return map_to_sphere(
@@ -146,7 +146,7 @@ def map_surface(
             raise OmtwarpError("weights are for the sphere, the hemisphere, the disk and the cap: not for the torus")
         return in_file(_on_torus(parts[0], progress, chosen), of_file, count)
     _check_domain(domain, parts, components, together, along)
-    shares = None if weights is None else face_weights(weights, np.asarray(faces), count, weights_at)
+    shares = None if weights is None else face_weights(weights, faces, count, weights_at)
     given, parts = parts, [numbered_in_space(part) for part in parts]
     if together:
         parts, domain = [_slit(part) for part in parts], Domain.HEMISPHERE

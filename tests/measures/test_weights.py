@@ -119,3 +119,12 @@ def test_weights_take_what_maps_take():
     expected = weighted_surface(ball, weights).face_areas
     for mesh in (MeshFile(ball.vertices, ball.faces.astype(np.int64)), (ball.vertices, ball.faces)):
         assert np.array_equal(weighted_surface(mesh, weights).face_areas, expected)
+
+
+def test_weights_of_a_surface_whose_faces_are_whole_floats():
+    """Faces that are floats, as some files and libraries give them, take weights in all domains."""
+    ball = icosphere(2)
+    weights = np.linspace(1.0, 2.0, ball.vertex_count)
+    given = [(ball.vertices, ball.faces[1:].astype(kind)) for kind in (int, float)]
+    plain, floats = (omtwarp.map_surface(mesh, domain="disk", weights=weights, device="cpu") for mesh in given)
+    assert np.array_equal(plain.sphere, floats.sphere)
