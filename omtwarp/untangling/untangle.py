@@ -25,7 +25,7 @@ from omtwarp.device.start import wp
 from omtwarp.device.threads import Each, blas_threads, computed, each, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import examine, flipped_faces, is_bijective
-from omtwarp.mesh.arrays import Bools, Floats, InOneLine, dots, marked
+from omtwarp.mesh.arrays import Bools, Floats, InOneLine, dots, marked, whole_numbers
 from omtwarp.mesh.patches import Patches, grow
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_sphere, as_surface
 from omtwarp.options import Progress, tell
@@ -160,24 +160,18 @@ def untangle(
     examined = examine(points, faces)
     before, tangled = examined.flips, examined.tangled
     history: list[dict[str, int]] = []
-    for number, reach in enumerate(rings):
+    widths = whole_numbers(rings, "rings", (None,), below=2**31).tolist()
+    for number, reach in enumerate(widths):
         if not tangled.any() or budget.exhausted:
             break
-        tell(progress, "untangle", number, len(rings), {"tangled": int(tangled.sum())})
+        tell(progress, "untangle", number, len(widths), {"tangled": int(tangled.sum())})
         freed = grow(faces, marked(surface.vertex_count, faces[tangled]), reach)
         untangling = _Untangling(surface, points, freed, where, keep_scale)
         points, done = untangling.solve(budget)
         examined = examine(points, faces)
         tangled = examined.tangled
-        history.append(
-            {
-                "rings": min(reach, surface.vertex_count),
-                "vertices": untangling.patches.free,
-                "patches": untangling.patches.count,
-                "rounds": done,
-                "flips": examined.flips,
-            }
-        )
+        sizes = {"vertices": untangling.patches.free, "patches": untangling.patches.count}
+        history.append({"rings": min(reach, surface.vertex_count), **sizes, "rounds": done, "flips": examined.flips})
     moved = int(np.any(points != start, axis=1).sum())
     rounds = sum(attempt["rounds"] for attempt in history)
     return UntangleResult(points, before, examined.flips, not tangled.any(), rounds, moved, history)

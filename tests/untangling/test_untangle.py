@@ -10,6 +10,7 @@ from sphere_truths import random_rotation
 import omtwarp
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
+from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import flipped_faces
 from omtwarp.mesh.shapes import blob, flip_edges, icosphere, noisy
 from omtwarp.mesh.surface import Surface
@@ -153,6 +154,14 @@ def test_same_answer_twice():
     _, start, _ = scrambled(surface, 3, 0.5, 0)
     first, second = (untangle(surface, start, device="cpu").sphere for _ in range(2))
     assert np.array_equal(first, second)
+
+
+@pytest.mark.parametrize("rings", [None, 4, "4", (4.5,), (-1,), ["x"], [[4], [4, 8]], (10**30,), iter((4, 8))])
+def test_rings_that_are_no_whole_numbers(rings):
+    """Rings that are not a list of whole numbers from 0 on are refused in one line."""
+    ball = icosphere(2)
+    with pytest.raises(OmtwarpError, match="rings: "):
+        untangle(ball, ball.vertices, device="cpu", rings=rings)
 
 
 def test_failure_is_told():
