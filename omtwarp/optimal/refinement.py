@@ -204,6 +204,11 @@ def refine_map(
     tolerance = real_number(tolerance, "tolerance", least=0.0)
     surface = as_surface(surface)
     start = np.array(as_sphere(sphere, surface))
+    if own is not None:
+        mask = np.asarray(own, dtype=object)  # which rows of unequal length are, too
+        if mask.shape != (surface.face_count,) or not {*map(type, mask)} <= {bool, np.bool_} or not mask.any():
+            raise OmtwarpError(f"own: must be a mask of the {surface.face_count} triangles, true for one or more")
+        own = mask.astype(bool)
     flipped = flipped_faces(start, surface.faces)
     if flipped.any():
         raise OmtwarpError(

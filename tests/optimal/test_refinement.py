@@ -165,6 +165,31 @@ def test_no_flip_on_random_shapes(seed, kind, weight):
     check(surface, start_map(surface), weight)
 
 
+@pytest.mark.parametrize(
+    "own",
+    [
+        [],
+        [[1], [1, 2]],
+        "x",
+        3,
+        True,
+        np.ones(42, bool),
+        np.ones(80),
+        np.arange(80),
+        np.ones((80, 1), bool),
+        [False] * 80,
+    ],
+)
+def test_refuses_masks_that_are_not_of_the_triangles(own):
+    """What is no mask of the triangles is refused in one line; a list of truth values is one."""
+    ball = icosphere(2)
+    with pytest.raises(OmtwarpError, match="own: must be a mask of the 80 triangles, true"):
+        refine_map(ball, ball.vertices, own=own, device="cpu")
+    masks = [True] * 80, np.ones(80, bool), None
+    found = [refine_map(ball, ball.vertices, own=mask, iterations=1, device="cpu").sphere for mask in masks]
+    assert np.array_equal(found[0], found[1]) and np.array_equal(found[0], found[2])
+
+
 def test_refuses_flipped_maps_and_unknown_weights():
     """Flipped maps and unknown weights are refused, each in one line."""
     surface = icosphere(3)
