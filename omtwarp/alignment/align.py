@@ -16,7 +16,7 @@ from omtwarp.geometry.axes import fitted_rotation
 from omtwarp.geometry.harmonics import harmonics_in_parts
 from omtwarp.geometry.sphere_hierarchy import triangle_solid_angles
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.arrays import TINY, Floats, in_range, normalised, norms, real_numbers, whole_number
+from omtwarp.mesh.arrays import TINY, Floats, by_name, in_range, normalised, norms, real_numbers, whole_number
 from omtwarp.mesh.surface import sums_around
 from omtwarp.options import AlignBy, AlignByLike
 from omtwarp.resampling import SpherePoints, as_points
@@ -72,8 +72,9 @@ def checked_features(given: Mapping[str, ArrayLike], points: SpherePoints, whose
     filling = np.zeros(len(points.grid.points) - count)
     out = {}
     for name, values in given.items():
-        own = points.at_own_points(np.asarray(values))
-        array: Floats = real_numbers(own, f"feature '{name}' of {whose}", (count,), finite=False)
+        what = f"feature '{name}' of {whose}"
+        own = points.at_own_points(real_numbers(values, what, None, finite=False))
+        array: Floats = real_numbers(own, what, (count,), finite=False)
         if np.isinf(array).any() or np.isnan(array).all():
             raise OmtwarpError(f"feature '{name}' of {whose} has infinite numbers, or none at all")
         out[name] = np.concatenate([in_range(array), filling])
@@ -324,8 +325,8 @@ def align(
 
     .. [1] W. Kabsch, "A solution for the best rotation to relate two sets of vectors", Acta Cryst. A32 (1976).
     """
-    own, by = dict(features or {}), choose(AlignBy, by)
-    degree = _checked_degree(degree, own, to_features or {})
+    own, theirs = by_name(features, "features"), by_name(to_features, "to_features")
+    degree, by = _checked_degree(degree, own, theirs), choose(AlignBy, by)
     of_features = {"features": own, "degree": degree != DEGREE}
     if isinstance(to, str) and to == "axes":
         _leave_out({**of_features, "mirror": mirror, "by": by != AlignBy.AUTO}, "to another map", "to='axes'")
@@ -338,10 +339,10 @@ def align(
     one_surface = _why_one_surface(moving, fixed) if by == AlignBy.AUTO and not own else ""
     by_vertices = bool(one_surface) | (by == AlignBy.VERTICES)
 
-    def aligned(points: SpherePoints, ours: Mapping[str, ArrayLike] | None = features) -> Alignment:
+    def aligned(points: SpherePoints, ours: Mapping[str, ArrayLike] = own) -> Alignment:
         if by_vertices:
             return _by_vertices(points, fixed)
-        here, there = common_features(points, fixed, ours, to_features)
+        here, there = common_features(points, fixed, ours, theirs)
         if not here:
             return aligned_by_places(points, fixed)
         best = feature_rotations(points, fixed, here, there, degree, most=1)[0]
@@ -479,10 +480,7 @@ def _onto_directions(points: SpherePoints) -> tuple[Floats, float]:
 
 
 def common_features(
-    moving: SpherePoints,
-    fixed: SpherePoints,
-    features: Mapping[str, ArrayLike] | None,
-    to_features: Mapping[str, ArrayLike] | None,
+    moving: SpherePoints, fixed: SpherePoints, features: Mapping[str, ArrayLike], to_features: Mapping[str, ArrayLike]
 ) -> tuple[dict[str, Floats], dict[str, Floats]]:
     """Return the features of both sides in the same order: the given ones that both have, or else the surfaces' own.
 

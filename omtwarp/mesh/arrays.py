@@ -3,8 +3,8 @@
 import math
 import operator
 import sys
-from collections.abc import Mapping
-from typing import Protocol, TypeAlias, runtime_checkable
+from collections.abc import Iterable, Mapping
+from typing import Protocol, TypeAlias, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,6 +32,7 @@ Numbers: TypeAlias = NDArray[np.generic]
 Bytes: TypeAlias = NDArray[np.uint8]
 Bools: TypeAlias = NDArray[np.bool_]
 Shape = tuple[int | None, ...]
+Kind = TypeVar("Kind")
 Layout = Mapping[str, tuple[type[np.generic], tuple[str | int, ...]]]
 
 
@@ -95,11 +96,8 @@ def real_numbers(
         good = np.isfinite(out) & (out > 0.0) if positive else np.isfinite(out)
         if not good.all():
             first = int(np.argmin(good.reshape(len(out), -1).all(axis=1))) if out.ndim else 0
-            count = int((~good).sum())
-            raise OmtwarpError(
-                f"{name}: {count} number{'s' if count > 1 else ''} that {'are' if count > 1 else 'is'} not "
-                f"{'positive and finite' if positive else 'finite'}, first in row {first}"
-            )
+            what = f"{int((~good).sum())} numbers that are" if (~good).sum() > 1 else "1 number that is"
+            raise OmtwarpError(f"{name}: {what} not {'positive and ' * positive}finite, first in row {first}")
     return out
 
 
@@ -279,6 +277,29 @@ def whole_number(value: object, name: str, *, least: int = 0, most: int = 2**31 
     return number
 
 
+def by_name(given: Mapping[str, Kind] | None, name: str) -> dict[str, Kind]:
+    """Copy what is given by name, such as a feature under each; nothing where None is given.
+
+    Raises:
+        OmtwarpError: it is no mapping.
+    """
+    if not isinstance(given, Mapping | None):
+        raise OmtwarpError(f"{name}: must be a dictionary of them by name, not {_shown(given)}")
+    return dict(given or {})
+
+
+def listed(given: Iterable[Kind], name: str, what: str, kind: type = object) -> list[Kind]:
+    """List what is given one after another, a generator's items too.
+
+    Raises:
+        OmtwarpError: it holds nothing one after another, or something that is not of the type.
+    """
+    items = list(given) if isinstance(given, Iterable) else None
+    if items is None or not all(isinstance(item, kind) for item in items):
+        raise OmtwarpError(f"{name}: must be a list of {what}")
+    return items
+
+
 def in_range(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Scale points so that squares and products of their coordinates neither overflow nor vanish.
 
@@ -320,8 +341,7 @@ def _of_kind(values: object, name: str, kinds: str, shape: Shape) -> NDArray[np.
 
 def _require_shape(array: NDArray[np.generic], name: str, shape: Shape) -> None:
     same = [length in (None, there) for length, there in zip(shape, array.shape, strict=False)]
-    fits = len(array.shape) == len(shape) and all(same)
-    if not fits:
+    if len(array.shape) != len(shape) or not all(same):
         wanted = ", ".join("any" if length is None else str(length) for length in shape)
         raise OmtwarpError(f"{name}: shape {list(array.shape)}, not [{wanted}]")
 

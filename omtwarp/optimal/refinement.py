@@ -211,10 +211,8 @@ def refine_map(
         own = mask.astype(bool)
     flipped = flipped_faces(start, surface.faces)
     if flipped.any():
-        raise OmtwarpError(
-            f"the map to refine has {int(flipped.sum())} flipped triangles, "
-            f"the first is face {int(np.argmax(flipped))}: untangle it first"
-        )
+        first = f"the first is face {np.argmax(flipped)}: untangle it first"
+        raise OmtwarpError(f"the map to refine has {flipped.sum()} flipped triangles, {first}")
     minimised = partial(
         least_distortion, surface, iterations=iterations, tolerance=tolerance, device=device, progress=progress
     )

@@ -15,7 +15,7 @@ from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpWarning
 from omtwarp.location import Locator
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.arrays import Floats, real_number
+from omtwarp.mesh.arrays import Floats, by_name, real_number
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics.certificate import Certificate, certify_triangles
 from omtwarp.options import MAX_STRAIN, STIFFNESS, Progress, Record, tell
@@ -193,7 +193,7 @@ def register(
     weight_of_areas = area_penalty(keep_areas)
     here, there = two_sides(moving, target, features, to_features)
     usual = {} if features else FOLDING_WEIGHTS
-    weights = feature_weights_of(here.features, {**usual, **(feature_weights or {})})
+    weights = feature_weights_of(here.features, {**usual, **by_name(feature_weights, "feature_weights")})
     grids = here.points.grid, there.points.grid
     counts = grids[0].own_points, grids[1].own_points
     pairs = None if landmarks is None else pairs_of(landmarks, grids[0].points, grids[1].points, counts)

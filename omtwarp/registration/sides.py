@@ -14,7 +14,7 @@ from omtwarp.alignment.rotation_search import Best
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.operators import cotangent_edge_weights
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.arrays import Floats, real_number
+from omtwarp.mesh.arrays import Floats, by_name, real_number
 from omtwarp.registration.folding import folding_features
 from omtwarp.registration.group_template import Template, is_template
 from omtwarp.registration.warp import feature_grid
@@ -139,12 +139,13 @@ def two_sides(
         OmtwarpError: something that is no map or sphere, names or lengths that do not fit, or a sphere without its
             surface.
     """
+    features, to_features = by_name(features, "features"), by_name(to_features, "to_features")
     here = as_points(moving, "the map")
-    if isinstance(target, str) and features is None:
+    if isinstance(target, str) and not features:
         target = with_side(target, moving.report.get("structure") if isinstance(moving, MapResult) else None)
     there, known = target_points(target)
-    to_features = known if features and not to_features else to_features
-    if set(features or {}) != set(to_features or {}):
+    to_features = known if known and features and not to_features else to_features
+    if set(features) != set(to_features):
         raise OmtwarpError("features have to be given for both sides, with the same names")
     if features and to_features:
         ours, theirs = checked_features(features, here, "the map"), checked_features(to_features, there, "the target")

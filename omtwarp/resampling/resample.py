@@ -339,9 +339,7 @@ class Resampling:
         given = values.astype(np.float64) if _of_truth(values) else values
         array = self.source.at_own_points(real_numbers(given, "the data", None, finite=False))
         if array.ndim > 2:
-            raise OmtwarpError(
-                f"data of shape {list(array.shape)}: give one number or one row per point, [S] or [S, K]"
-            )
+            raise OmtwarpError(f"data of shape {list(array.shape)}: a number or one row per point, [S] or [S, K]")
         self._require_length(array)
         without = np.isnan(array)
         infinite = np.isinf(array).reshape(len(array), -1).any(axis=1)
@@ -378,9 +376,8 @@ class Resampling:
         array = self.source.at_own_points(given)
         self._require_length(array)
         names, index = np.unique(array, return_inverse=True)
-        members = sparse.csr_matrix(
-            (np.ones(len(array)), (np.arange(len(array)), index)), shape=(len(array), len(names))
-        )
+        entries = np.ones(len(array)), index, np.arange(len(array) + 1)  # one in every row
+        members = sparse.csr_matrix(entries, (len(array), len(names)))
         votes = sparse.csr_matrix(self.matrix @ members)
         return np.where(self.empty, 0, names[np.asarray(votes.argmax(axis=1)).ravel()])
 

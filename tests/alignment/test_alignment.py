@@ -368,8 +368,20 @@ def test_what_cannot_be_aligned_is_refused():
     count = len(SPHERE.vertices)
     with pytest.raises(OmtwarpError, match="constant"):
         align(blob, blob, features={"a": np.ones(count)}, to_features={"a": np.ones(count)})
+    for wrong in ("abc", 3, SPHERE.vertices, [np.ones(count)]):
+        with pytest.raises(OmtwarpError, match="features: must be a dictionary of them by name"):
+            align(blob, blob, features=wrong, to_features=wrong)
+        with pytest.raises(OmtwarpError, match="to_features: must be a dictionary of them by name"):
+            align(blob, blob, to_features=wrong)
     with pytest.raises(OmtwarpError, match="at least two maps"):
         procrustes_mean([blob])
+    with pytest.raises(OmtwarpError, match="maps: must be a list of two maps or more"):
+        procrustes_mean(3)
+    listed, yielded = (
+        procrustes_mean([blob, blob], grid="ico2"),
+        procrustes_mean((b for b in (blob, blob)), grid="ico2"),
+    )
+    assert np.array_equal(listed.mean, yielded.mean)
     for degree in (0, 65, 2.5, "many"):
         with pytest.raises(OmtwarpError, match="the degree: must be a whole number from 1 to 64"):
             align(blob, blob, degree=degree)

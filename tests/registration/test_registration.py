@@ -263,6 +263,13 @@ def test_a_registered_map_keeps_its_surface_and_says_what_was_done():
         ({"features": {"a": np.ones(3)}}, "both sides"),
         ({"features": {"a": BALL.vertices[:, 0]}, "to_features": {"a": np.ones(3)}}, "the target"),
         ({"features": {"a": np.ones(BALL.vertex_count)}, "to_features": {"a": BALL.vertices[:, 0]}}, "constant"),
+        ({"features": [BALL.vertices[:, 0]], "to_features": [BALL.vertices[:, 0]]}, "features: must be a dictionary"),
+        ({"features": BALL.vertices, "to_features": BALL.vertices}, "features: must be a dictionary"),
+        (
+            {"features": {"a": [[1.0], [1.0, 2.0]]}, "to_features": {"a": BALL.vertices[:, 0]}},
+            "'a' of the map: must be",
+        ),
+        ({"feature_weights": [1.0, 2.0]}, "feature_weights: must be a dictionary"),
         ({"feature_weights": {"thickness": 1.0}}, "no feature 'thickness'"),
         ({"feature_weights": {"sulc": 0.0, "curv": 0.0}}, "all weights"),
     ],
