@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import read_bytes
 from omtwarp.location import Locator
-from omtwarp.mesh.arrays import TINY, Floats, normalised, norms, real_number, real_numbers, whole_numbers
+from omtwarp.mesh.arrays import TINY, Floats, listed, normalised, norms, real_number, real_numbers, whole_numbers
 from omtwarp.mesh.surface import Surface
 from omtwarp.registration.warp_shape import VertexDerivatives, VertexTerm
 
@@ -90,7 +90,8 @@ def pairs_of(landmarks: LandmarksLike, moving: Floats, target: Floats, counts: t
     Raises:
         OmtwarpError: no landmark, two of one name, vertices that do not exist, or a point beside a curve.
     """
-    given = read_landmarks(landmarks) if isinstance(landmarks, str | os.PathLike) else list(landmarks)
+    rows = read_landmarks(landmarks) if isinstance(landmarks, str | os.PathLike) else landmarks
+    given = listed(rows, "landmarks", "omtwarp.registration.Landmark", Landmark)
     if not given:
         raise OmtwarpError("there are no landmarks: give at least one, or none at all")
     labels = tuple(one.label for one in given)
@@ -118,7 +119,7 @@ def _on_sphere(given: ArrayLike, sphere: Floats, count: int, name: str) -> Float
     Raises:
         OmtwarpError: no points, vertices that do not exist, or points at the centre.
     """
-    array = np.asarray(given)
+    array = real_numbers(given, name, None)
     if array.ndim < 2:
         points = sphere[whole_numbers(np.atleast_1d(array), name, (None,), below=count)]
     else:

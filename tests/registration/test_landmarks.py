@@ -148,3 +148,14 @@ def test_a_wrong_table_is_one_line(tmp_path, text, words):
 def test_two_landmarks_of_one_name_are_refused():
     with pytest.raises(OmtwarpError, match="two landmarks are called 'a'"):
         registered([Landmark("a", [1], [1]), Landmark("a", [2], [2])])
+
+
+@pytest.mark.parametrize(
+    "landmarks", [3, [None], [("a", 1, 2)], [{"label": "a"}], Landmark("a", 1, 2), [Landmark("a", [[0, 1], [1]], 2)]]
+)
+def test_what_is_no_list_of_landmarks_is_refused(landmarks):
+    """What is no landmark, and points in rows of unequal length, are refused in one line; a generator is a list."""
+    points, counts = BALL.vertices, (BALL.vertex_count, BALL.vertex_count)
+    with pytest.raises(OmtwarpError, match=r"landmarks: must be a list of .*Landmark|'a' on the map: must be numbers"):
+        pairs_of(landmarks, points, points, counts)
+    assert pairs_of((Landmark(name, 1, 2) for name in "ab"), points, points, counts).labels == ("a", "b")
