@@ -21,7 +21,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.axes import fitted_rotation
 from omtwarp.geometry.harmonics import check_degree
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.arrays import Bools, Floats, Ints
+from omtwarp.mesh.arrays import Bools, Floats, Ints, listed
 from omtwarp.options import Progress, tell
 from omtwarp.resampling import SpherePoints, as_points, resample
 from omtwarp.resampling.resample import PointsLike
@@ -87,7 +87,7 @@ def procrustes_mean(
 
     .. [1] J. C. Gower, "Generalized Procrustes analysis", Psychometrika 40 (1975).
     """
-    degree = check_degree(degree)
+    degree, maps = check_degree(degree), listed(maps, "maps", "two maps or more")
     if len(maps) < 2:
         raise OmtwarpError("a group needs at least two maps")
     common = as_points(grid, "the grid")
@@ -162,10 +162,8 @@ def superpose(surfaces: Floats, weights: Floats, scale: bool = False) -> tuple[F
     posed = surfaces - np.einsum("v,nvd->nd", shares, surfaces)[:, None]
     sizes = np.sqrt(np.einsum("v,nvd->n", shares, posed**2))
     size = float(np.sqrt(np.mean(sizes**2)))
-    scales = np.full(len(posed), 1.0)
-    if scale:
-        scales = size / sizes
-        posed = posed * scales[:, None, None]
+    scales = size / sizes if scale else np.ones(len(posed))
+    posed = posed * scales[:, None, None]
     mean, rounds = posed[0], 0
     for rounds in range(1, ROUNDS + 1):  # noqa: B007
         posed = np.stack([one @ fitted_rotation((one * shares[:, None]).T @ mean)[0].T for one in posed])
