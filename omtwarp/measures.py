@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.geometry.sphere_hierarchy import sphere_hierarchy
-from omtwarp.mesh.arrays import Floats, Ints, normalised, real_numbers
+from omtwarp.mesh.arrays import Floats, Ints, normalised, real_number, real_numbers
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_surface, triangle_areas
 from omtwarp.options import WeightsAt, WeightsAtLike
 
@@ -40,7 +40,7 @@ class TargetDensity:
     """
 
     def __init__(self, density: Callable[[Floats], ArrayLike], floor: float = 0.0):
-        if not 0.0 <= floor < 1.0:
+        if not 0.0 <= real_number(floor, "the floor of the target density") < 1.0:
             raise OmtwarpError(f"the floor of the target density is {floor:g}: give a share of its mean, 0 to below 1")
         self._density = density
         self._lowest = 0.0

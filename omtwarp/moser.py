@@ -187,8 +187,8 @@ def moser_map(
         surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes; its
             :attr:`~omtwarp.Surface.face_areas`, of total 4π, are the masses.
         sphere: a map to the sphere without flips, unit vectors, float64, shape [V, 3]; or a Warp array of vec3d.
-        target: the density ρ that the image is to have; uniform where not given. It is taken at the vertices of
-            ``sphere`` and as linear between them.
+        target: the density ρ that the image is to have; uniform where not given; a function is taken for one.
+            It is taken at the vertices of ``sphere`` and as linear between them.
         solver: the factorised cotangent Laplacian of the image, made here when left out. For a conformal image the
             surface's own can serve and saves a factorisation, but around the pole a discrete conformal map is not
             conformal: the area error it leaves is three to four times as large, and does not vanish on fine meshes.
@@ -213,6 +213,7 @@ def moser_map(
     """
     courant = 0.5  # of a triangle's size: a particle moves by at most this in a step
     parts = 4  # of the work in progress reports: half is the factorisation
+    target = target if isinstance(target, TargetDensity | None) else TargetDensity(target)  # of a function
     surface = as_surface(surface)
     where = resolve_device(device)
     tell(progress, "moser", 0, parts, {})

@@ -326,7 +326,9 @@ def align(
     .. [1] W. Kabsch, "A solution for the best rotation to relate two sets of vectors", Acta Cryst. A32 (1976).
     """
     own, theirs = by_name(features, "features"), by_name(to_features, "to_features")
-    degree, by = _checked_degree(degree, own, theirs), choose(AlignBy, by)
+    if set(own) != set(theirs):
+        raise OmtwarpError("features have to be given for both sides, with the same names")
+    degree, by = whole_number(degree, "the degree", least=1, most=64), choose(AlignBy, by)
     of_features = {"features": own, "degree": degree != DEGREE}
     if isinstance(to, str) and to == "axes":
         _leave_out({**of_features, "mirror": mirror, "by": by != AlignBy.AUTO}, "to another map", "to='axes'")
@@ -381,17 +383,6 @@ def _leave_out(options: Mapping[str, object], of: str, given: str) -> None:
     name = next((name for name, value in options.items() if value), None)
     if name is not None:
         raise OmtwarpError(f"'{name}' is of alignments {of}: leave it out with {given}")
-
-
-def _checked_degree(degree: int, features: Mapping[str, object], to_features: Mapping[str, object]) -> int:
-    """Return the degree as an int; refuse one out of range, and features of one side alone.
-
-    Raises:
-        OmtwarpError: the degree is out of range, or a feature is missing on a side.
-    """
-    if set(features) != set(to_features):
-        raise OmtwarpError("features have to be given for both sides, with the same names")
-    return whole_number(degree, "the degree", least=1, most=64)
 
 
 def _same_faces(one: SpherePoints, other: SpherePoints) -> bool:

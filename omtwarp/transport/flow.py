@@ -112,7 +112,8 @@ def optimal_transport(
         scheme: ``default``, wavelet-preconditioned conjugate gradients; ``plain``, steepest descent with H the curl
             itself (equation 12), as far as the mesh resolves it.
         target: the density ρ that ``initial`` has reached and that the flow keeps, as the velocity is divided by it;
-            uniform where not given. It is taken as linear between the nodes of the flow's grid.
+            uniform where not given; a function is taken for one. It is taken as linear between the nodes of the
+            flow's grid.
         iterations: the most iterations; 60 for ``default``, 1000 for ``plain``.
         tolerance: relative curl at which the map counts as optimal.
         device: where the kernels run.
@@ -139,6 +140,7 @@ def optimal_transport(
     cost, scheme = choose(Cost, cost), choose(Scheme, scheme, without=(Scheme.PAPER,))
     where = resolve_device(device)
     x, initial = (vectors(as_sphere(points, surface), where) for points in (start, sphere))
+    target = target if isinstance(target, TargetDensity | None) else TargetDensity(target)  # of a function
     flow = _Flow(surface, x, initial, cost, scheme, target)
     most = MAXIMUM_ITERATIONS[scheme] if iterations is None else whole_number(iterations, "iterations")
     tolerance = real_number(tolerance, "tolerance", least=0.0)

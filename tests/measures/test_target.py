@@ -244,3 +244,23 @@ def test_a_picture_that_is_black_everywhere_is_no_target(floor):
 def test_floors_that_there_are_not():
     with pytest.raises(OmtwarpError, match="floor"):
         TargetDensity(pushed_density, floor=1.0)
+
+
+def test_a_function_is_taken_for_a_target_density_and_what_is_none_is_refused():
+    """Both stages take a function as maps do, and refuse what it is not, or gives wrongly, in one line."""
+    ball = icosphere(4)
+    points = ball.vertices
+    stages = partial(omtwarp.moser_map, ball, points), partial(omtwarp.optimal_transport, ball, points, start=points)
+    for stage in stages:
+        with pytest.raises(OmtwarpError, match="the target density"):
+            stage(target=3, device="cpu")
+        with pytest.raises(OmtwarpError, match="the target density gave shape"):
+            stage(target=lambda points: np.ones(3), device="cpu")
+        found = [stage(target=target, device="cpu").sphere for target in (pushed_density, PUSHED)]
+        np.testing.assert_allclose(*found, atol=1e-12)
+
+
+@pytest.mark.parametrize("floor", [None, "0.1", 1.0, -0.1, np.nan, [0.1], 10**400])
+def test_floors_that_are_no_shares_are_refused(floor):
+    with pytest.raises(OmtwarpError, match="the floor of the target density"):
+        TargetDensity(pushed_density, floor)
