@@ -16,7 +16,7 @@ from omtwarp.device.sums import SparseProduct
 from omtwarp.device.threads import FIRST_THREAD, Each, each, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.sphere_hierarchy import SphereHierarchy
-from omtwarp.mesh.arrays import Floats, cross, norms
+from omtwarp.mesh.arrays import Floats, cross, norms, real_numbers
 from omtwarp.mesh.surface import transposed_rows
 from omtwarp.wavelets import kernels
 
@@ -99,10 +99,11 @@ class SphereSampler:
     def _launch_parts(self, kernel: wp.Kernel, size: int, inputs: list[object], out: wp.array) -> None:
         launch_parts(kernel, size, inputs, each(out), self.device)
 
-    def _take(self, array: ArrayLike | wp.array, dtype: type) -> tuple[wp.array, bool]:
+    def _take(self, array: ArrayLike | wp.array, name: str, count: int, dtype: type) -> tuple[wp.array, bool]:
         if isinstance(array, wp.array):
             return array, False
-        return wp.array(np.asarray(array, dtype=np.float64), dtype=dtype, device=self.device), True
+        shape = (count, 3) if dtype is wp.vec3d else (count,)
+        return wp.array(real_numbers(array, name, shape), dtype=dtype, device=self.device), True
 
     def _output(self, out: wp.array | None, size: int, dtype: type) -> wp.array:
         return wp.empty(size, dtype=dtype, device=self.device) if out is None else out
@@ -112,9 +113,9 @@ class SphereSampler:
 
         A Warp array is kept by reference, not copied.
         """
-        if len(points) != self.point_count:
-            raise OmtwarpError(f"expected {self.point_count} points, got {len(points)}")
-        self.points, _ = self._take(points, wp.vec3d)
+        if not 0 < len(points) == self.point_count:
+            raise OmtwarpError(f"the points: expected {self.point_count or 'some'} points, got {len(points)}")
+        self.points, _ = self._take(points, "the points", self.point_count, wp.vec3d)
         count = self.point_count
         inputs = [Each(self.points), *self.triangles]
         launch_parts(kernels.locate_points, count, inputs, each(self.point_faces, self.coordinates), self.device)
@@ -127,7 +128,7 @@ class SphereSampler:
 
     def interpolate(self, values: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
         """Interpolate a function at the nodes, [N], to points, [P]: linear in each triangle, exact for constants."""
-        source, from_numpy = self._take(values, wp.float64)
+        source, from_numpy = self._take(values, "values", self.node_count, wp.float64)
         out = self._output(out, self.point_count, wp.float64)
         inputs = [self._faces, self.point_faces, self.coordinates, source]
         self._launch(kernels.interpolate_at_points, self.point_count, inputs, [out])
@@ -135,7 +136,7 @@ class SphereSampler:
 
     def adjoint(self, at_points: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
         """Apply the transpose of :meth:`interpolate`, [P] -> [N], which keeps the sum."""
-        source, from_numpy = self._take(at_points, wp.float64)
+        source, from_numpy = self._take(at_points, "at_points", self.point_count, wp.float64)
         out = self._output(out, self.node_count, wp.float64)
         inputs = [Each(self._point_rows, more=1), self._order, self.coordinates, source]
         self._launch_parts(kernels.gather_scalars_to_faces, self.face_count, inputs, self._face_vectors)
@@ -144,7 +145,7 @@ class SphereSampler:
 
     def set_masses(self, masses: ArrayLike | wp.array) -> None:
         """Give the (positive) masses of the points, shape [P], that :meth:`restrict` divides by."""
-        source, _ = self._take(masses, wp.float64)
+        source, _ = self._take(masses, "masses", self.point_count, wp.float64)
         self._prepare_levels()
         self._level_masses = self._coarsen(self.adjoint(source), [wp.empty_like(a) for a in self._level_sums])
 
@@ -157,7 +158,7 @@ class SphereSampler:
         """
         if not self._level_masses:
             raise OmtwarpError("give the points' masses (set_masses) before restricting to the nodes")
-        source, from_numpy = self._take(sums, wp.float64)
+        source, from_numpy = self._take(sums, "sums", self.point_count, wp.float64)
         out = self._output(out, self.node_count, wp.float64)
         self.adjoint(source, self._level_sums[self.level])
         self._coarsen(self._level_sums[self.level], self._level_sums)
@@ -200,7 +201,7 @@ class SphereSampler:
 
         The array is the sampler's own and valid until the next call.
         """
-        source, _ = self._take(values, wp.float64)
+        source, _ = self._take(values, "values", self.node_count, wp.float64)
         inputs = [Each(self._faces), self._nodes, source]
         self._launch_parts(kernels.level_face_gradients, self.face_count, inputs, self._face_vectors)
         inputs = [*self._corner_rows, *each(self._nodes, self._weights), self._face_vectors]
@@ -215,7 +216,7 @@ class SphereSampler:
         With field = c × y (c the derivative of a cost with respect to the point y) it is that cost's derivative with
         respect to the stream function of a motion dy/dt = y × grad H: the weak curl.
         """
-        source, from_numpy = self._take(field, wp.vec3d)
+        source, from_numpy = self._take(field, "field", self.point_count, wp.vec3d)
         out = self._output(out, self.node_count, wp.float64)
         inputs = [Each(self._point_rows, more=1), self._order, self.points, self.coordinates, source]
         self._launch_parts(kernels.gather_corner_vectors, self.face_count, inputs, self._corner_vectors)

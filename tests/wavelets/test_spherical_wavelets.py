@@ -321,3 +321,24 @@ def test_transforms_agree_with_the_cpu_and_repeat_to_the_bit(device, name, butte
         results.append(array.numpy())
     np.testing.assert_allclose(results[1], results[0], rtol=1e-12, atol=1e-12 * np.abs(results[0]).max())
     np.testing.assert_array_equal(results[1], results[2])
+
+
+def test_arrays_of_another_length_are_refused():
+    """Kernels would read beyond the end of what is too short: every method names the array and its length."""
+    hierarchy = sphere_hierarchy(2)
+    sampler = SphereSampler(hierarchy, hierarchy.vertices[:50], device="cpu")
+    count = hierarchy.node_count
+    for call, length in [
+        (sampler.interpolate, count),
+        (sampler.node_gradient, count),
+        (sampler.adjoint, 50),
+        (sampler.set_masses, 50),
+    ]:
+        for wrong in (np.ones(length - 1), np.ones((length, 3)), [], "abc", np.full(length, np.nan)):
+            with pytest.raises(OmtwarpError, match=r"^(values|at_points|masses): "):
+                call(wrong)
+    with pytest.raises(OmtwarpError, match="field: shape"):
+        sampler.gradient_adjoint(np.ones((50, 2)))
+    for points in ([], np.ones((4, 2)), np.full((4, 3), np.nan)):
+        with pytest.raises(OmtwarpError, match="the points: "):
+            SphereSampler(hierarchy, points, device="cpu")
