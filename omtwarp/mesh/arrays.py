@@ -123,7 +123,7 @@ def single_precision(values: NDArray[np.generic], name: str) -> NDArray[np.float
     return out
 
 
-def whole_numbers(values: object, name: str, shape: Shape, *, below: int | None = None) -> NDArray[np.int64]:
+def whole_numbers(values: object, name: str, shape: Shape, *, below: int | None = None, nan: bool = False) -> Indices:
     """Convert an array of whole numbers to int64; floating point numbers are accepted where they are whole.
 
     Args:
@@ -131,6 +131,7 @@ def whole_numbers(values: object, name: str, shape: Shape, *, below: int | None 
         name: what to call it in a message, such as ``faces``.
         shape: the shape that it must have; None for any length.
         below: numbers must be at least 0 and below this; unbounded by default.
+        nan: whether NaN counts as 0, in place of being refused.
 
     Returns:
         int64, contiguous.
@@ -145,6 +146,7 @@ def whole_numbers(values: object, name: str, shape: Shape, *, below: int | None 
     array = _of_kind(values, name, "iuf", shape)
     _require_shape(array, name, shape)
     if array.dtype.kind == "f":
+        array = np.where(np.isnan(array), 0.0, array) if nan else array
         with np.errstate(invalid="ignore", over="ignore"):
             whole = np.isfinite(array) & (array == np.floor(array)) & (np.abs(array) < 2**62)
         if not whole.all():

@@ -371,8 +371,8 @@ class Resampling:
         Raises:
             OmtwarpError: another length, or numbers that are not whole.
         """
-        known = np.where(np.isnan(keys), 0.0, keys) if np.asarray(keys).dtype.kind == "f" else keys
-        given = whole_numbers(known.astype(np.int64) if _of_truth(known) else known, "the labels", (None,))
+        known = keys.astype(np.int64) if _of_truth(keys) else keys
+        given = whole_numbers(known, "the labels", (None,), nan=True)
         array = self.source.at_own_points(given)
         self._require_length(array)
         names, index = np.unique(array, return_inverse=True)

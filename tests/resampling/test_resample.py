@@ -210,3 +210,12 @@ def test_data_that_do_not_fit_are_refused():
     points[20] /= np.linalg.norm(points[20])
     with pytest.raises(OmtwarpError, match="turned over"):
         resample((points, flipped.faces), "ico2", method="conservative", device="cpu")
+
+
+@pytest.mark.parametrize("keys", [[[1], [1, 2]], ["a"] * 162, [2**70] * 162, np.full(162, 2**63 + 5, dtype=np.uint64)])
+def test_labels_that_are_no_whole_numbers_are_refused(keys):
+    """Rows of unequal length, text and numbers out of range are refused in one line; NaN in a list counts as 0."""
+    onto = resample("ico2", "ico1")
+    with pytest.raises(OmtwarpError, match="the labels: "):
+        onto.labels(keys)
+    assert not onto.labels([np.nan] * 162).any()
