@@ -23,7 +23,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Floats, real_number
 from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.mesh.surface import as_unit_vectors
 from omtwarp.optimal.cells import TriangleCells
@@ -131,7 +131,7 @@ def exact_map(
     Raises:
         OmtwarpError: the map given has flipped triangles.
     """
-    where = resolve_device(device)
+    where, shape_weight = resolve_device(device), real_number(shape_weight, "shape_weight", least=0.0)
     given, x = (as_unit_vectors(points, quartered.surface.vertex_count) for points in (sphere, start))
     soft = softness(quartered.surface.vertex_areas, given, x, cost)
     cells = TriangleCells(quartered, where)

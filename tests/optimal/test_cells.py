@@ -125,3 +125,12 @@ def test_flipped_maps_are_refused(mapped):
     cut = quarter(surface)
     with pytest.raises(OmtwarpError, match="flipped"):
         exact_map(cut, -cut.on_sphere(x), start=cut.on_sphere(x), device="cpu")
+
+
+@pytest.mark.parametrize("weight", [np.nan, np.inf, -1.0, True, "x", None, 10**400])
+def test_shape_weights_of_exact_maps_that_are_no_numbers(weight):
+    """NaN was taken without a word, and gave the map back as it was."""
+    cut = quarter(blob(sphere=80))
+    points = cut.surface.vertices / np.linalg.norm(cut.surface.vertices, axis=1, keepdims=True)
+    with pytest.raises(OmtwarpError, match="shape_weight: must be a finite number"):
+        exact_map(cut, points, start=points, shape_weight=weight, device="cpu")
