@@ -187,7 +187,7 @@ class DifferentialOperators:
     ) -> wp.array:
         from_numpy = not isinstance(field, wp.array)
         if from_numpy:
-            source = wp.array(np.asarray(field, dtype=np.float64), dtype=wp.vec3d, device=self.device)
+            source = wp.array(real_numbers(field, "field", (self.face_count, 3)), dtype=wp.vec3d, device=self.device)
         if out is None:
             out = wp.empty(size, dtype=out_dtype, device=self.device)
         rows = [self.corner_offsets, self.corners] if gather else []

@@ -29,10 +29,9 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.sums import SparseProduct
 from omtwarp.device.threads import GraphsByArray
-from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import cotangent_laplacian
 from omtwarp.geometry.sphere_hierarchy import SphereHierarchy
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Floats, real_numbers, whole_number
 from omtwarp.wavelets import kernels
 
 
@@ -155,9 +154,7 @@ class SphericalWavelets:
             coefficients[first:].zero_()
 
     def _on_copy(self, values: ArrayLike, transform: Callable[[wp.array], None]) -> Floats:
-        array = np.array(values, dtype=np.float64)
-        if array.shape != (self.hierarchy.node_count,):
-            raise OmtwarpError(f"expected one value per node, shape ({self.hierarchy.node_count},), got {array.shape}")
+        array = real_numbers(values, "one value per node", (self.hierarchy.node_count,), finite=False)
         on_device = wp.array(array, device=self.device)
         transform(on_device)
         return np.asarray(on_device.numpy())
@@ -176,7 +173,7 @@ class SphericalWavelets:
         It is psi(j, m), or phi(0, k) at the solid's nodes.
         """
         unit = np.zeros(self.hierarchy.node_count)
-        unit[node] = 1.0
+        unit[whole_number(node, "node", most=len(unit) - 1)] = 1.0
         return self.inverse(unit)
 
     def scaling_function(self, level: int, node: int) -> Floats:
@@ -184,8 +181,8 @@ class SphericalWavelets:
 
         It is the subdivision of a unit value at one node of K(level).
         """
-        values = np.zeros(self.hierarchy.node_counts[level])
-        values[node] = 1.0
+        values = np.zeros(self.hierarchy.node_counts[whole_number(level, "level", most=self.hierarchy.level)])
+        values[whole_number(node, "node", most=len(values) - 1)] = 1.0
         for j in range(level, self.hierarchy.level):
             values = self.hierarchy.refinement_matrix(j, butterfly=self.butterfly) @ values
         return values
@@ -210,7 +207,7 @@ class WaveletFilter:
     ) -> None:
         self.wavelets = SphericalWavelets(hierarchy, butterfly=butterfly, device=device)
         self.device = self.wavelets.device
-        kept = np.array(factors, dtype=np.float64)
+        kept = real_numbers(factors, "factors", (hierarchy.node_count,)).copy()
         kept[: hierarchy.node_counts[0]] = 1.0
         self._factors = wp.array(kept, device=self.device)
 
@@ -293,7 +290,7 @@ class WaveletPreconditioner:
         factors = np.zeros(hierarchy.node_count)
         factors[solid:] = 1 / energies[solid:]
         if damping is not None:
-            factors[solid:] *= damping[solid:]
+            factors[solid:] *= real_numbers(damping, "damping", (hierarchy.node_count,))[solid:]
         coarse = cotangent_laplacian(hierarchy.vertices[:solid], hierarchy.level_faces[0]).toarray()
         self._factors = wp.array(factors, device=self.device)
         # Rank, relative, of eigenvalues that are zero but for rounding: that of the constants, of the solid's few nodes
@@ -309,7 +306,9 @@ class WaveletPreconditioner:
         from_numpy = not isinstance(right_hand_side, wp.array)
         values: wp.array
         if from_numpy:
-            values = wp.array(np.array(right_hand_side, dtype=np.float64), device=self.device)
+            values = wp.array(
+                real_numbers(right_hand_side, "right_hand_side", (len(self._factors),)), device=self.device
+            )
         else:
             values = wp.empty_like(right_hand_side) if out is None else out
             wp.copy(values, right_hand_side)

@@ -19,6 +19,7 @@ from scipy.spatial import ConvexHull
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import DifferentialOperators, circumcentric_coordinates, corner_cotangents, cotangent_laplacian
+from omtwarp.mesh.shapes import icosphere
 from omtwarp.mesh.surface import Surface
 
 
@@ -159,5 +160,11 @@ def test_dual_interpolation_is_exact_on_linear_functions_of_a_plane():
 
 
 def test_wrong_shapes_are_refused():
+    ball = icosphere(2)
+    operators = DifferentialOperators(ball.vertices, ball.faces, device="cpu")
+    for field in ([], np.ones((79, 3)), np.ones((80, 2)), "abc", np.full((80, 3), np.nan)):
+        for call in (operators.rotate, operators.divergence, operators.interpolate_dual):
+            with pytest.raises(OmtwarpError, match="field: "):
+                call(field)
     with pytest.raises(OmtwarpError, match=r"vertices: shape"):
         cotangent_laplacian(np.zeros((4, 2)), np.zeros((4, 3), int))

@@ -13,6 +13,7 @@ from omtwarp.device.threads import GraphsByArray, step_by_step
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry import cotangent_laplacian
 from omtwarp.wavelets import SphereSampler, SphericalWavelets, WaveletPreconditioner, level_for, sphere_hierarchy
+from omtwarp.wavelets.transform import WaveletFilter
 
 LEVEL = 3
 
@@ -287,6 +288,22 @@ def test_errors_name_what_is_wrong():
         sphere_hierarchy(11)
     with pytest.raises(OmtwarpError, match="one value per node"):
         SphericalWavelets(sphere_hierarchy(1), device="cpu").forward(np.zeros(5))
+    hierarchy = sphere_hierarchy(1)
+    wavelets = SphericalWavelets(hierarchy, device="cpu")
+    with pytest.raises(OmtwarpError, match="one value per node: must be numbers"):
+        wavelets.inverse([[1.0], [1.0, 2.0]])
+    for call in (lambda: wavelets.wavelet(42), lambda: wavelets.scaling_function(0, 12), lambda: wavelets.wavelet(1.5)):
+        with pytest.raises(OmtwarpError, match="node: must be a whole number"):
+            call()
+    with pytest.raises(OmtwarpError, match="level: must be a whole number from 0 to 1"):
+        wavelets.scaling_function(2, 0)
+    for short in (np.ones(12), [], "abc", np.full(42, np.nan)):
+        with pytest.raises(OmtwarpError, match="factors: "):
+            WaveletFilter(hierarchy, short, device="cpu")
+        with pytest.raises(OmtwarpError, match="damping: "):
+            WaveletPreconditioner(hierarchy, damping=short, device="cpu")
+        with pytest.raises(OmtwarpError, match="right_hand_side: "):
+            WaveletPreconditioner(hierarchy, device="cpu").apply(short)
 
 
 @pytest.mark.parametrize("name", ["analyse", "synthesise", "analyse_adjoint", "synthesise_adjoint"])
