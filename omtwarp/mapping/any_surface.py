@@ -195,6 +195,8 @@ def _check_domain(domain: Domain, parts: list[Part], components: bool, together:
         if part.genus and along is None:
             torus = "domain='torus' or " if part.is_torus and not several else ""
             raise OmtwarpError(f"{which} has {described(part)}: {torus}cut=True would map it")
+        if domain != Domain.SPHERE and len(part.faces) == 1:
+            raise OmtwarpError(f"{which} is a single triangle: domain='sphere' would map it, with the hole filled")
         if domain not in (Domain.AUTO, Domain.SPHERE) and not part.loops:
             raise OmtwarpError(
                 f"{which} is closed, without a boundary to put on the rim of a {domain}: "

@@ -536,3 +536,11 @@ def test_angles_are_kept_on_the_way_from_the_hemisphere_to_a_cap(share):
     assert share != 0.5 or np.abs(cap - north).max() < 1e-14
     rim = disk_to_cap(np.array([[1.0, 0.0]]), share, conformal=True)
     assert rim[0, 2] == pytest.approx(1.0 - 2.0 * share)
+
+
+@pytest.mark.parametrize("domain", ["auto", "hemisphere", "disk", "cap"])
+def test_a_single_triangle_is_told_what_maps_it(domain):
+    """Its double would be two triangles with the same corners; with its hole filled it is a sphere."""
+    mesh = np.eye(3), [[0, 1, 2]]
+    with pytest.raises(omtwarp.OmtwarpError, match="the surface is a single triangle: domain='sphere' would map it"):
+        omtwarp.map_surface(mesh, domain=domain, device="cpu")
