@@ -51,10 +51,9 @@ def own_features(points: SpherePoints) -> dict[str, Floats]:
         raise OmtwarpError(
             f"{points.grid.name}: a sphere without its surface has no features of its own: give the surface, or data"
         )
-    masses = points.surface_areas()
-    centre = masses @ points.vertices / masses.sum()
-    features = {"radius": norms(points.vertices - centre)}
-    weights = sphere_weights(points)
+    masses, weights, vertices = points.surface_areas(), sphere_weights(points), in_range(points.vertices)
+    centre = masses @ vertices / masses.sum()
+    features = {"radius": norms(vertices - centre)}
     here, there = (np.maximum(areas / areas.sum(), smallest_share) for areas in (masses, weights))
     ratio = np.log(here / there)
     if spread(ratio, weights) > least_area_spread:
@@ -251,11 +250,11 @@ def align_to_axes(given: PointsLike) -> Alignment:
     points = open_points.closed()
     if points.vertices is None:
         raise OmtwarpError(f"{points.grid.name}: a sphere without its surface has no axes: give a map")
-    weights = sphere_weights(points)
-    first_order = 3.0 / weights.sum() * (points.vertices * weights[:, None]).T @ points.grid.points
+    weights, vertices = sphere_weights(points), in_range(points.vertices)
+    first_order = 3.0 / weights.sum() * (vertices * weights[:, None]).T @ points.grid.points
     axes, _, parameters = np.linalg.svd(first_order)
     masses = points.surface_areas()
-    along = (points.vertices - masses @ points.vertices / masses.sum()) @ axes
+    along = (vertices - masses @ vertices / masses.sum()) @ axes
     moments = [masses @ along**power / masses.sum() for power in (2, 3)]
     skewness = moments[1] / np.maximum(moments[0], TINY) ** (3.0 / 2.0)
     signs = np.where(skewness < 0, -1.0, 1.0)
@@ -397,7 +396,7 @@ def _why_one_surface(moving: SpherePoints, fixed: SpherePoints) -> str:
         return ""
     if moving.vertices is None or fixed.vertices is None:
         return "equal faces, and a side is a sphere alone"
-    ours, theirs = (points - points.mean(axis=0) for points in (moving.vertices, fixed.vertices))
+    ours, theirs = (points - points.mean(axis=0) for points in map(in_range, (moving.vertices, fixed.vertices)))
     ours, theirs = ours / max(np.linalg.norm(ours), TINY), theirs / max(np.linalg.norm(theirs), TINY)
     _, agreement = fitted_rotation(ours.T @ theirs)
     # The least squares of a rotation and a scale leave 1 - agreement² of the square.

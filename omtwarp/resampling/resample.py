@@ -21,7 +21,7 @@ from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.files.output import as_path, staged
 from omtwarp.location import Locator, combined
 from omtwarp.maps.result import MapResult, is_map_file
-from omtwarp.mesh.arrays import Floats, Ints, real_numbers, whole_numbers
+from omtwarp.mesh.arrays import Floats, Ints, in_range, real_numbers, whole_numbers
 from omtwarp.mesh.data import read_data
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.read import read_mesh
@@ -195,7 +195,7 @@ class SpherePoints:
         if self.vertices is None or self.grid.faces is None:
             return self.grid.areas
         faces = self.grid.own_triangles
-        return sums_around(triangle_areas(self.vertices, faces) / 3.0, faces, len(self.vertices))
+        return sums_around(triangle_areas(in_range(self.vertices), faces) / 3.0, faces, len(self.vertices))
 
     def closed(self) -> SpherePoints:
         """Return the same points, those that fill holes counted as the surface's."""

@@ -13,7 +13,7 @@ from omtwarp.geometry.axes import fitted_rotation
 from omtwarp.geometry.harmonics import check_degree
 from omtwarp.maps.result import MapResult
 from omtwarp.measures import TargetDensity
-from omtwarp.mesh.arrays import Floats, HasTriangles
+from omtwarp.mesh.arrays import Floats, HasTriangles, in_range
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.moser import moser_map
 from omtwarp.options import Progress, tell
@@ -118,7 +118,7 @@ def shape_distance(
 def _coefficients(sphere: Floats, one: HasTriangles, degree: int, scale: bool) -> Floats:
     """Return the coefficients of a surface without its place, and without its size where it is scaled."""
     numbers = expand(sphere, one.vertices, degree, faces=one.faces).coefficients[1:]
-    return numbers * np.sqrt(SPHERE_AREA / (numbers**2).sum()) if scale else numbers
+    return in_range(numbers) * np.sqrt(SPHERE_AREA / (in_range(numbers) ** 2).sum()) if scale else numbers
 
 
 def coefficient_distance(first: Floats, second: Floats) -> float:

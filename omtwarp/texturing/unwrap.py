@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.maps.domains import is_torus_map
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.arrays import TINY, Floats, Ints
+from omtwarp.mesh.arrays import TINY, Floats, Ints, in_range
 from omtwarp.mesh.surface import plane_areas, triangle_areas
 from omtwarp.texturing.atlas import CUBE_FRAMES
 from omtwarp.texturing.export import Material
@@ -90,7 +90,7 @@ def laid_out(result: MapLike, aspect: float = 1.0, margin: float = MARGIN) -> tu
             charts = _cubes(vertices, faces, sphere, parts if beside is None else beside)
         else:  # one chart for each part, without a cut
             plane = disk[faces]
-            scale = _scales(triangle_areas(vertices, faces), np.abs(plane_areas(plane)), parts)
+            scale = _scales(triangle_areas(in_range(vertices), faces), np.abs(plane_areas(plane)), parts)
             charts = plane * scale[parts][:, None, None], parts
     turned = plane_areas(charts[0]) <= 0
     if turned.any():
@@ -129,7 +129,7 @@ def _cubes(vertices: Floats, faces: Ints, sphere: Floats, parts: NDArray[np.intp
     # In gnomonic coordinates great circles are straight lines, so that no triangle flips that was not flipped.
     bent = np.bincount(parts, plane_areas(angle) <= 0) > 0
     plane = np.where(bent[parts][:, None, None], np.tan(angle), angle)
-    scale = _scales(triangle_areas(vertices, faces), triangle_areas(sphere, faces), parts)
+    scale = _scales(triangle_areas(in_range(vertices), faces), triangle_areas(sphere, faces), parts)
     return plane * scale[parts][:, None, None], len(CUBE_FRAMES) * parts + chart
 
 

@@ -351,6 +351,18 @@ def test_same_bits_twice():
     np.testing.assert_array_equal(one.rotation, two.rotation)
 
 
+@pytest.mark.parametrize("exponent", [-300, -160, 100, 300])
+def test_any_unit_gives_the_same_alignment(exponent):
+    """Areas of coordinates of 1e±160 are beyond float64; rotations to axes, a surface and a template are not."""
+    blob = blob_map()
+    scaled = SpherePoints(blob.grid, blob.vertices * 10.0**exponent)
+    other = SpherePoints(mesh_grid(pushed_north(SPHERE.vertices, 0.2), SPHERE.faces), blob.vertices)
+    for options in ({}, {"to": other}, {"to": other, "by": "features"}):
+        plain, found = (align(points, **options) for points in (blob, scaled))
+        np.testing.assert_allclose(found.rotation, plain.rotation, atol=1e-7)
+        assert found.method == plain.method and found.score == pytest.approx(plain.score, abs=1e-9)
+
+
 def test_what_cannot_be_aligned_is_refused():
     blob = blob_map()
     bare = (SPHERE.vertices, SPHERE.faces)

@@ -106,3 +106,11 @@ def test_the_map_of_a_mirror_image_is_the_mirror_image_of_the_map():
     one, _, other = np.linalg.svd((left.sphere * MIRROR).T @ right.sphere)
     assert np.linalg.det(one @ other) > 0
     np.testing.assert_allclose(left.sphere * MIRROR @ one @ other, right.sphere, atol=1e-2)
+
+
+@pytest.mark.parametrize("exponent", [-300, 160, 300])
+def test_any_unit_gives_the_same_distance_of_scaled_shapes(exponent):
+    vertices, faces = one_sided(1)
+    other, plain, far = map(mapped, (one_sided(2), (vertices, faces), (vertices * 10.0**exponent, faces)))
+    one, two = (shape_distance(each, other, degree=4, scale=True, device="cpu") for each in (plain, far))
+    assert two.coefficients == pytest.approx(one.coefficients, rel=1e-6)

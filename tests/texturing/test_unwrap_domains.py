@@ -154,3 +154,11 @@ def test_parts_on_one_sphere_have_charts_of_their_own(blobs):
     for k in range(3):
         others = cKDTree(np.concatenate([points[n] for n in range(3) if n != k]))
         assert others.query(points[k])[0].min() > 0.999 * 2 * 0.02
+
+
+@pytest.mark.parametrize("exponent", [-300, -160, 100, 300])
+def test_any_unit_gives_the_same_charts(exponent):
+    """Areas of coordinates of 1e±160 are beyond float64; charts of equal density are not."""
+    ball = omtwarp.shapes.icosphere(8)
+    plain, scaled = (unwrap_uv((ball.vertices * unit, ball.faces, ball.vertices)) for unit in (1.0, 10.0**exponent))
+    np.testing.assert_allclose(scaled.uv, plain.uv, atol=1e-9)
