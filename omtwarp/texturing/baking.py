@@ -237,7 +237,7 @@ def sample(
     """
     where = resolve_device(device)
     array = picture if isinstance(picture, np.ndarray) and picture.ndim == 3 else read_image(picture)
-    return picture_source(array, atlas, where).at(directions, where)
+    return picture_source(array, atlas, where).at(real_numbers(directions, "directions", (None, 3)), where)
 
 
 def picture_source(array: NDArray[np.generic], atlas: str | Atlas, where: wp.Device) -> _PictureSource:
@@ -354,7 +354,7 @@ def bake_to_uv(
         number has the texel.
     """
     where = resolve_device(device)
-    s = np.asarray(sphere, dtype=np.float64)
+    s = real_numbers(sphere, "sphere", (None, 3))
     samples = 3  # side of the grid in texels where the function changes, as of bake
     faces = whole_numbers(faces, "faces", (None, 3), below=len(s))
     sides = check_size(size, least=1)
@@ -363,7 +363,7 @@ def bake_to_uv(
     if isinstance(source, VertexValues):
         return _bake_linear(layout, source.corner_values(faces), samples, padding)
     given = source_of(source, projection, where)
-    turned = s if rotation is None else s @ np.asarray(rotation, dtype=np.float64)
+    turned = s if rotation is None else s @ real_numbers(rotation, "rotation", (3, 3))
     points = wp.array(np.ascontiguousarray(turned[faces]), dtype=wp.float64, device=where)
 
     picture = wp.zeros((width * height, given.channels), dtype=wp.float32, device=where)
@@ -394,10 +394,9 @@ class VertexValues:
 def _bake_linear(layout: Layout, corner_values: Floats, supersample: int, padding: int) -> Picture:
     where = layout.where
     values = wp.array(np.ascontiguousarray(corner_values), dtype=wp.float64, device=where)
-    channels = corner_values.shape[2]
-    picture = wp.zeros((layout.width * layout.height, channels), dtype=wp.float32, device=where)
+    picture = wp.zeros((layout.width * layout.height, corner_values.shape[2]), dtype=wp.float32, device=where)
     fill(layout.owned(), max(int(supersample), 1), partial(layout.interpolate, values), picture)
-    return layout.dilate(picture, padding).reshape(layout.height, layout.width, channels)
+    return layout.dilate(picture, padding).reshape(layout.height, layout.width, -1)
 
 
 def bake_vertex_values(

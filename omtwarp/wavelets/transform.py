@@ -304,7 +304,6 @@ class WaveletPreconditioner:
         be written to ``out``.
         """
         from_numpy = not isinstance(right_hand_side, wp.array)
-        values: wp.array
         if from_numpy:
             values = wp.array(
                 real_numbers(right_hand_side, "right_hand_side", (len(self._factors),)), device=self.device

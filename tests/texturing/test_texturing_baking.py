@@ -200,3 +200,18 @@ def test_bad_requests_are_named(call, message):
 def test_patterns_take_any_device(device):
     d = directions(100)
     np.testing.assert_allclose(pattern("globe")(d, device=device), pattern("globe")(d), atol=1e-9)
+
+
+def test_directions_and_maps_that_are_not_finite_are_refused():
+    """Texels of what is not finite lie outside of the picture: reading them ended the process."""
+    picture, wrong = np.zeros((16, 32, 3), np.uint8), np.full((5, 3), np.nan)
+    for directions in (wrong, np.ones((5, 2)), "abc", [[0.0], [1.0, 2.0]]):
+        with pytest.raises(OmtwarpError, match="directions: "):
+            sample(picture, directions, device="cpu")
+    faces, uv = [[0, 1, 2]], np.eye(5, 2)
+    for sphere in (wrong, np.ones((5, 2)), "abc"):
+        with pytest.raises(OmtwarpError, match="sphere: "):
+            bake_to_uv(picture, sphere, faces, uv, size=16, device="cpu")
+    for rotation in (np.eye(2), wrong, "abc"):
+        with pytest.raises(OmtwarpError, match="rotation: "):
+            bake_to_uv(picture, np.eye(5, 3) + 1, faces, uv, size=16, rotation=rotation, device="cpu")
