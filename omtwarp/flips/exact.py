@@ -20,7 +20,7 @@ from omtwarp.device.arrays import triangles, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import KERNEL_OPTIONS, ONE, ZERO, wp
 from omtwarp.device.threads import Each, each, launch_parts, load, parts_of, run_all
-from omtwarp.mesh.arrays import Floats, Ints
+from omtwarp.mesh.arrays import Floats, Ints, real_numbers, whole_numbers
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -48,6 +48,13 @@ def certain_signs(
         signs[f] = wp.where(value > ZERO, wp.int8(1), wp.int8(-1))
 
 
+def _sent(sphere: ArrayLike | wp.array, faces: ArrayLike | wp.array, where: wp.Device) -> tuple[wp.array, wp.array]:
+    """Return points and triangles on a device; NumPy's are checked, since kernels would read what is out of range."""
+    points = sphere if isinstance(sphere, wp.array) else real_numbers(sphere, "sphere", (None, 3), finite=False)
+    corners = faces if isinstance(faces, wp.array) else whole_numbers(faces, "faces", (None, 3), below=len(points))
+    return vectors(points, where), triangles(corners, where)
+
+
 def orientation_signs(
     sphere: ArrayLike | wp.array, faces: ArrayLike | wp.array, *, device: str | wp.Device | None = "cpu"
 ) -> NDArray[np.int8]:
@@ -65,8 +72,7 @@ def orientation_signs(
         points contains the origin) or a corner that is not finite.
     """
     where = resolve_device(device)
-    given = vectors(sphere, where)
-    corners = triangles(faces if isinstance(faces, wp.array) else np.asarray(faces).reshape(-1, 3), where)
+    given, corners = _sent(sphere, faces, where)
     out = wp.empty(len(corners), dtype=wp.int8, device=where)
     # Six triple products, each rounded at most four times, and their sum: 7 units of roundoff suffice, 8 also cover the
     # rounding of the bound. Fused multiply-add only lowers the error.
@@ -202,8 +208,7 @@ def ring_turns(
         {1}
     """
     where = resolve_device(device)
-    points = vectors(sphere, where)
-    corners = triangles(faces if isinstance(faces, wp.array) else np.asarray(faces).reshape(-1, 3), where)
+    points, corners = _sent(sphere, faces, where)
     if signs is None:
         signs = orientation_signs(points, corners, device=where)
     sent = wp.array(np.ascontiguousarray(signs, dtype=np.int8), dtype=wp.int8, device=where, copy=False)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from omtwarp.flips.exact import count_flips, orientation_signs
+from omtwarp.errors import OmtwarpError
+from omtwarp.flips.exact import count_flips, orientation_signs, ring_turns
 from omtwarp.mesh.shapes import icosphere
 
 
@@ -98,3 +99,18 @@ def test_points_that_coincide_after_rounding_are_degenerate_but_one_unit_apart_i
     on_plane = np.array([0.8, 0.6, 0.0])
     above = on_plane + [0.0, 0.0, 5e-324]
     assert signs_of(np.array([[a, b, on_plane], [a, b, above], [b, a, above]])).tolist() == [0, 1, -1]
+
+
+@pytest.mark.parametrize("function", [orientation_signs, ring_turns, count_flips])
+def test_arrays_that_are_no_triangles_on_points_are_refused(function):
+    """Kernels would read beyond the end of the points; points that are not finite are degenerate, as before."""
+    ball = icosphere(2)
+    for faces in (ball.faces + 1, ball.faces - 1, ball.faces[:, :2], ball.faces + 0.5, np.full((80, 3), np.nan), "abc"):
+        with pytest.raises(OmtwarpError, match="faces: "):
+            function(ball.vertices, faces)
+    for points in (ball.vertices[:, :2], "abc", ball.vertices.ravel(), [[0.0], [0.0, 1.0]]):
+        with pytest.raises(OmtwarpError, match="sphere: "):
+            function(points, ball.faces)
+    with pytest.raises(OmtwarpError, match="faces: 41 in row"):
+        function(ball.vertices[:-1], ball.faces)
+    assert count_flips(np.where(ball.vertices > 0.99, np.nan, ball.vertices), ball.faces) > 0
