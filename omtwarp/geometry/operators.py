@@ -106,7 +106,7 @@ def interpolate_at_vertices(
 
 def _corner_points(vertices: ArrayLike, faces: ArrayLike) -> tuple[Floats, NDArray[np.int64], list[Floats]]:
     points = real_numbers(vertices, "vertices", (None, 3), finite=False)
-    triangles = whole_numbers(faces, "faces", (None, 3))
+    triangles = whole_numbers(faces, "faces", (None, 3), below=len(points))
     return points, triangles, [points[triangles[:, k]] for k in range(3)]
 
 

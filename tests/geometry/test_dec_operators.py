@@ -162,6 +162,9 @@ def test_dual_interpolation_is_exact_on_linear_functions_of_a_plane():
 def test_wrong_shapes_are_refused():
     ball = icosphere(2)
     operators = DifferentialOperators(ball.vertices, ball.faces, device="cpu")
+    for function in (cotangent_laplacian, corner_cotangents, circumcentric_coordinates):
+        with pytest.raises(OmtwarpError, match="faces: 41 in row"):
+            function(ball.vertices[:-1], ball.faces)
     for field in ([], np.ones((79, 3)), np.ones((80, 2)), "abc", np.full((80, 3), np.nan)):
         for call in (operators.rotate, operators.divergence, operators.interpolate_dual):
             with pytest.raises(OmtwarpError, match="field: "):
