@@ -25,7 +25,7 @@ from omtwarp.device.policy import launch_parts_of, resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import Each, core_count, each, launch_parts, load, run_all
 from omtwarp.errors import OmtwarpError, check_word
-from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints, normalised, real_numbers, whole_numbers
+from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints, normalised, real_numbers, whole_number, whole_numbers
 from omtwarp.options import ProjectionName
 from omtwarp.texturing import kernels
 from omtwarp.texturing.atlas import Atlas, Kind, check_size, make_atlas
@@ -199,7 +199,7 @@ def bake_texels(texels: Ints, given: ValueSource, look: Look, samples: int, pict
     def evaluate(some: wp.array, count: int, values: wp.array) -> None:
         given.launch(look.directions(some, count), values)
 
-    supersampled(texels, int(samples), evaluate, look.atlas.width, picture)
+    supersampled(texels, whole_number(samples, "supersample", least=1, most=1024), evaluate, look.atlas.width, picture)
     baked: NDArray = picture.numpy().reshape(look.atlas.height, look.atlas.width, -1)
     look.atlas.fill_empty(baked)
     return baked
@@ -379,8 +379,8 @@ class VertexValues:
     """
 
     def __init__(self, values: ArrayLike):
-        array = np.asarray(values, dtype=np.float64)
-        if array.ndim not in (1, 2) or not np.all(np.isfinite(array)):
+        array = real_numbers(values, "values at vertices", None)
+        if array.ndim not in (1, 2) or not array.size:
             raise OmtwarpError(f"values at vertices of shape {list(array.shape)}: give finite numbers, [V] or [V, C]")
         self.values: Floats = array.reshape(len(array), -1)
 
@@ -418,14 +418,14 @@ def bake_vertex_values(
     Returns:
         float32, shape [H, W, C]; gutters are filled by dilation.
     """
-    where = resolve_device(device)
-    target = _target(atlas, size)
+    where, target = resolve_device(device), _target(atlas, size)
     given = values if isinstance(values, VertexValues) else VertexValues(values)
-    faces = np.asarray(faces, dtype=np.int32)
-    if len(given.values) != len(np.asarray(sphere)):
-        raise OmtwarpError(f"values at vertices: {len(given.values)} given for {len(np.asarray(sphere))} vertices")
-    cut = unwrap(np.asarray(sphere, dtype=np.float64), faces, target)
-    layout, part = sphere_layout(cut, target, sphere, where)
+    points = real_numbers(sphere, "sphere", (None, 3))
+    corners = whole_numbers(faces, "faces", (None, 3), below=len(points)).astype(np.int32)
+    if len(given.values) != len(points):
+        raise OmtwarpError(f"values at vertices: {len(given.values)} given for {len(points)} vertices")
+    cut = unwrap(points, corners, target)
+    layout, part = sphere_layout(cut, target, points, where)
     return _bake_linear(layout, (cut.weights @ given.values)[cut.faces][part], 2, -1)
 
 

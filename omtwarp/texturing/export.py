@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.colors import to_linear
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.output import as_path, companion, staged
-from omtwarp.mesh.arrays import ROUND_OFF, TINY, Bytes, Floats, Ints, marked, normalised, summed
+from omtwarp.mesh.arrays import ROUND_OFF, TINY, Bytes, Floats, Ints, marked, normalised, real_numbers, summed
 from omtwarp.mesh.scenes import BRIGHTER
 from omtwarp.mesh.write import GltfFile, in_single_precision
 from omtwarp.options import TextureFormat
@@ -199,7 +199,7 @@ def uv_of_corners(uv: ArrayLike, faces: NDArray) -> Floats:
     Raises:
         OmtwarpError: neither shape, or fewer coordinates than vertices.
     """
-    given = np.asarray(uv, dtype=np.float64)
+    given = real_numbers(uv, "texture coordinates", None, finite=False)
     if given.ndim == 2 and given.shape[1] == 2 and faces.max(initial=-1) < len(given):
         return given[faces]
     if given.shape != (len(faces), 3, 2):

@@ -215,3 +215,22 @@ def test_directions_and_maps_that_are_not_finite_are_refused():
     for rotation in (np.eye(2), wrong, "abc"):
         with pytest.raises(OmtwarpError, match="rotation: "):
             bake_to_uv(picture, np.eye(5, 3) + 1, faces, uv, size=16, rotation=rotation, device="cpu")
+
+
+def test_what_is_no_map_values_or_number_of_samples_is_refused():
+    """Complex numbers, text, NaN and ragged rows were taken in part, or ended in errors of NumPy's."""
+    points, faces = np.eye(4, 3) + 1.0, [[0, 1, 2]]
+    for wrong in (np.full((4, 3), np.nan), points * 1j, "abc", points[:, :2], [[1.0], [1.0, 2.0]]):
+        with pytest.raises(OmtwarpError, match="sphere: "):
+            bake_vertex_values(np.ones(4), wrong, faces, "cube", size=64, device="cpu")
+        with pytest.raises(OmtwarpError, match="faces: "):
+            bake_vertex_values(np.ones(4), points, wrong, "cube", size=64, device="cpu")
+    for values in ([], "abc", [[1.0], [1.0, 2.0]], np.ones(4) * 1j, np.full(4, np.nan)):
+        with pytest.raises(OmtwarpError, match="values at vertices"):
+            VertexValues(values)
+    for samples in (np.nan, "x", None, 0, 2**31, True):
+        with pytest.raises(OmtwarpError, match="supersample: must be a whole number from 1 to 1024"):
+            bake(pattern("checker"), "cube", size=64, supersample=samples, device="cpu")
+    for uv in ("abc", np.ones((4, 2)) * 1j, [[1.0], [1.0, 2.0]]):
+        with pytest.raises(OmtwarpError, match="texture coordinates: must be"):
+            bake_to_uv(np.zeros((16, 32, 3), np.uint8), points, faces, uv, size=16, device="cpu")
