@@ -84,9 +84,7 @@ class Surface:
             1.0
         """
         other = Surface(self.vertices, self.faces, areas)
-        other.origins = self.origins
-        kept = {name: value for name, value in self.__dict__.items() if name in _UNWEIGHTED}
-        other.__dict__.update(kept)
+        other.__dict__.update({name: value for name, value in self.__dict__.items() if name in _UNWEIGHTED})
         for device, sent_there in self._sent.items():
             other._sent[device] = {name: array for name, array in sent_there.items() if name not in _WEIGHTED}
         return other
@@ -95,6 +93,9 @@ class Surface:
     def weighted(self) -> bool:
         """Whether triangles were given another measure than their own areas."""
         return self._given_areas is not None
+
+    def __reduce__(self) -> tuple[object, ...]:  # without what is kept, which may be on a device
+        return Surface, (self.vertices, self.faces), {k: vars(self)[k] for k in ("checked", "origins", "_given_areas")}
 
     def __repr__(self) -> str:
         return f"Surface({self.vertex_count} vertices, {self.face_count} faces)"
@@ -239,7 +240,7 @@ class Surface:
 # Arrays that depend on the measure of the triangles, and what a surface of another measure takes over.
 _WEIGHTED = {"face_areas", "vertex_areas"}
 _CACHED = {name for name, value in vars(Surface).items() if isinstance(value, cached_property)}
-_UNWEIGHTED = {"checked", "_kept"} | _CACHED - _WEIGHTED
+_UNWEIGHTED = {"checked", "origins", "_kept"} | _CACHED - _WEIGHTED
 
 
 def scaled_areas(areas: ArrayLike, count: int) -> Floats:

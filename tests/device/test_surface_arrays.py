@@ -1,6 +1,8 @@
 """A surface's arrays on a device are the surface's, and are sent once."""
 
+import copy
 import gc
+import pickle
 import weakref
 
 import numpy as np
@@ -42,3 +44,15 @@ def test_a_surface_goes_with_its_last_user():
         assert sent() is None
     finally:
         gc.enable()
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, copy.copy, lambda surface: pickle.loads(pickle.dumps(surface))])
+def test_surfaces_are_copied_and_pickled_without_what_is_on_a_device(copied):
+    """Arrays on a device hold pointers, which cannot be pickled; measures keep their bits, arrays stay read-only."""
+    surface = blob(1, sphere=80)
+    surface = surface.with_areas(surface.face_areas * np.linspace(1.0, 2.0, surface.face_count))
+    surface.on("cpu").faces.numpy()
+    again = copied(surface)
+    for name in ("vertices", "faces", "face_areas", "vertex_areas"):
+        assert np.array_equal(getattr(again, name), getattr(surface, name))
+    assert again.checked == surface.checked and again.weighted and not again.vertices.flags.writeable
