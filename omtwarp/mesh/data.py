@@ -93,7 +93,7 @@ def read_data(path: Path, structure: str | None = None) -> VertexData:
             ".npy": lambda: from_npy(data, path.stem),
             TEXT_SUFFIXES: lambda: from_text(data.decode("utf-8-sig"), path.stem),
             (".gii", ".gii.gz"): lambda: _read_gifti(path),
-            ".annot": lambda: _read_annot(file),
+            ".annot": lambda: _read_annot(file, data),
             ".ply": lambda: _read_ply(data),
             MGH_SUFFIXES: lambda: _read_mgh(file),
             ".nii": lambda: _read_cifti(file, structure or structure_of(path)),
@@ -252,15 +252,22 @@ def _gifti_name(structure: str) -> str:
     return structure.removeprefix("CIFTI_STRUCTURE_").title().replace("_", "")
 
 
-def _read_annot(path: Path) -> VertexData:
-    labels, colors, names = nibabel_module().freesurfer.read_annot(path)
+def _read_annot(path: Path, data: bytes) -> VertexData:
+    codes, colors, names = nibabel_module().freesurfer.read_annot(path, orig_ids=True)
     table: dict[int, tuple[str, Color]] = {}
-    for key, (name, color) in enumerate(zip(names, colors, strict=True)):
-        red, green, blue, transparency = (float(part) / 255.0 for part in color[:4])
+    at = 8 * len(codes) + 16  # of the length of the name of the table's own file, behind which the entries begin
+    at += 8 + int.from_bytes(data[at : at + 4])
+    for place, name in enumerate(names):
+        # Where numbers are left out, each entry's own stands before its name
+        key, length = np.frombuffer(data, ">i4", 2, at).tolist() if len(names) < len(colors) else (place, 0)
+        at += 24 + length
+        red, green, blue, transparency = (colors[key, :4] / 255.0).tolist()
         table[key] = (name.decode(), (red, green, blue, 1.0 - transparency))
+    known = {int(colors[key, 4]): key for key in reversed(table)}  # the first of a colour counts, as in FreeSurfer
+    labels = np.array([known.get(code, -1) for code in codes.tolist()], dtype=np.int64)
     if (labels < 0).any():
         table[-1] = ("???", (0.0, 0.0, 0.0, 0.0))
-    return VertexData(labels.astype(np.int64)[:, None], (path.stem,), table)
+    return VertexData(labels[:, None], (path.stem,), table)
 
 
 def _read_ply(data: bytes) -> VertexData:
@@ -358,17 +365,16 @@ def _stored(column: NDArray[np.generic], name: str, *, labels: bool = False) -> 
 def _write_annot(file: Path, data: VertexData) -> None:
     assert data.table is not None
     keys = [key for key in sorted(data.table) if key >= 0]
-    places = np.full(len(data.values), -1, dtype=np.int64)
-    colors = np.zeros((len(keys), 4), dtype=np.int64)
-    for place, key in enumerate(keys):
-        places[data.values[:, 0] == key] = place
-        red, green, blue, alpha = (round(255.0 * part) for part in data.table[key][1])
-        colors[place] = red, green, blue, 255 - alpha
+    number = {key: place for place, key in enumerate(keys)}
+    places = np.array([number.get(key, -1) for key in data.values[:, 0].tolist()], dtype=np.int64)
+    rgba = np.rint(255.0 * np.array([data.table[key][1] for key in keys]).reshape(-1, 4)).astype(np.int64)
+    colors = np.column_stack([rgba[:, :3], 255 - rgba[:, 3]])  # with transparency in place of opacity
     # FreeSurfer identifies labels by their colours: two labels of one colour would become one.
     if len(np.unique(colors[:, :3], axis=0)) < len(keys):
         raise OmtwarpError("two labels have the same colour, by which the .annot format identifies them: change one")
-    lost = set(np.unique(data.values).tolist()) - {-1, 0, *keys}
+    # Black stands for no label too, unless a label has it
+    none = (-1, 0) if colors[:, :3].any(axis=1).all() else ()
+    lost = set(np.unique(data.values).tolist()) - {*none, *keys}
     if lost:
         raise OmtwarpError(f"the .annot format cannot hold the label {min(lost)}: it is negative, or has no name")
-    names = [data.table[key][0] for key in keys]
-    nibabel_module().freesurfer.write_annot(file, places, colors, names, fill_ctab=True)
+    nibabel_module().freesurfer.write_annot(file, places, colors, [data.table[key][0] for key in keys])

@@ -85,6 +85,35 @@ def test_labels_that_annot_would_lose_are_refused(tmp_path, label):
     assert not (tmp_path / "lh.a.annot").exists()
 
 
+def test_black_is_a_label_of_annot_where_the_table_has_it(tmp_path):
+    pytest.importorskip("nibabel")
+    table = {0: ("unknown", (0.0, 0.0, 0.0, 1.0)), 2: ("one", (1.0, 0.0, 0.0, 1.0))}
+    write_data(tmp_path / "lh.a.annot", data_of(2 * (np.arange(COUNT) % 2), table))
+    again = read_data(tmp_path / "lh.a.annot")
+    np.testing.assert_array_equal(again.values[:, 0], np.arange(COUNT) % 2)
+    assert list(again.table.values()) == list(table.values())
+    with pytest.raises(OmtwarpError, match="cannot hold the label -1"):  # which would become black, and so 'unknown'
+        write_data(tmp_path / "lh.b.annot", data_of(np.full(COUNT, -1), table))
+
+
+def test_annot_with_numbers_left_out_of_its_table_or_labels_out_of_it_is_read(tmp_path):
+    pytest.importorskip("nibabel")
+
+    def word(text):
+        return np.array(len(text) + 1, ">i4").tobytes() + text.encode() + b"\0"
+
+    named = [(3, "one", 200), (7, "two", 100)]
+    codes = np.r_[np.full(COUNT - 3, 200), 100, 0, 150]  # the last one is in no table
+    data = np.array(COUNT, ">i4").tobytes() + np.column_stack([np.arange(COUNT), codes]).astype(">i4").tobytes()
+    data += np.array([1, -2, 8], ">i4").tobytes() + word("table.txt") + np.array(2, ">i4").tobytes()
+    for key, name, red in named:
+        data += np.array(key, ">i4").tobytes() + word(name) + np.array([red, 0, 0, 0], ">i4").tobytes()
+    (tmp_path / "lh.a.annot").write_bytes(data)
+    found = read_data(tmp_path / "lh.a.annot")
+    np.testing.assert_array_equal(found.values[:, 0], np.r_[np.full(COUNT - 3, 3), 7, -1, -1])
+    assert {key: name for key, (name, _) in found.table.items()} == {3: "one", 7: "two", -1: "???"}
+
+
 def test_other_numbers_are_single_precision(tmp_path):
     pytest.importorskip("nibabel")
     values = np.random.default_rng(1).normal(size=COUNT) * 1e20
