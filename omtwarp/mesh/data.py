@@ -45,7 +45,7 @@ _TOO_EXACT = "single precision does not hold these whole numbers"
 
 TITLES = re.compile(r'"((?:[^"]|"")*)"|([^\s,;"]+)')  # in a line of names: in quotes, or none
 
-Color = tuple[float, float, float, float]
+LabelTable = dict[int, tuple[str, tuple[float, float, float, float]]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ class VertexData:
 
     values: NDArray[np.generic]
     names: tuple[str, ...]
-    table: dict[int, tuple[str, Color]] | None = None
+    table: LabelTable | None = None
     structure: str | None = None
     meta: dict[str, str] = field(default_factory=dict)
 
@@ -254,9 +254,9 @@ def _gifti_name(structure: str) -> str:
 
 def _read_annot(path: Path, data: bytes) -> VertexData:
     codes, colors, names = nibabel_module().freesurfer.read_annot(path, orig_ids=True)
-    table: dict[int, tuple[str, Color]] = {}
-    at = 8 * len(codes) + 16  # of the length of the name of the table's own file, behind which the entries begin
-    at += 8 + int.from_bytes(data[at : at + 4])
+    table: LabelTable = {}
+    named = 8 * len(codes) + 16  # where the length of the name of the table's own file stands, before the entries
+    at = named + 8 + int.from_bytes(data[named : named + 4])
     for place, name in enumerate(names):
         # Where numbers are left out, each entry's own stands before its name
         key, length = np.frombuffer(data, ">i4", 2, at).tolist() if len(names) < len(colors) else (place, 0)

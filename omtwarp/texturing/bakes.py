@@ -158,17 +158,15 @@ def detail_normals(target: Target, tangents: Floats, detail: tuple[Floats, Ints]
     columns = [sent(rows[:, part], kind, where) for part, kind in kinds]
     out = wp.zeros(len(known), dtype=wp.vec3d, device=where)
     launch_parts(kernels.tangent_normals, len(known), [mesh.id, numbers, normals, *each(*columns)], each(out), where)
-    local = np.zeros((target.size[0] * target.size[1], 3))
-    local[:, 2] = 1.0
+    local = np.tile((0.0, 0.0, 1.0), (target.size[0] * target.size[1], 1))
     local[known] = out.numpy()
     return _as_picture(local, target.size)
 
 
 def object_normals(target: Target) -> Bytes:
     """Encode normals in the mesh's own axes as colours: red, green and blue are x, y and z from -1 to 1."""
-    picture = bake_corners(target.uv, target.normals, target.size, device=target.device).reshape(-1, 3)
-    length = np.linalg.norm(picture, axis=1, keepdims=True)
-    return _as_picture(np.where(length > 0, picture / np.maximum(length, np.finfo(np.float32).tiny), 0.0), target.size)
+    picture = bake_corners(target.uv, target.normals, target.size, device=target.device)
+    return _as_picture(normalised(picture), target.size)
 
 
 def _as_picture(vectors: NDArray[np.floating], size: tuple[int, int]) -> Bytes:
@@ -176,8 +174,10 @@ def _as_picture(vectors: NDArray[np.floating], size: tuple[int, int]) -> Bytes:
     return np.rint((np.clip(vectors, -1.0, 1.0) * 0.5 + 0.5) * 255.0).astype(np.uint8).reshape(size[1], size[0], 3)
 
 
-def data_at_vertices(path: Path, count: int, origins: Origins | None, structure: str | None) -> Floats:
+def numbers_in(path: Path, count: int, origins: Origins | None, structure: str | None) -> tuple[Floats, dict | None]:
     """Read the numbers at a surface's vertices from a file of data, NaN where there is none, shape [count].
+
+    Labels come with their table, other data with None.
 
     Args:
         path: the file (see :mod:`omtwarp.mesh.data`).
@@ -190,9 +190,9 @@ def data_at_vertices(path: Path, count: int, origins: Origins | None, structure:
     """
     if not path.suffix:
         raise OmtwarpError(f"cannot bake '{path}': use {', '.join(BAKES)}, or a file of data at the vertices")
-    given = read_data(path, structure).values[:, 0]
-    if origins is not None and len(given) != count:
-        given = origins.prolong(given)
+    data = read_data(path, structure)
+    given = data.values[:, 0]
+    given = given if origins is None or len(given) == count else origins.prolong(given)
     if len(given) != count:
         raise OmtwarpError(f"{path}: {len(given)} values for {count} vertices")
     values = given.astype(np.float64)
@@ -201,18 +201,22 @@ def data_at_vertices(path: Path, count: int, origins: Origins | None, structure:
         raise OmtwarpError(f"{path}: {len(bad)} values are infinite, first vertex {bad[0]}")
     if np.isnan(values).all():
         raise OmtwarpError(f"{path}: no number in it")
-    return values
+    return values, data.table
 
 
-def colored(values: Floats, colormap: str, low: float, high: float, target: Target) -> Bytes:
+def colored(values: Floats, colormap: str | dict, low: float, high: float, target: Target) -> Bytes:
     """Return the picture of numbers at the vertices, uint8 sRGB, shape [H, W, 3]; grey where there is none.
 
     Args:
         values: shape [V].
-        colormap: its name.
+        colormap: its name, or the table of labels, whose own colours are shown; those without opacity are grey.
         low, high: the values at its ends.
         target: the triangles on the picture.
     """
+    if not isinstance(colormap, str):
+        rgba = np.array([colormap.get(key, ("", (0.0,) * 4))[1] for key in values.tolist()])
+        shown = target.spread(255.0 * np.where(rgba[:, 3:] > 0.0, rgba[:, :3], 0.5))
+        return np.rint(bake_corners(target.uv, shown, target.size, device=target.device)).astype(np.uint8)
     missing = np.isnan(values)
     # Texels sum samples: the colours' ends are scaled to a size of 1, since sums of large numbers would overflow.
     scale = -int(np.frexp(max(abs(low), abs(high)))[1])
@@ -385,8 +389,7 @@ def least_visible_meridian(vertices: Floats, faces: Ints, sphere: Floats) -> flo
     meridians = 180  # compared for the seam, evenly spaced
     # Least openness, added to every face's: where nothing is hidden the shortest seam wins; 0 lets it wander in folds
     weight = 0.1 + face_openness(vertices, faces)
-    scale = np.ptp(vertices, axis=0).max()
-    x = (vertices - vertices.min(axis=0)) / scale
+    x = (vertices - vertices.min(axis=0)) / np.ptp(vertices, axis=0).max()
     longitudes = (np.arange(meridians) + 1) / meridians * 2.0 * np.pi - np.pi
     costs = np.empty(meridians)
     for k, longitude in enumerate(longitudes):

@@ -334,14 +334,13 @@ class _Painting:
         self, material: Material, color: NDArray[np.float32] | None, target: bakes.Target, tangents: Floats | None
     ) -> Material:
         """Complete a material by its new colour and the bakes that were asked for."""
+        finished = material
         if color is not None:
             finished = replace(material, picture=pictures.without_full_opacity(pictures.as_bytes(color)), color=WHITE)
         elif self.color == "normal":
             finished = replace(material, picture=bakes.object_normals(target), color=WHITE)
         elif self.color is not None:
             finished = replace(material, picture=bakes.colored(*self._numbers(self.color), target), color=WHITE)
-        else:
-            finished = material
         if "ao" in self.names:
             finished = replace(finished, occlusion_picture=bakes.occlusion(target))
         if self.detail is not None and tangents is not None:
@@ -349,11 +348,11 @@ class _Painting:
             finished = replace(finished, normal_picture=normals, own_tangents=True)
         return finished
 
-    def _numbers(self, what: str) -> tuple[Floats, str, float, float]:
+    def _numbers(self, what: str) -> tuple[Floats, str | dict, float, float]:
         """Return numbers at vertices by the name of a quantity or file, their colour map and the values at its ends."""
         if what not in ("curvature", "area"):
-            values = bakes.data_at_vertices(Path(what), len(self.vertices), self.origins, self.structure)
-            return values, "viridis", float(np.nanmin(values)), float(np.nanmax(values))
+            values, table = bakes.numbers_in(Path(what), len(self.vertices), self.origins, self.structure)
+            return values, table or "viridis", float(np.nanmin(values)), float(np.nanmax(values))
         if what == "area":
             # Least range, of a binary logarithm: a map that keeps areas to round-off still has a range of colours
             values, least = np.log2(bakes.area_ratio(self.vertices, self.faces, self.on_map, self.parts)), 1e-9

@@ -12,6 +12,7 @@ import trimesh
 import omtwarp
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
+from omtwarp.mesh.data import VertexData, write_data
 from omtwarp.mesh.surface import triangle_areas, vertex_normals
 from omtwarp.texturing import Material, PaintedMesh, paint, read_painted_mesh, unwrap_uv
 from omtwarp.texturing.bakes import Target, area_ratio, mean_curvature, occlusion
@@ -228,6 +229,21 @@ def test_area_ratio_of_a_map_that_stretches():
     np.testing.assert_allclose(
         area_ratio(vertices, faces, triangle_areas(image, faces))[~poles], (1 - 0.4 * z)[~poles], rtol=0.02
     )
+
+
+def test_labels_of_files_are_baked_in_the_colours_of_their_table(halves, tmp_path):
+    pytest.importorskip("nibabel")
+    mesh, result = halves
+    colors = {1: (1.0, 0.0, 0.0, 1.0), 2: (0.0, 1.0, 0.0, 1.0), 7: (0.0, 0.0, 1.0, 1.0), 9: (1.0, 1.0, 1.0, 0.0)}
+    labels = np.array([1, 7, 9, 3])[2 * (result[2][:, 0] > 0) + (result[2][:, 1] > 0)]  # 3 is not in the table
+    data = VertexData(labels[:, None], ("areas",), {key: (f"area {key}", color) for key, color in colors.items()})
+    write_data(tmp_path / "areas.label.gii", data)
+    found = shown(paint(result, mesh, bake=[str(tmp_path / "areas.label.gii")], size=512))
+    alike = (np.ptp(labels[mesh.faces], axis=1) == 0).nonzero()[0]
+    wanted = {1: (255, 0, 0), 7: (0, 0, 255), 9: (128, 128, 128), 3: (128, 128, 128)}
+    expected = np.array([wanted[label] for label in labels[mesh.faces[alike, 0]]])
+    np.testing.assert_allclose(found[alike], expected, atol=1)
+    assert (found[:, 1] <= 129).all()  # nothing is as green as the label 2 would be, which lies between 1 and 7
 
 
 def test_scalars_are_coloured_and_data_of_files_baked(tmp_path):
