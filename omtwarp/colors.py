@@ -44,7 +44,7 @@ def parse_color(color: str | ArrayLike, what: str = "colour") -> NDArray[np.floa
         except ValueError:
             raise OmtwarpError(f"'{color}' is not a {what}: use a CSS name such as 'white' or '#rrggbb'") from None
     values = np.asarray(color)
-    if values.shape not in ((3,), (4,)) or not np.issubdtype(values.dtype, np.number):
+    if values.shape not in ((3,), (4,)) or values.dtype.kind not in "iuf" or not np.isfinite(values).all():
         raise OmtwarpError(f"{color!r} is not a {what}: use a CSS name, '#rrggbb' or three numbers in [0, 1]")
     scale = 255.0 if np.issubdtype(values.dtype, np.integer) and values.max(initial=0) > 1 else 1.0
     return np.clip(values[:3] / scale, 0.0, 1.0)

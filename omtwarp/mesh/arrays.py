@@ -66,7 +66,7 @@ class HasTriangles(Protocol):
 
 
 def real_numbers(
-    values: object, name: str, shape: Shape | None, *, finite: bool = True, positive: bool = False
+    values: object, name: str, shape: Shape | None, *, finite: bool = True, positive: bool = False, truths: bool = False
 ) -> NDArray[np.float64]:
     """Convert an array of real numbers to float64, without changing a number.
 
@@ -76,6 +76,7 @@ def real_numbers(
         shape: the shape that it must have, with None for any length; None for any shape.
         finite: whether NaN and infinite numbers are refused.
         positive: whether zero and negative numbers are refused too.
+        truths: whether truth values are taken, as 0 and 1.
 
     Returns:
         float64, contiguous; the array itself where it is that already.
@@ -88,7 +89,7 @@ def real_numbers(
         >>> real_numbers([[0, 1, 2]], "points", (None, 3))
         array([[0., 1., 2.]])
     """
-    array = _of_kind(values, name, "iuf", (0,) if shape is None else shape)
+    array = _of_kind(values, name, "iufb" if truths else "iuf", (0,) if shape is None else shape)
     if shape is not None:
         _require_shape(array, name, shape)
     out = np.ascontiguousarray(array, dtype=np.float64)

@@ -130,7 +130,7 @@ def axis_vector(name: str) -> Floats:
     Raises:
         OmtwarpError: the text names no axis.
     """
-    letter = name[-1:].lower()
+    letter = name[-1:].lower() if isinstance(name, str) else ""
     if letter not in ("x", "y", "z") or name[:-1] not in ("", "+", "-"):
         raise OmtwarpError(f"'{name}' is not an axis: use x, y or z with an optional sign")
     vector = np.zeros(3)

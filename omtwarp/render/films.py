@@ -27,7 +27,7 @@ from omtwarp.location import combined
 from omtwarp.maps.domains import is_torus_map
 from omtwarp.maps.result import MapResult
 from omtwarp.maps.torus_map import ring_torus, tube_radius
-from omtwarp.mesh.arrays import Bytes, Floats, Ints, cross, normalised, norms
+from omtwarp.mesh.arrays import Bytes, Floats, Ints, cross, normalised, norms, real_number
 from omtwarp.mesh.polygons import grid_shares, grid_triangles
 from omtwarp.mesh.surface import SPHERE_AREA, as_unit_vectors, sums_around, triangle_areas
 from omtwarp.options import Backend, BackendLike, PatternLike, Progress, tell
@@ -105,9 +105,9 @@ def film(
     target = output.check_target(path, film=True, transparent=False)
     pictorial = target.suffix.lower() != ".mp4"
     # Browsers load .gif and .webp as pictures.
-    width, height = checked_size(size or ((640, 360) if pictorial else (1920, 1080)), "film")
+    width, height = checked_size(((640, 360) if pictorial else (1920, 1080)) if size is None else size, "film")
     rate = checked_rate((20.0 if pictorial else 30.0) if fps is None else fps)
-    if seconds is not None and not 0.0 < seconds * rate <= MOST_FRAMES:
+    if seconds is not None and not 0.0 < real_number(seconds, "seconds") * rate <= MOST_FRAMES:
         raise OmtwarpError(f"a film of {seconds:g} seconds: use more than 0 and at most {MOST_FRAMES / rate:g}")
     if pictorial and seconds is not None:
         _require_room(round(seconds * rate), width, height, target.suffix)

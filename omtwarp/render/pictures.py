@@ -22,7 +22,7 @@ from omtwarp.colors import backdrop
 from omtwarp.errors import DrawingFailed, OmtwarpError, choose
 from omtwarp.files.limits import FRAMES_PER_SECOND, LARGEST_VIEW, MOST_FILM_PIXELS, MOST_FRAMES
 from omtwarp.files.output import as_path
-from omtwarp.mesh.arrays import Bytes, real_number, whole_number
+from omtwarp.mesh.arrays import Bytes, listed, real_number, whole_number
 from omtwarp.options import BACKGROUND, FILM_RATE, PICTURE_SIZE, Backend, BackendLike, takes
 from omtwarp.render import annotate, gl_client, output, scene
 from omtwarp.render.camera import VIEWS, Camera, Light, as_light, as_views, frame, turntable
@@ -116,9 +116,8 @@ def complete(given: PreviewOptions, function: str) -> PreviewOptions:
                 f"a film of {frames} frames of {width} x {height} pixels: {MOST_FRAMES} frames and "
                 f"{MOST_FILM_PIXELS / 1e6:.0f} million pixels in all is the most"
             )
-    samples = options["samples"]
-    if samples is not None and not 1 <= int(samples) <= most_samples:
-        raise OmtwarpError(f"{samples} samples along a pixel's side asked for: use 1 to {most_samples}")
+    if (samples := options["samples"]) is not None:
+        options["samples"] = whole_number(samples, "samples along a pixel's side", least=1, most=most_samples)
     if options["light"] is not None:
         as_light(options["light"])
     backdrop(options["background"], 1, 2)
@@ -344,7 +343,7 @@ def _captions(given: bool | Sequence[str], cameras: list[Camera]) -> list[str]:
         named = {angles: name for name, angles in VIEWS.items()}
         angles = [(camera.azimuth, camera.elevation) for camera in cameras]
         return [named.get(pair, f"{pair[0]:g}°, {pair[1]:g}°") if given else "" for pair in angles]
-    names = [str(caption) for caption in given]
+    names = [str(caption) for caption in listed(given, "captions", "texts")]
     if len(names) != len(cameras):
         raise OmtwarpError(f"{len(names)} captions given for {len(cameras)} views")
     return names

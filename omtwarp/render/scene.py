@@ -64,7 +64,7 @@ class ScalarField:
                 step = abs(low) * part or part
                 low, high = (low / (1 + part), high * (1 + part)) if self.logarithmic else (low - step, high + step)
         else:
-            low, high = float(self.range[0]), float(self.range[1])
+            low, high = real_numbers(self.range, "the scalar range", (2,), finite=False).tolist()
         if not (np.isfinite(low) and np.isfinite(high) and low < high) or (self.logarithmic and low <= 0):
             kind = "0 < low < high" if self.logarithmic else "low < high"
             raise OmtwarpError(f"the scalar range ({low:g}, {high:g}) must have {kind}")
@@ -91,10 +91,7 @@ def numbers_of(values: ArrayLike, name: str) -> Floats:
     Raises:
         OmtwarpError: the values are complex, text or objects.
     """
-    array = np.asarray(values)
-    if not array.size:
-        return np.empty(array.shape)
-    return real_numbers(array.astype(np.uint8) if array.dtype.kind == "b" else array, name, None, finite=False)
+    return real_numbers(values, name, None, finite=False, truths=True)
 
 
 @dataclass(eq=False)
@@ -200,9 +197,9 @@ class SurfaceView:
         if self.uv is not None:
             self.uv = _checked("uv", self.uv, [(count, 2), (triangles, 3, 2)])
         if self.colors is not None:
+            colors = numbers_of(self.colors, "colors")[..., :3]
             scale = 255.0 if np.issubdtype(np.asarray(self.colors).dtype, np.integer) else 1.0
-            colors = np.clip(numbers_of(self.colors, "colors")[..., :3] / scale, 0.0, 1.0)
-            self.colors = _checked("colors", colors, [(count, 3), (triangles, 3)])
+            self.colors = _checked("colors", np.clip(colors / scale, 0.0, 1.0), [(count, 3), (triangles, 3)])
         if self.scalar is not None:
             if not isinstance(self.scalar, ScalarField):
                 self.scalar = ScalarField(self.scalar)
@@ -446,7 +443,7 @@ def _checked(name: str, values: ArrayLike, shapes: list[tuple[int, ...]]) -> Flo
 
 def _scalar_lookup(scalar: ScalarField) -> tuple[Bytes, Floats]:
     """Return the colour map as an image with a grey row for NaN below, and coordinates into it."""
-    table = colormap_table(scalar.colormap)
+    table = colormap_table(str(scalar.colormap))
     image = np.stack([table, np.full_like(table, 150)])
     t = scalar.normalised()
     missing = np.isnan(t)

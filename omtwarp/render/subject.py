@@ -218,7 +218,12 @@ def posed(view: SurfaceView, up: str | None = None, front: str | None = None) ->
         view: a surface; axes that it has itself are taken before guesses.
         up: the axis upwards, such as ``"z"`` or ``"-y"``.
         front: the axis towards the viewer.
+
+    Raises:
+        OmtwarpError: one of these is no axis.
     """
+    for axis in (up, front):
+        axis_vector("z" if axis is None else axis)
     if front is None and (up is None or up == view.up):
         front = view.front  # otherwise the subject's own may lie along the new upward axis
     up = view.up if up is None else up

@@ -171,6 +171,10 @@ def test_a_map_that_does_not_flow_turns_into_its_sphere(creature):
     [
         ({"seconds": 0.0}, "a film of 0 seconds"),
         ({"seconds": 1e9}, "a film of 1e+09 seconds"),
+        ({"seconds": "2"}, "seconds: must be a finite number"),
+        ({"seconds": [1.0]}, "seconds: must be a finite number"),
+        ({"size": np.ones(3)}, "is not a size"),
+        ({"size": ()}, "is not a size"),
         ({"fps": 1e6}, "frames per second"),
         ({"size": (8, 8)}, "cannot draw a film of 8 x 8 pixels"),
         ({"backend": "none"}, "unknown backend"),
