@@ -143,6 +143,17 @@ def check_word(name: str, value: object, offered: Iterable[str]) -> None:
         raise OmtwarpError(f"unknown {name} {shown(value)}: use {', '.join(offered)}")
 
 
+def truth(value: object, name: str) -> bool:
+    """Return whether an option is asked for.
+
+    Raises:
+        OmtwarpError: the value is text, or has many values: it is not said which of them counts.
+    """
+    if isinstance(value, Iterable):
+        raise OmtwarpError(f"{name} {shown(value)}: must be True or False")
+    return bool(value)
+
+
 def shown(value: object) -> str:
     """Return a value as text for a message: itself where it is text or a number, its type otherwise."""
     return f"'{value}'" if isinstance(value, str | int | float) else f"of type {type(value).__name__}"

@@ -12,7 +12,7 @@ from functools import partial
 from typing import Annotated, Literal, NamedTuple, TypeAlias, TypedDict, TypeVar, Unpack, cast, get_args, get_type_hints
 
 from omtwarp.device import Solver, parse_device
-from omtwarp.errors import OmtwarpError, choose, shown
+from omtwarp.errors import OmtwarpError, choose, shown, truth
 
 Record: TypeAlias = dict[str, float]
 """Numbers of one step of a stage by their names, ready for JSON; counts are int and yes or no is bool."""
@@ -324,7 +324,7 @@ class MapOptions:
                 raise OmtwarpError(f"unknown option '{name}': use {', '.join(declared)}")
             kind, option = declared[name]
             read = option.reader(kind)
-            values[name] = bool(value) if kind is bool else value if read is None else read(value)
+            values[name] = truth(value, name) if kind is bool else value if read is None else read(value)
         return cls(**values)
 
     @property

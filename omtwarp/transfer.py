@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.alignment import align
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.errors import OmtwarpError, OmtwarpWarning, check_word
+from omtwarp.errors import OmtwarpError, OmtwarpWarning, check_word, truth
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.arrays import Floats
 from omtwarp.options import AtlasLike, CoordinatesLike
@@ -84,7 +84,7 @@ def transfer_texture(
     plain = all(material.picture is None for material in source.materials)
     if plain and len(source.materials) == 1 and source.vertex_colors is None:
         raise OmtwarpError("nothing to transfer: the mesh has neither a picture nor colours")
-    if not aligned:
+    if not truth(aligned, "aligned"):
         moving, fixed = _points(other), _points(result)
         # Equal faces alone do not make vertices correspond: two subdivided spheres have them.
         same = np.array_equal(moving.grid.triangles, fixed.grid.triangles) and np.allclose(there, vertices)

@@ -204,6 +204,21 @@ TAKES_A_NAME = {
     "distortion of a stage": MAP.distortion,
     "optimality of a stage": lambda value: omtwarp.map_optimality(MAP, value),
 }
+BROKEN_TRUTH = ("no", "", [], [True], np.ones(3), np.array(False), {})
+TAKES_A_TRUTH = {
+    "exact": lambda value: omtwarp.map_to_sphere(SURFACE, exact=value),
+    "strict": lambda value: omtwarp.map_surface(SURFACE, strict=value),
+    "align, mirror": lambda value: omtwarp.align(MAP, MAP, mirror=value),
+    "align, check": lambda value: omtwarp.align(MAP, MAP, check=value),
+    "texture, smooth": lambda value: omtwarp.texture(MAP, size=16, smooth=value),
+    "transfer_texture, aligned": lambda value: omtwarp.transfer_texture(
+        omtwarp.PaintedMesh(VERTICES, FACES, vertex_colors=np.ones((COUNT, 4), np.uint8)), MAP, MAP, aligned=value
+    ),
+    "preview, transparent": lambda value: omtwarp.preview(SURFACE, transparent=value, backend="warp"),
+    "preview, wireframe": lambda value: omtwarp.preview(SURFACE, wireframe=value, backend="warp"),
+    "preview, color_bar": lambda value: omtwarp.preview(SURFACE, color_bar=value, backend="warp"),
+    "film, captions": lambda value: omtwarp.film(MAP, "a.gif", size=(32, 32), captions=value, backend="warp"),
+}
 # Files that do not exist; no number is a name.
 BROKEN_PATH = (1, 0.5, None, 1j, [1], {}, object())
 TAKES_A_PATH = {
@@ -250,6 +265,13 @@ def test_options_that_are_no_number(function):
 def test_options_that_are_no_name(function):
     for value in BROKEN_NAME:
         refuse(TAKES_A_NAME[function], value)
+
+
+@pytest.mark.parametrize("function", TAKES_A_TRUTH)
+def test_options_that_are_neither_true_nor_false(function):
+    for value in BROKEN_TRUTH:
+        with pytest.raises(OmtwarpError, match="must be True or False"):
+            TAKES_A_TRUTH[function](value)
 
 
 @pytest.mark.parametrize("function", TAKES_A_PATH)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from omtwarp.alignment.rotation_search import Best, best_rotations, complex_coefficients, improved
 from omtwarp.device.threads import blas_threads
-from omtwarp.errors import OmtwarpError, OmtwarpWarning, choose
+from omtwarp.errors import OmtwarpError, OmtwarpWarning, choose, truth
 from omtwarp.geometry.axes import fitted_rotation
 from omtwarp.geometry.harmonics import harmonics_in_parts
 from omtwarp.geometry.sphere_hierarchy import triangle_solid_angles
@@ -328,6 +328,7 @@ def align(
     if set(own) != set(theirs):
         raise OmtwarpError("features have to be given for both sides, with the same names")
     degree, by = whole_number(degree, "the degree", least=1, most=64), choose(AlignBy, by)
+    mirror, check = truth(mirror, "mirror"), truth(check, "check")
     of_features = {"features": own, "degree": degree != DEGREE}
     if isinstance(to, str) and to == "axes":
         _leave_out({**of_features, "mirror": mirror, "by": by != AlignBy.AUTO}, "to another map", "to='axes'")

@@ -21,7 +21,7 @@ from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 
 from omtwarp.colors import backdrop
-from omtwarp.errors import OmtwarpError, choose
+from omtwarp.errors import OmtwarpError, choose, truth
 from omtwarp.files.limits import MOST_FILM_PIXELS, MOST_FRAMES
 from omtwarp.location import combined
 from omtwarp.maps.domains import is_torus_map
@@ -114,7 +114,7 @@ def film(
     choose(Backend, backend)
     backdrop(background, 1, 2)
     scene = story_of(result, pattern, image, width, view, up, front, device)
-    studio = _Studio(*scene, background, captions, backend, device, rate)
+    studio = _Studio(*scene, background, truth(captions, "captions"), backend, device, rate)
     times = studio.times(width / height, seconds, progress)
     if pictorial:
         _require_room(len(times), width, height, target.suffix)

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from PIL import Image
 
 from omtwarp.colors import backdrop
-from omtwarp.errors import DrawingFailed, OmtwarpError, choose
+from omtwarp.errors import DrawingFailed, OmtwarpError, choose, truth
 from omtwarp.files.limits import FRAMES_PER_SECOND, LARGEST_VIEW, MOST_FILM_PIXELS, MOST_FRAMES
 from omtwarp.files.output import as_path
 from omtwarp.mesh.arrays import Bytes, listed, real_number, whole_number
@@ -247,7 +247,7 @@ def preview(
     if path is not None and frames is None and str(as_path(path)).lower().endswith((".gif", ".mp4")):
         # Turntable frames: 10 degrees each
         options["frames"] = 36
-    film, transparent = options.get("frames") is not None, options.get("transparent", False)
+    film, transparent = options.get("frames") is not None, truth(options.get("transparent", False), "transparent")
     target = None if path is None else output.check_target(path, film=film, transparent=transparent)
     chosen = complete(options, "preview")
     cameras = cameras_of(chosen)
@@ -353,9 +353,10 @@ def _draw(subject: Subject, options: PreviewOptions, cameras: list[Camera], clea
     """Draw a subject once per camera; ``clear`` leaves the background out, for pictures that go into a sheet."""
     view, wireframe, background = view_of(subject, options), options["wireframe"], options["background"]
     width, height = options["size"]
-    bar = view.scalar if options["color_bar"] else None
+    bar = view.scalar if truth(options["color_bar"], "color_bar") else None
     drawn_width = max(width - annotate.bar_width(options["size"]), SMALLEST_VIEW) if bar is not None else width
-    parts = scene.build_parts(view, edges=bool(wireframe) or view.edges)
+    edges = isinstance(wireframe, Wireframe) or truth(wireframe, "wireframe") or view.edges
+    parts = scene.build_parts(view, edges=edges)
     field = None if view.arrows is None else scene.arrow_part(view, view.arrows)
     arrows = [] if field is None else [field]
     parts += arrows

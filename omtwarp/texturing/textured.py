@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.policy import resolve_device
-from omtwarp.errors import OmtwarpError, check_word
+from omtwarp.errors import OmtwarpError, check_word, truth
 from omtwarp.files.output import as_path
 from omtwarp.maps.domains import is_torus_map
 from omtwarp.maps.result import MapResult
@@ -123,7 +123,7 @@ def texture(
             layout, texels = _shifted(picture, seam)
     # Where a line turns by a quarter of a radian at an edge, and the next is 12 texels on, a smooth curve lies within
     # 0.25 x 12 / 8 of a texel of it: smaller triangles need none.
-    bends = smooth and np.sqrt(layout.row_lengths.sum() / len(faces)) >= 12.0
+    bends = truth(smooth, "smooth") and np.sqrt(layout.row_lengths.sum() / len(faces)) >= 12.0
     # NumPy and kernels let go of the interpreter in long operations: two threads take two thirds of the time of one.
     with ThreadPoolExecutor(1) as aside:
         cutting = aside.submit(unwrap, sphere, faces, layout, rotation=rotation)
