@@ -28,7 +28,13 @@ Progress: TypeAlias = Callable[[str, int, int, Record], None]
 
 
 def tell(progress: Progress | None, stage: str, done: int, total: int, details: Record) -> None:
-    """Report on work to whoever asked for it."""
+    """Report on work to whoever asked for it.
+
+    Raises:
+        OmtwarpError: that is no function.
+    """
+    if progress is not None and not callable(progress):
+        raise OmtwarpError(f"progress {shown(progress)}: must be a function of a stage, done, total and details")
     if progress is not None:
         progress(stage, done, total, details)
 

@@ -274,6 +274,12 @@ def test_options_that_are_neither_true_nor_false(function):
             TAKES_A_TRUTH[function](value)
 
 
+@pytest.mark.parametrize("value", [3, "x", [1], np.ones(3)])
+def test_progress_that_is_no_function(value):
+    with pytest.raises(OmtwarpError, match="progress .*: must be a function"):
+        omtwarp.map_to_sphere(SURFACE, progress=value)
+
+
 @pytest.mark.parametrize("function", TAKES_A_PATH)
 def test_paths_that_are_none(function):
     for value in BROKEN_PATH:
