@@ -14,6 +14,8 @@ from omtwarp.location import Locator
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.shapes import blob, icosphere
 from omtwarp.shape_analysis import expand
+from omtwarp.texturing import pattern, rasterize
+from omtwarp.wavelets import level_for
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -187,6 +189,13 @@ TAKES_A_NUMBER = {
     "map_optimality": lambda value: omtwarp.map_optimality(MAP, ascent_steps=value),
     "align": lambda value: omtwarp.align(MAP, MAP, degree=value),
     "preview, frames": lambda value: omtwarp.preview(SURFACE, frames=0 if value is None else value, backend="rays"),
+    "rasterize, width": lambda value: rasterize("checker", value),
+    "unwrap_uv, aspect": lambda value: omtwarp.unwrap_uv(MAP, aspect=value),
+    "unwrap_uv, margin": lambda value: omtwarp.unwrap_uv(MAP, margin=value),
+    "checker, rows": lambda value: pattern("checker", rows=value),
+    "checker, columns": lambda value: pattern("checker", columns=value),
+    "puzzle, seed": lambda value: pattern("puzzle", seed=value),
+    "level_for, lowest": lambda value: level_for(12, lowest=value),
     "preview, fps": lambda value: omtwarp.preview(SURFACE, frames=1, fps=value, backend="rays"),
 }
 BROKEN_NAME = ("x", "", -1, 1j, [1, 2], np.ones(3), {}, b"x", object())
@@ -276,7 +285,7 @@ def test_options_that_are_neither_true_nor_false(function):
 
 @pytest.mark.parametrize("value", [3, "x", [1], np.ones(3)])
 def test_progress_that_is_no_function(value):
-    with pytest.raises(OmtwarpError, match="progress .*: must be a function"):
+    with pytest.raises(OmtwarpError, match=r"progress .*: must be a function"):
         omtwarp.map_to_sphere(SURFACE, progress=value)
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import Floats, Ints, cross, normalised, norms
+from omtwarp.mesh.arrays import Floats, Ints, cross, normalised, norms, whole_number
 from omtwarp.mesh.surface import face_neighbours
 
 HIGHEST_LEVEL = 10  # of an icosahedron that has 10 · 4¹⁰ + 2 nodes, ten million
@@ -172,7 +172,7 @@ def sphere_hierarchy(level: int) -> SphereHierarchy:
 
 def level_for(node_budget: float, lowest: int = 0) -> int:
     """Return the highest level whose nodes are at most ``node_budget``, at least ``lowest``."""
-    level = lowest
+    level = whole_number(lowest, "lowest")
     while level < HIGHEST_LEVEL and 10 * 4 ** (level + 1) + 2 <= node_budget:
         level += 1
     return level

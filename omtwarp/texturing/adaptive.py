@@ -13,7 +13,7 @@ from omtwarp.device.arrays import sent
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import FIRST_THREAD, Each, launch_parts
-from omtwarp.mesh.arrays import Bytes, Floats, Ints
+from omtwarp.mesh.arrays import Bytes, Floats, Ints, whole_number
 from omtwarp.mesh.surface import face_neighbours
 from omtwarp.texturing import kernels
 from omtwarp.texturing.atlas import Atlas, Equirectangular, check_size
@@ -74,7 +74,7 @@ def rasterize(source: str | Pattern, width: int = 2048, *, supersample: int = 3,
     Returns:
         uint8, shape [width / 2, width, 3], north on top.
     """
-    target = Equirectangular(*check_size((width, max(width // 2, 1))))
+    target = Equirectangular(*check_size((width, max(whole_number(width, "width") // 2, 1))))
     return bake_bytes(pattern(source), Look(target, resolve_device(device)), supersample=supersample)
 
 

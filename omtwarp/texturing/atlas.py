@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError, check_word
 from omtwarp.files.limits import LONGEST_SIDE, MOST_TEXELS
+from omtwarp.mesh import arrays
 from omtwarp.mesh.arrays import TINY, Floats, Ints, direction_from_angles, normalised, octahedral_directions
 from omtwarp.options import AtlasName
 
@@ -149,7 +150,7 @@ class Equirectangular(Atlas):
 
     def __init__(self, width: int, height: int, seam: float = np.pi):
         super().__init__(width, height)
-        self.seam, self.texel_angle = float(seam), np.pi / height
+        self.seam, self.texel_angle = arrays.real_number(seam, "seam"), np.pi / height
         self.parameters = self.seam - np.pi, 0.0
         # The cut is the half-plane y = 0, x < 0 after a rotation that brings the seam to longitude π. At π that
         # rotation is exactly the identity.
@@ -341,13 +342,10 @@ def check_size(size: int | tuple[int, ...], least: int = 16) -> tuple[int, ...]:
     Raises:
         OmtwarpError: the sides are not whole numbers from the least to 32768.
     """
-    pair = tuple(size) if isinstance(size, (tuple, list, np.ndarray)) else (size,)
-    whole = all(
-        isinstance(n, (int, np.integer)) and not isinstance(n, bool) and least <= n <= LONGEST_SIDE for n in pair
-    )
-    if not whole or len(pair) not in (1, 2):
-        raise OmtwarpError(f"texture size {size!r}: give whole numbers from {least} to {LONGEST_SIDE} texels")
-    return tuple(int(n) for n in pair)
+    pair = tuple(size) if isinstance(size, tuple | list) or np.ndim(size) else (size,)
+    if len(pair) not in (1, 2):
+        raise OmtwarpError(f"texture size {size!r}: give one or two numbers of texels")
+    return tuple(arrays.whole_number(side, "texture size", least=least, most=LONGEST_SIDE) for side in pair)
 
 
 LARGEST_SIZE = 8192  # texels: the largest picture that every graphics card of the last ten years takes

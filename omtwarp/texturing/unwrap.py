@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.maps.domains import is_torus_map
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.arrays import TINY, Floats, Ints, in_range
+from omtwarp.mesh.arrays import TINY, Floats, Ints, in_range, real_number
 from omtwarp.mesh.surface import plane_areas, triangle_areas
 from omtwarp.texturing.atlas import CUBE_FRAMES
 from omtwarp.texturing.export import Material
@@ -76,6 +76,7 @@ def laid_out(result: MapLike, aspect: float = 1.0, margin: float = MARGIN) -> tu
     Raises:
         OmtwarpError: as of :func:`unwrap_uv`.
     """
+    aspect, margin = real_number(aspect, "aspect"), real_number(margin, "margin")
     if not ASPECTS[0] <= aspect <= ASPECTS[1] or not 0.0 <= margin <= MOST_MARGIN:
         raise OmtwarpError(f"aspect {aspect}, margin {margin}: give 0.1 to 10, and 0 to 0.1")
     if is_torus_map(result):

@@ -231,6 +231,12 @@ def test_what_is_no_map_values_or_number_of_samples_is_refused():
     for samples in (np.nan, "x", None, 0, 2**31, True):
         with pytest.raises(OmtwarpError, match="supersample: must be a whole number from 1 to 1024"):
             bake(pattern("checker"), "cube", size=64, supersample=samples, device="cpu")
+    for seam in (np.nan, np.inf, "x", None, [1.0]):
+        with pytest.raises(OmtwarpError, match="seam: must be a finite number"):
+            make_atlas("equirectangular", 64, seam=seam)
+    for size in (np.array("x"), "64", (64, 32, 16), {}, 64.5, np.ones((2, 2))):
+        with pytest.raises(OmtwarpError, match="texture size"):
+            make_atlas("equirectangular", size)
     for uv in ("abc", np.ones((4, 2)) * 1j, [[1.0], [1.0, 2.0]]):
         with pytest.raises(OmtwarpError, match="texture coordinates: must be"):
             bake_to_uv(np.zeros((16, 32, 3), np.uint8), points, faces, uv, size=16, device="cpu")

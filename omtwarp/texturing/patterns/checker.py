@@ -3,6 +3,7 @@
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, PI, wp
 from omtwarp.errors import OmtwarpError
+from omtwarp.mesh.arrays import whole_number
 from omtwarp.texturing.patterns import Pattern, cell_of, latitude, longitude, near_multiple, srgb_colours
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -45,9 +46,9 @@ class Checker(Pattern):
     _kernel = checker_colours
 
     def __init__(self, columns: int = 24, rows: int = 12):
+        self.columns, self.rows = whole_number(columns, "checker: columns"), whole_number(rows, "checker: rows")
         if columns < 2 or columns % 2 or rows < 1:
             raise OmtwarpError(f"checker: {columns} columns and {rows} rows: columns must be even and both positive")
-        self.columns, self.rows = int(columns), int(rows)
         self.colours = srgb_colours("#f3ede2", "#2f5d73")
 
     def _tables(self) -> list[object]:

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, wp
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import Floats, Ints, direction_from_angles, normalised
+from omtwarp.mesh.arrays import TINY, Floats, Ints, direction_from_angles, normalised
 from omtwarp.mesh.shapes import icosphere
 from omtwarp.texturing.kernels import cube_face
 from omtwarp.texturing.patterns import Pattern, colour_groups, srgb_colours
@@ -102,7 +102,7 @@ class Circles(Pattern):
         within = 1e-9  # chord that is added to a circle's reach, so that rounding leaves no cell's list without it
         # Cell: side, in radii of circles, of the cells of a cube on which circles are looked up
         # Most cells: along the side of a face of that cube
-        side = int(np.clip(2.0 / (0.7 * self.radius), 1, 128))
+        side = int(np.clip(2.0 / max(0.7 * self.radius, TINY), 1, 128))
         middle = (np.arange(side) + 0.5) * 2.0 / side - 1.0
         cells = np.empty((6, side, side, 3))  # of the faces +x, +y, -x, -y, +z, -z of a cube
         for face, (axis, sign) in enumerate(((0, 1.0), (1, 1.0), (0, -1.0), (1, -1.0), (2, 1.0), (2, -1.0))):

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, ONE, PI, ZERO, wp
-from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import Floats, normalised
+from omtwarp.mesh.arrays import Floats, normalised, whole_number
 from omtwarp.texturing.atlas import CUBE_FRAMES
 from omtwarp.texturing.kernels import cube_face, cube_frame
 from omtwarp.texturing.patterns import Pattern, colour_groups, srgb_colours
@@ -104,9 +103,8 @@ class Puzzle(Pattern):
     _kernel = puzzle_colours
 
     def __init__(self, side: int = 5, seed: int = 7):
-        if not 1 <= side <= 64:
-            raise OmtwarpError(f"puzzle: {side} pieces along a side: give 1 to 64")
-        self.side, self.seed = int(side), int(seed)
+        self.side = whole_number(side, "puzzle: pieces along a side", least=1, most=64)
+        self.seed = whole_number(seed, "puzzle: seed")
         self.palette = srgb_colours("#4f8fa8", "#e9c46a", "#e08e6d", "#86b08a", "#c9ada7", "#f1e3c6")
         self.line_colour = srgb_colours("#2b2f3a")[0]
 
