@@ -22,7 +22,7 @@ from omtwarp.colors import backdrop
 from omtwarp.errors import DrawingFailed, OmtwarpError, choose, truth
 from omtwarp.files.limits import FRAMES_PER_SECOND, LARGEST_VIEW, MOST_FILM_PIXELS, MOST_FRAMES
 from omtwarp.files.output import as_path
-from omtwarp.mesh.arrays import Bytes, listed, real_number, whole_number
+from omtwarp.mesh.arrays import Bytes, listed, real_number, whole_number, whole_numbers
 from omtwarp.options import BACKGROUND, FILM_RATE, PICTURE_SIZE, Backend, BackendLike, takes
 from omtwarp.render import annotate, gl_client, output, scene
 from omtwarp.render.camera import VIEWS, Camera, Light, as_light, as_views, frame, turntable
@@ -136,10 +136,7 @@ def checked_size(given: tuple[int, int], what: str = "picture") -> tuple[int, in
     Raises:
         OmtwarpError: no size, or one that is too small or too large.
     """
-    try:
-        width, height = (int(length) for length in given)
-    except (TypeError, ValueError):
-        raise OmtwarpError(f"{given!r} is not a size: use (width, height) in pixels") from None
+    width, height = whole_numbers(given, f"size of the {what}", (2,)).tolist()
     if not (SMALLEST_VIEW <= width <= LARGEST_VIEW and SMALLEST_VIEW <= height <= LARGEST_VIEW):
         raise OmtwarpError(
             f"cannot draw a {what} of {width} x {height} pixels: use {SMALLEST_VIEW} to {LARGEST_VIEW} along each side"

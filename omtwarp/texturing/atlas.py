@@ -342,7 +342,7 @@ def check_size(size: int | tuple[int, ...], least: int = 16) -> tuple[int, ...]:
     Raises:
         OmtwarpError: the sides are not whole numbers from the least to 32768.
     """
-    pair = tuple(size) if isinstance(size, tuple | list) or np.ndim(size) else (size,)
+    pair = tuple(size) if isinstance(size, tuple | list) or (isinstance(size, np.ndarray) and size.ndim) else (size,)
     if len(pair) not in (1, 2):
         raise OmtwarpError(f"texture size {size!r}: give one or two numbers of texels")
     return tuple(arrays.whole_number(side, "texture size", least=least, most=LONGEST_SIDE) for side in pair)

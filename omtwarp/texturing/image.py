@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.errors import OmtwarpError, brief, check_word
 from omtwarp.files.inputs import FORMATS, open_input, open_picture
 from omtwarp.files.limits import LARGEST_PICTURE_FILE, LONGEST_SIDE, MOST_TEXELS
-from omtwarp.mesh.arrays import Bytes, Floats
+from omtwarp.mesh.arrays import Bytes, Floats, real_numbers
 from omtwarp.options import ProjectionName
 
 if TYPE_CHECKING:
@@ -233,10 +233,7 @@ def rotation_matrix(rotate: ArrayLike | None) -> Floats:
 
     if rotate is None:
         return np.eye(3)
-    try:
-        given = np.asarray(rotate, dtype=np.float64)
-    except (TypeError, ValueError):
-        given = np.empty(0)
+    given = real_numbers(rotate, "rotate", None, finite=False)
     if given.shape == (3, 3):
         # Orthonormal, of a rotation's entries: matrices written with seven digits pass
         if not np.allclose(given @ given.T, np.eye(3), atol=1e-6) or np.linalg.det(given) < 0:

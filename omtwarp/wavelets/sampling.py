@@ -16,7 +16,7 @@ from omtwarp.device.sums import SparseProduct
 from omtwarp.device.threads import FIRST_THREAD, Each, each, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.sphere_hierarchy import SphereHierarchy
-from omtwarp.mesh.arrays import Floats, cross, norms, real_numbers
+from omtwarp.mesh.arrays import Floats, cross, norms, real_numbers, whole_number
 from omtwarp.mesh.surface import transposed_rows
 from omtwarp.wavelets import kernels
 
@@ -54,9 +54,7 @@ class SphereSampler:
         density: Floats | None = None,
     ) -> None:
         self.hierarchy = hierarchy
-        self.level = hierarchy.level if level is None else int(level)
-        if not 0 <= self.level <= hierarchy.level:
-            raise OmtwarpError(f"level {level} is outside the hierarchy's 0 to {hierarchy.level}")
+        self.level = hierarchy.level if level is None else whole_number(level, "level", most=hierarchy.level)
         self.device = resolve_device(device)
         self.node_count = hierarchy.node_counts[self.level]
         self.face_count = len(hierarchy.level_faces[self.level])

@@ -155,7 +155,7 @@ def test_scalar_limits() -> None:
         (lambda: preview(TRIANGLE, light="moon", backend="warp"), "unknown light 'moon'"),
         (lambda: preview(TRIANGLE, background="whitish", backend="warp"), "'whitish' is not a background"),
         (lambda: preview(TRIANGLE, size=(4, 4), backend="warp"), "4 x 4 pixels"),
-        (lambda: preview(TRIANGLE, size=100, backend="warp"), "not a size"),
+        (lambda: preview(TRIANGLE, size=100, backend="warp"), "size of the picture: shape [], not [2]"),
         (lambda: preview(TRIANGLE, frames=0, backend="warp"), "frames: must be a whole number from 1"),
         (lambda: preview(TRIANGLE, samples=9, backend="warp"), "side: must be a whole number from 1 to 4, not 9"),
         (lambda: preview(TRIANGLE, samples=np.ones(3), backend="warp"), "must be a whole number from 1 to 4"),

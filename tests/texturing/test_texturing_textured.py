@@ -408,6 +408,7 @@ def test_what_is_no_image_is_refused_in_one_line(surface, tmp_path):
         ({"projection": "mercator"}, "unknown projection"),
         ({"atlas": "mercator"}, "unknown atlas"),
         ({"rotate": "left"}, "rotate"),
+        ({"rotate": [10**400, 0, 0]}, "rotate"),
         ({"seam_longitude": 20.0}, "a seam is for the equirectangular atlas"),
         ({"seam_longitude": "auto", "atlas": "octahedral"}, "a seam is for the equirectangular atlas"),
         ({"seam_longitude": "east", "atlas": "equirectangular"}, "seam longitude"),
