@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.files.output import as_path, staged
-from omtwarp.mesh.arrays import Floats, Ints, norms, single_precision
+from omtwarp.mesh.arrays import Floats, Ints, by_name, norms, real_numbers, single_precision, whole_numbers
 from omtwarp.mesh.neuro import FREESURFER_SUFFIXES, write_freesurfer_surface, write_gifti_surface
 from omtwarp.mesh.vtk import distinct_words, write_vtk
 
@@ -38,11 +38,15 @@ def write_mesh(
         like: the file that the mesh comes from; GIFTI keeps its metadata, FreeSurfer's format its volume geometry.
 
     Raises:
-        OmtwarpError: another suffix, or the file cannot be written; then an older file is as it was.
+        OmtwarpError: arrays of another type or shape, another suffix, or the file cannot be written; then an older file
+            is as it was.
     """
     file = as_path(path)
     suffix = file.suffix.lower()
-    points, triangles = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int32)
+    points = real_numbers(vertices, "vertices", (None, 3), finite=False)
+    triangles = whole_numbers(faces, "faces", (None, 3), below=len(points)).astype(np.int32)
+    for name, column in by_name(beside, "beside").items():
+        real_numbers(column, f"beside, '{name}'", (len(points),), finite=False)
     if suffix not in SUFFIXES:
         raise OmtwarpError(f"cannot write '{file}': unknown suffix '{file.suffix}', use {', '.join(SUFFIXES)}")
     if beside and suffix not in (".ply", ".vtk"):

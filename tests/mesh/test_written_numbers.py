@@ -181,6 +181,22 @@ def test_digits_that_are_lost_far_from_the_origin_are_warned_of(tmp_path, suffix
         write_mesh(path, BALL.vertices + 1e7, BALL.faces)
 
 
+WRONG_ARRAYS = {
+    "vertices": ("abc", None, [], BALL.vertices.T, BALL.vertices + 1j, BALL.vertices.astype(str), BALL.vertices[:-1]),
+    "faces": ("abc", None, BALL.faces[:, :2], BALL.faces + 0.5, np.where(BALL.faces, BALL.faces, -1), BALL.faces + 1j),
+    "beside": (3, "abc", BALL.vertices, {"a": np.ones(3)}, {"a": "abc"}, {"a": None}),
+}
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".vtk"])
+@pytest.mark.parametrize("name", WRONG_ARRAYS)
+def test_arrays_that_are_no_mesh_are_not_written(tmp_path, name, suffix):
+    for wrong in WRONG_ARRAYS[name]:
+        with pytest.raises(OmtwarpError, match=r"vertices|faces|beside"):
+            write_mesh(tmp_path / f"a{suffix}", **{"vertices": BALL.vertices, "faces": BALL.faces} | {name: wrong})
+    assert not list(tmp_path.iterdir())
+
+
 def test_digits_that_a_textured_glb_loses_are_warned_of(tmp_path):
     far = omtwarp.PaintedMesh(BALL.vertices + 1e7, BALL.faces)
     with pytest.warns(omtwarp.OmtwarpWarning, match="single precision changes edges of .* of 80 faces"):
