@@ -16,6 +16,7 @@ from omtwarp.cohort.tables import GROUP, ORDER, REGISTERED, REGISTERED_MAPS, Ite
 from omtwarp.device import core_count
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.output import digest_of, folder_of_results, locked, require_own
+from omtwarp.mesh.arrays import listed, real_number, whole_number, whole_numbers
 from omtwarp.options import AreaMatch, FillArea, MapKeywords, MapOptions, Progress, Record, takes_map_options, tell
 
 RESULTS = ("table.parquet", "table.csv", "report.html")
@@ -98,8 +99,10 @@ def run_cohort(
         >>> run_cohort(read_manifest(f"{folder}/*.ply"), folder + "/out", workers=1, until="moser").counts
         {'ok': 2}
     """
-    (part, parts), workers = shard, core_count() if workers is None else workers
-    _require_possible(items, shard, workers, time_limit, memory_limit)
+    items, workers = listed(items, "items", "omtwarp.cohort.Item", Item), core_count() if workers is None else workers
+    part, parts = whole_numbers(shard, "shard", (2,)).tolist()
+    time_limit, memory_limit = real_number(time_limit, "time_limit"), real_number(memory_limit, "memory_limit")
+    _require_possible(items, (part, parts), workers, time_limit, memory_limit)
     if register == GROUP and any(item.id == "template" for item in items):
         raise OmtwarpError("an item is called 'template', as a result of register='group' is: give it another id")
     asked, on = _options_of_jobs(options, repair, fill_area, register)
@@ -120,7 +123,7 @@ def run_cohort(
         with locked(target / "locks" / f".driver-{part}-{parts}", words):
             for job in todo if retry else ():
                 forget_failure(job)
-            records = executor_for(executor, target, workers).records(todo)
+            records = executor_for(str(executor), target, workers).records(todo)
             _follow(records, len(mine) - len(todo), len(mine), progress)
     complete_journal(jobs, target)
     rows = []
@@ -181,8 +184,7 @@ def _require_possible(
     taken = next((name for item in items for name in item.fields if name in (*ORDER, *REGISTERED)), None)
     if taken is not None:
         raise OmtwarpError(f"the table of results has a column '{taken}' of its own: rename that of the list of items")
-    if workers < 1:
-        raise OmtwarpError(f"{workers} workers: there must be one at least")
+    whole_number(workers, "workers", least=1)
 
 
 def _require_other_inputs(jobs: Sequence[Job], folder: Path) -> None:

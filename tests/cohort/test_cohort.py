@@ -509,6 +509,26 @@ def test_maps_are_registered_after_they_are_made(tmp_path, monkeypatch, capsys, 
     assert map_of(Path("out"), rows[0]) == Path("out", folder, "s0.npz")
 
 
+WRONG_OPTIONS = {
+    "items": (3, "abc", None, ["a.ply"], [None]),
+    "shard": (3, "abc", None, (1,), (1.5, 2), (1, 1, 1), np.ones((2, 2)), (np.nan, 1)),
+    "workers": ("2", 0, 1.5, np.nan, [2]),
+    "time_limit": ("60", None, np.nan, np.ones(2), True),
+    "memory_limit": ("1", None, np.nan, np.ones(2), True),
+    "executor": (None, 3, np.ones(3), "cloud"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG_OPTIONS)
+def test_options_of_no_use_are_named(tmp_path, name):
+    ball = blob(sphere=80)
+    write_mesh(tmp_path / "ball.ply", ball.vertices, ball.faces)
+    for wrong in WRONG_OPTIONS[name]:
+        with pytest.raises(OmtwarpError, match=name) as caught:
+            run_cohort(**{"items": read_manifest(tmp_path / "*.ply"), "folder": tmp_path / "out"} | {name: wrong})
+        assert "\n" not in str(caught.value)
+
+
 def test_an_item_with_the_name_of_a_result_is_refused_before_the_work(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (path,) = write_shapes(tmp_path / "in", 1)
