@@ -20,7 +20,7 @@ from omtwarp.device.arrays import triangles, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import KERNEL_OPTIONS, ONE, ZERO, wp
 from omtwarp.device.threads import Each, each, launch_parts, load, parts_of, run_all
-from omtwarp.mesh.arrays import Floats, Ints, real_numbers, whole_numbers
+from omtwarp.mesh.arrays import Floats, Ints, real_numbers, whole_number, whole_numbers
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -209,6 +209,7 @@ def ring_turns(
     """
     where = resolve_device(device)
     points, corners = _sent(sphere, faces, where)
+    whole_number(len(corners), "the number of faces", least=1)
     if signs is None:
         signs = orientation_signs(points, corners, device=where)
     sent = wp.array(np.ascontiguousarray(signs, dtype=np.int8), dtype=wp.int8, device=where, copy=False)
@@ -254,7 +255,7 @@ class Examined:
     @property
     def tangled(self) -> NDArray[np.bool_]:
         """The triangles that keep the map from being one to one, as of :func:`tangled_faces`, bool, shape [F]."""
-        faces = self.faces.numpy() if isinstance(self.faces, wp.array) else np.asarray(self.faces).reshape(-1, 3)
+        faces = self.faces.numpy() if isinstance(self.faces, wp.array) else np.asarray(self.faces, int).reshape(-1, 3)
         tangled: NDArray[np.bool_] = self.signs <= 0
         wound = self.turns != 1
         if wound.any():

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, strategies as st
 from sphere_truths import random_rotation, turned
 
+from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import count_flips, is_bijective, ring_turns, tangled_faces
 from omtwarp.flips.guard import hold_back
 from omtwarp.mesh.shapes import icosphere, random_sphere, uv_sphere
@@ -67,6 +68,15 @@ def test_exact_counting_agrees_with_angles(monkeypatch):
     monkeypatch.setattr("omtwarp.flips.exact._CERTAIN", -1.0)
     for case, expected in zip(cases, by_angles, strict=True):
         assert np.array_equal(ring_turns(*case), expected)
+
+
+def test_no_faces_are_refused_and_whole_floats_are_taken():
+    surface = icosphere(2)
+    for call in (is_bijective, ring_turns, tangled_faces):
+        for none in (surface.faces[:0], []):
+            with pytest.raises(OmtwarpError, match="the number of faces: must be a whole number from 1"):
+                call(surface.vertices, none)
+    assert tangled_faces(-surface.vertices, surface.faces.astype(float)).all()
 
 
 def test_missing_coordinates_are_no_bijection():
