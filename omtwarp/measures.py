@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.geometry.sphere_hierarchy import sphere_hierarchy
-from omtwarp.mesh.arrays import Floats, Ints, normalised, real_number, real_numbers
+from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints, normalised, real_number, real_numbers
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_surface, triangle_areas
 from omtwarp.options import WeightsAt, WeightsAtLike
 
@@ -125,7 +125,8 @@ def weighted_surface(surface: MeshLike, weights: ArrayLike | None, at: WeightsAt
 
     Args:
         surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes, V vertices and F triangles.
-        weights: positive and finite, shape [V] or [F]; a triangle takes the mean of its vertices. Only ratios count:
+        weights: positive and finite, shape [V] or [F]; a triangle takes the mean of its vertices. Only ratios count, up
+            to 1e12:
             a part of weight 2 among parts of weight 1 covers twice as much of the sphere for its area. None returns the
             surface itself.
         at: what they belong to: ``vertices`` or ``triangles``; ``auto`` goes by their number.
@@ -167,6 +168,8 @@ def face_weights(weights: ArrayLike, corners: NDArray, vertices: int, at: Weight
     given = real_numbers(weights, "the weights", None, positive=True)
     where = weights_belong_to(given.shape, vertices, len(corners), at)
     given = given / given.max()
+    if given.min() < ROUND_OFF:
+        raise OmtwarpError("the weights: the largest must be at most 1e12 times the smallest: less is lost in rounding")
     return given if where is WeightsAt.TRIANGLES else np.asarray(given[corners].mean(axis=1))
 
 

@@ -71,6 +71,8 @@ def test_weights_per_vertex_and_per_triangle():
         ),
         (np.r_[np.nan, -np.ones(SURFACE.vertex_count - 1)], "are not positive and finite, first in row 0"),
         (["a"] * SURFACE.face_count, "must be real numbers"),
+        (np.logspace(0.0, 13.0, SURFACE.vertex_count), "at most 1e12 times the smallest"),
+        (np.logspace(-200.0, 200.0, SURFACE.face_count), "at most 1e12 times the smallest"),
     ],
 )
 def test_weights_that_cannot_be_used_are_refused_in_one_line(weights, message):
