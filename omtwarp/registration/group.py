@@ -24,7 +24,7 @@ from omtwarp.files.output import as_path, digest_of
 from omtwarp.geometry.harmonics import power_per_degree
 from omtwarp.location import Locator
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.arrays import Floats, normalised, whole_number
+from omtwarp.mesh.arrays import Floats, by_name, normalised, whole_number
 from omtwarp.mesh.data import read_data
 from omtwarp.mesh.neuro import structure_of
 from omtwarp.options import MAX_STRAIN, STIFFNESS, Progress, tell
@@ -96,7 +96,7 @@ def members(
         OmtwarpError: fewer than two maps, two of one name, one that is called as a result is, or that one would
             replace, or another number of files of a feature.
     """
-    wanted = features or {}
+    wanted = by_name(features, "features")
     for name, given in wanted.items():
         if len(given) != len(maps):
             raise OmtwarpError(f"feature '{name}' has {len(given)} files for {len(maps)} maps: give one a map")

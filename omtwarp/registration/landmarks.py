@@ -94,7 +94,7 @@ def pairs_of(landmarks: LandmarksLike, moving: Floats, target: Floats, counts: t
     given = listed(rows, "landmarks", "omtwarp.registration.Landmark", Landmark)
     if not given:
         raise OmtwarpError("there are no landmarks: give at least one, or none at all")
-    labels = tuple(one.label for one in given)
+    labels = tuple(str(one.label) for one in given)
     twice = next((label for label in labels if labels.count(label) > 1), None)
     if twice is not None:
         raise OmtwarpError(f"two landmarks are called '{twice}'")

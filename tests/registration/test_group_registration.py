@@ -157,6 +157,12 @@ def test_memory_does_not_grow_with_the_maps(tmp_path, short_warps):
     assert peaks[1] < 1.01 * peaks[0]
 
 
+@pytest.mark.parametrize("features", [3, "abc", ["a.csv"], np.ones(3)])
+def test_features_are_given_by_name(files, tmp_path, features):
+    with pytest.raises(OmtwarpError, match="features: must be a dictionary"):
+        register_group(files[:2], tmp_path / "out", features=features)
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

@@ -145,6 +145,12 @@ def test_a_wrong_table_is_one_line(tmp_path, text, words):
     assert "\n" not in str(caught.value)
 
 
+def test_labels_that_are_no_text_are_read_as_text():
+    points = BALL.vertices
+    pairs = pairs_of([Landmark([], [1], [1]), Landmark(2, [2], [2])], points, points, (len(points), len(points)))
+    assert pairs.distances(pairs.places) == {"[]": 0.0, "2": 0.0}
+
+
 def test_two_landmarks_of_one_name_are_refused():
     with pytest.raises(OmtwarpError, match="two landmarks are called 'a'"):
         registered([Landmark("a", [1], [1]), Landmark("a", [2], [2])])
