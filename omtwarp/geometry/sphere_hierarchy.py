@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import Floats, Ints, cross, normalised, norms, whole_number
 from omtwarp.mesh.surface import face_neighbours
 
@@ -149,13 +148,12 @@ def sphere_hierarchy(level: int) -> SphereHierarchy:
     Raises:
         OmtwarpError: a level outside 0 to 10.
     """
-    if not 0 <= int(level) <= HIGHEST_LEVEL:
-        raise OmtwarpError(f"level {level} of the sphere's subdivision is outside 0 to {HIGHEST_LEVEL}")
+    level = whole_number(level, "level of the sphere's subdivision", most=HIGHEST_LEVEL)
     vertices, faces = icosahedron()
     counts, all_faces = [len(vertices)], [faces]
     all_parents: list[Ints] = []
     all_wings: list[Ints] = []
-    for _ in range(int(level)):
+    for _ in range(level):
         parents, wings, edge = _halve_edges(faces, len(vertices))
         middles = vertices[parents[:, 0]] + vertices[parents[:, 1]]
         middle = (edge + len(vertices)).astype(np.int32)

@@ -284,7 +284,7 @@ def test_level_for_a_budget_of_nodes():
 
 
 def test_errors_name_what_is_wrong():
-    with pytest.raises(OmtwarpError, match="outside 0 to 10"):
+    with pytest.raises(OmtwarpError, match="from 0 to 10, not 11"):
         sphere_hierarchy(11)
     with pytest.raises(OmtwarpError, match="one value per node"):
         SphericalWavelets(sphere_hierarchy(1), device="cpu").forward(np.zeros(5))
