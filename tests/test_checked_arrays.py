@@ -289,6 +289,16 @@ def test_progress_that_is_no_function(value):
         omtwarp.map_to_sphere(SURFACE, progress=value)
 
 
+@pytest.mark.parametrize("name", ["color", "emission", "metallic", "roughness"])
+def test_materials_that_are_none(name):
+    for value in ("x", None, np.nan, [np.nan] * 3, [1.0, 2.0], 1j, {}, np.ones((4, 1))):
+        with pytest.raises(OmtwarpError, match=name):
+            omtwarp.Material(**{name: value})
+    for value in ("x", 3, None, [None], np.ones(3)):
+        with pytest.raises(OmtwarpError, match=r"materials: must be a list of omtwarp\.Material"):
+            omtwarp.PaintedMesh(VERTICES, FACES, materials=value)
+
+
 @pytest.mark.parametrize("function", TAKES_A_PATH)
 def test_paths_that_are_none(function):
     for value in BROKEN_PATH:

@@ -50,6 +50,9 @@ class Material:
         phong: statements of an OBJ library that glTF has no terms for, by their names, such as ``("Ns", (250.0,))``;
             an OBJ is written with them again.
 
+    Raises:
+        OmtwarpError: colour, emission, metalness or roughness are not that many finite numbers.
+
     Example:
         >>> import omtwarp
         >>> omtwarp.Material("glass", color=(0.9, 1.0, 1.0, 0.3)).opaque
@@ -69,6 +72,10 @@ class Material:
     emission_picture: Bytes | None = None
     own_tangents: bool = False
     phong: tuple[tuple[str, tuple[float, ...]], ...] = ()
+
+    def __post_init__(self) -> None:
+        for name, shape in {"color": (4,), "emission": (3,), "metallic": (), "roughness": ()}.items():
+            real_numbers(getattr(self, name), name, shape)
 
     @property
     def plain(self) -> bool:
@@ -309,10 +316,13 @@ def glb_bytes(model: Model, texture_format: TextureFormat) -> bytes:
         file.add_triangles(part.faces, rows, number)
         look = part.material
         surface: dict[str, object] = {"baseColorFactor": linear(np.array(look.color)).tolist()}
-        surface |= {"metallicFactor": look.metallic, "roughnessFactor": look.roughness}
+        surface |= {"metallicFactor": float(look.metallic), "roughnessFactor": float(look.roughness)}
         beside: dict[str, object] = {"name": look.name, "alphaMode": "OPAQUE" if look.opaque else "BLEND"}
-        brightest = max(1.0, *look.emission)
-        beside |= {"emissiveFactor": [light / brightest for light in look.emission], "doubleSided": look.two_sided}
+        brightest = max(1.0, *map(float, look.emission))
+        beside |= {
+            "emissiveFactor": [float(light / brightest) for light in look.emission],
+            "doubleSided": look.two_sided,
+        }
         if brightest > 1.0:
             beside["extensions"] = {BRIGHTER: {"emissiveStrength": brightest}}
             file.use(BRIGHTER)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import as_path
-from omtwarp.mesh.arrays import WELD, Bytes, Floats, Ints, real_numbers, whole_numbers
+from omtwarp.mesh.arrays import WELD, Bytes, Floats, Ints, listed, real_numbers, whole_numbers
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.read import compressed, seam_copies
 from omtwarp.mesh.surface import plane_areas, unit_normals, vertex_normals
@@ -126,11 +126,11 @@ class PaintedMesh:
         put = object.__setattr__
         put(self, "vertices", real_numbers(self.vertices, "vertices", (None, 3), finite=False))
         put(self, "faces", corners_of(self.faces, len(self.vertices)))
-        count = len(self.faces)
+        count, known = len(self.faces), listed(self.materials, "materials", "omtwarp.Material", Material)
         if self.uv is not None:
             put(self, "uv", uv_of_corners(self.uv, self.faces))
         given = np.zeros(count) if self.face_material is None else self.face_material
-        materials = whole_numbers(given, "materials of triangles", (count,), below=len(self.materials))
+        materials = whole_numbers(given, "materials of triangles", (count,), below=len(known))
         put(self, "face_material", materials.astype(np.int32))
         if self.face_object is not None and np.shape(self.face_object) != (count,):
             raise OmtwarpError(f"objects of {len(self.face_object)} triangles given for {count}")
