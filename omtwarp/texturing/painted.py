@@ -204,7 +204,7 @@ class PaintedMesh:
         """
         uv = self._known_uv(name)
         if not plane_areas(uv).any():
-            raise OmtwarpError(f"{name}: its texture coordinates give no face an area; leave out uv='own'")
+            raise OmtwarpError(f"{name}: it has no texture coordinates that give a face an area; leave out uv='own'")
         return uv
 
     def _known_uv(self, name: str = "the mesh") -> Floats:

@@ -139,7 +139,7 @@ def test_colours_of_a_plys_faces_are_shown_kept_and_transferred(tmp_path, opacit
         assert picture.shape[2] == (3 if opacity == 255 else 4)
     (shown,) = painted_view(mesh).materials
     assert shown.image is mesh.materials[0].picture
-    with pytest.raises(OmtwarpError, match="give no face an area"):
+    with pytest.raises(OmtwarpError, match="has no texture coordinates that give a face an area"):
         omtwarp.paint(result, mesh, pattern="checker", size=64)
 
 
