@@ -44,7 +44,7 @@ def write_mesh(
     file = as_path(path)
     suffix = file.suffix.lower()
     points = real_numbers(vertices, "vertices", (None, 3), finite=False)
-    triangles = whole_numbers(faces, "faces", (None, 3), below=len(points)).astype(np.int32)
+    triangles = whole_numbers(faces, "faces", (None, 3)).astype(np.int32)
     for name, column in by_name(beside, "beside").items():
         real_numbers(column, f"beside, '{name}'", (len(points),), finite=False)
     if suffix not in SUFFIXES:

@@ -319,10 +319,7 @@ def glb_bytes(model: Model, texture_format: TextureFormat) -> bytes:
         surface |= {"metallicFactor": float(look.metallic), "roughnessFactor": float(look.roughness)}
         beside: dict[str, object] = {"name": look.name, "alphaMode": "OPAQUE" if look.opaque else "BLEND"}
         brightest = max(1.0, *map(float, look.emission))
-        beside |= {
-            "emissiveFactor": [float(light / brightest) for light in look.emission],
-            "doubleSided": look.two_sided,
-        }
+        beside |= {"emissiveFactor": [light / brightest for light in look.emission], "doubleSided": look.two_sided}
         if brightest > 1.0:
             beside["extensions"] = {BRIGHTER: {"emissiveStrength": brightest}}
             file.use(BRIGHTER)

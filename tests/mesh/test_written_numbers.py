@@ -182,8 +182,8 @@ def test_digits_that_are_lost_far_from_the_origin_are_warned_of(tmp_path, suffix
 
 
 WRONG_ARRAYS = {
-    "vertices": ("abc", None, [], BALL.vertices.T, BALL.vertices + 1j, BALL.vertices.astype(str), BALL.vertices[:-1]),
-    "faces": ("abc", None, BALL.faces[:, :2], BALL.faces + 0.5, np.where(BALL.faces, BALL.faces, -1), BALL.faces + 1j),
+    "vertices": ("abc", None, BALL.vertices.T, BALL.vertices + 1j, BALL.vertices.astype(str)),
+    "faces": ("abc", None, BALL.faces[:, :2], BALL.faces + 0.5, BALL.faces * np.nan, BALL.faces + 1j),
     "beside": (3, "abc", BALL.vertices, {"a": np.ones(3)}, {"a": "abc"}, {"a": None}),
 }
 
