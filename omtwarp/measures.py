@@ -126,9 +126,8 @@ def weighted_surface(surface: MeshLike, weights: ArrayLike | None, at: WeightsAt
     Args:
         surface: a mesh in any form that :func:`omtwarp.map_to_sphere` takes, V vertices and F triangles.
         weights: positive and finite, shape [V] or [F]; a triangle takes the mean of its vertices. Only ratios count, up
-            to 1e12:
-            a part of weight 2 among parts of weight 1 covers twice as much of the sphere for its area. None returns the
-            surface itself.
+            to 1e12: a part of weight 2 among parts of weight 1 covers twice as much of the sphere for its area. None
+            returns the surface itself.
         at: what they belong to: ``vertices`` or ``triangles``; ``auto`` goes by their number.
 
     Returns:
