@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import omtwarp
 from omtwarp.commands._options import Argument, Only, Printing, Source, Typed, output_option
 from omtwarp.commands._streams import STREAM, input_file, input_table, progress_bar, say, step_times
-from omtwarp.commands._work import load_whole_map, map_from, refuse, require_whole, show_facts, start_device
+from omtwarp.commands._work import load_whole_map, map_from, require_whole, show_facts, start_device
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.files.output import check_folder, check_outputs, folder_of_results, staged
 from omtwarp.options import Device, MapOptions
@@ -206,11 +206,9 @@ def run_group(
     labels, covariates = _columns(rows, covariate or [], sources[0])
     if len(paths) < 2:
         raise OmtwarpError(f"{len(paths)} map in all: a group needs at least two")
-    table, of_tests = table_of(labels, covariates), ("permutations", "seed")
-    given = {f"--{one} is of groups and covariates": getattr(study, one) != getattr(Study, one) for one in of_tests}
+    table = table_of(labels, covariates)
     if table:
         check_table(table, len(paths), GROUP)
-    refuse({} if table else given)
     start_device(device)
     with folder_of_results(output, "table.csv", "distances.csv", "report.html"):  # refused before the work
         pass

@@ -420,8 +420,6 @@ def test_one_name_for_two_outputs_is_refused(desk, capsys, words):
         ("register lh.npz template.npz -o x --group --hemisphere left", "--hemisphere is of one map"),
         ("register lh.npz template.npz -o x --sequence --hemisphere left", "--hemisphere is of one map"),
         ("resample lh.npz --to ico2 -o x.ply --labels", "--labels is of --data"),
-        ("group lh.npz lh.npz -o x --permutations 3", "--permutations is of groups and covariates"),
-        ("group lh.npz lh.npz -o x --seed 4", "--seed is of groups and covariates"),
         ("map lh.white.ply -o x.npz --weights-at vertices", "--weights-at is of --weights"),
         ("map lh.white.ply -o x.npz --target-floor 0.1", "--target-floor is of --target"),
         ("map lh.white.ply -o x.npz --until moser --refine area", "refine is of the stage refine"),
