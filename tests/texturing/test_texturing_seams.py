@@ -211,8 +211,8 @@ def test_a_cube_map_in_pictures_of_three_shapes(size, sides, columns):
         ("cube", (40, 20), "multiple of 16"),
         ("cube", (16, 16), "square of at least 32"),
         ("octahedral", 70000, "16 to 32768"),
-        ("equirectangular", "big", "whole numbers"),
-        ("cube", 128.5, "whole numbers"),
+        ("equirectangular", "big", "a whole number from 16 to 32768"),
+        ("cube", 128.5, "a whole number from 16 to 32768"),
     ],
 )
 def test_bad_atlases_are_named(name, size, message):
