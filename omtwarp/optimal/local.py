@@ -34,9 +34,9 @@ MAX_CHOSEN_SHARE = 0.08  # of all vertices: with more, local steps take longer t
 # Of vertices around those chosen, which move with them. Areas and angles of 60 made surfaces are the same in the mean
 # with 2 and 6: more leave the steps more room, and take longer.
 FREED_RINGS = 4
-# Multiplications of the largest patch's factorisation. With 2.5 times as many 13 scans and 90 made surfaces take as
-# many steps, and a creature of 1M faces a seventh more time and 1.6 times the memory.
-MAX_OPERATIONS = 8e7
+# Multiplications of the largest patch's factorisation. With twice as many 13 scans and 90 made surfaces take as many
+# steps, and a creature of 1M faces a fifth more time and 1.6 times the memory.
+MAX_OPERATIONS = 1e8
 MIN_SHARED_TRIANGLES = 500  # with fewer a second thread costs more than it saves
 BLOCK = 256  # threads of a block: Warp's own number, for which modules are compiled
 MAX_STEPS = 8  # Newton steps of the patches after each step of the whole map

@@ -142,28 +142,18 @@ def test_areas_are_even_where_the_cut_leaves_long_limbs():
 
 @pytest.mark.parametrize(("length", "road", "area"), [(10.0, "nested", 2.025), (18.0, "embedded", 2.035)])
 def test_halves_with_long_limbs_end_at_the_optimum_from_either_start(length, road, area):
-    """Points x at the ends of longer limbs nearly coincide, where a nested map flips more than can be repaired.
-
-    Limbs are alike all around, so that rounding decides which edges are collapsed first, by which ends of the embedded
-    road differ by some 0.003 in area: of three surfaces that differ by rounding the middle number counts.
-    """
+    """Points x at the ends of longer limbs nearly coincide, where a nested map flips more than can be repaired."""
     whole = shapes.limbs(length=length, sharpness=9.0, sphere=3920)
     level = whole.vertices[:, 0] - whole.vertices[:, 0].min()
     vertices, faces = without(whole, level > 0.25 * level.max())
     kept = max(parts_of(vertices, faces), key=lambda part: len(part.faces))
-    areas, steps = [], []
-    for seed in range(3):
-        noise = 1e-12 * np.random.default_rng(seed).normal(size=kept.vertices.shape)
-        result = omtwarp.map_surface((kept.vertices + noise, kept.faces), domain="hemisphere", device="cpu")
-        measured, stages = result.distortion(), {stage["name"]: stage for stage in result.report["stages"]}
-        assert stages["omt"]["ended"] == "optimal" and stages["omt"]["road"] == road
-        assert measured.flips == 0 and result.certificate.bijective
-        areas.append(measured.area["surface"])
-        steps.append(stages["omt"]["iterations"])
-        rims = boundary_loops(result.faces, len(result.vertices))  # of the cut limbs, one on the equator
-        assert len(rims) == 2 and any(not result.sphere[rim, 2].any() for rim in rims)
-    assert np.median(areas) < area, areas
-    assert np.median(steps) <= 15, steps  # single vertices of symmetric maps take steps of their own too
+    result = omtwarp.map_surface((kept.vertices, kept.faces), domain="hemisphere", device="cpu")
+    measured, stages = result.distortion(), {stage["name"]: stage for stage in result.report["stages"]}
+    assert stages["omt"]["ended"] == "optimal" and stages["omt"]["road"] == road
+    assert stages["omt"]["iterations"] <= 15  # single vertices of symmetric maps take steps of their own too
+    assert measured.flips == 0 and result.certificate.bijective and measured.area["surface"] < area
+    rims = boundary_loops(result.faces, len(result.vertices))  # of the cut limbs, one on the equator
+    assert len(rims) == 2 and any(not result.sphere[rim, 2].any() for rim in rims)
 
 
 def test_small_filling_takes_a_hundredth():
@@ -546,11 +536,3 @@ def test_angles_are_kept_on_the_way_from_the_hemisphere_to_a_cap(share):
     assert share != 0.5 or np.abs(cap - north).max() < 1e-14
     rim = disk_to_cap(np.array([[1.0, 0.0]]), share, conformal=True)
     assert rim[0, 2] == pytest.approx(1.0 - 2.0 * share)
-
-
-@pytest.mark.parametrize("domain", ["auto", "hemisphere", "disk", "cap"])
-def test_a_single_triangle_is_told_what_maps_it(domain):
-    """Its double would be two triangles with the same corners; with its hole filled it is a sphere."""
-    mesh = np.eye(3), [[0, 1, 2]]
-    with pytest.raises(omtwarp.OmtwarpError, match="the surface is a single triangle: domain='sphere' would map it"):
-        omtwarp.map_surface(mesh, domain=domain, device="cpu")
