@@ -69,7 +69,7 @@ def painted_with_map(
     if repair and len(mesh.faces) != len(result.faces):
         mesh, _ = read_sound_painted(path, repair)
     try:
-        mesh.on(result.vertices, result.faces, result.origins)
+        mesh.on(result.vertices, result.faces, origins=result.origins)
     except OmtwarpError as error:
         raise OmtwarpError(f"{of_map} and {path}: {error}") from None
     return mesh, result

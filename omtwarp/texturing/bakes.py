@@ -18,7 +18,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.operators import corner_cotangents, cotangent_laplacian
 from omtwarp.geometry.space_order import in_strips
 from omtwarp.mesh.arrays import TINY, Bytes, Floats, Ints, normalised
-from omtwarp.mesh.data import read_data
+from omtwarp.mesh.data import LabelTable, read_data
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.surface import plane_areas, sums_around, triangle_areas, vertex_normals
 from omtwarp.texturing import kernels
@@ -174,7 +174,7 @@ def _as_picture(vectors: NDArray[np.floating], size: tuple[int, int]) -> Bytes:
     return np.rint((np.clip(vectors, -1.0, 1.0) * 0.5 + 0.5) * 255.0).astype(np.uint8).reshape(size[1], size[0], 3)
 
 
-def numbers_in(path: Path, count: int, origins: Origins | None, structure: str | None) -> tuple[Floats, dict | None]:
+def data_in(path: Path, count: int, origins: Origins | None, structure: str | None) -> tuple[Floats, LabelTable | None]:
     """Read the numbers at a surface's vertices from a file of data, NaN where there is none, shape [count].
 
     Labels come with their table, other data with None.
@@ -204,7 +204,7 @@ def numbers_in(path: Path, count: int, origins: Origins | None, structure: str |
     return values, data.table
 
 
-def colored(values: Floats, colormap: str | dict, low: float, high: float, target: Target) -> Bytes:
+def colored(values: Floats, colormap: str | LabelTable, low: float, high: float, target: Target) -> Bytes:
     """Return the picture of numbers at the vertices, uint8 sRGB, shape [H, W, 3]; grey where there is none.
 
     Args:

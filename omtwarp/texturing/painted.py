@@ -126,11 +126,12 @@ class PaintedMesh:
         put = object.__setattr__
         put(self, "vertices", real_numbers(self.vertices, "vertices", (None, 3), finite=False))
         put(self, "faces", corners_of(self.faces, len(self.vertices)))
-        count, known = len(self.faces), listed(self.materials, "materials", "omtwarp.Material", Material)
+        put(self, "materials", tuple(listed(self.materials, "materials", "omtwarp.Material", Material)))
+        count = len(self.faces)
         if self.uv is not None:
             put(self, "uv", uv_of_corners(self.uv, self.faces))
         given = np.zeros(count) if self.face_material is None else self.face_material
-        materials = whole_numbers(given, "materials of triangles", (count,), below=len(known))
+        materials = whole_numbers(given, "materials of triangles", (count,), below=len(self.materials))
         put(self, "face_material", materials.astype(np.int32))
         if self.face_object is not None and np.shape(self.face_object) != (count,):
             raise OmtwarpError(f"objects of {len(self.face_object)} triangles given for {count}")
@@ -221,7 +222,13 @@ class PaintedMesh:
             raise OmtwarpError(f"{name}: {text}, first face {missing.argmax()}")
         return self.uv
 
-    def on(self, vertices: ArrayLike, faces: ArrayLike, face_origin: ArrayLike | Origins | None = None) -> Self:
+    def on(
+        self,
+        vertices: ArrayLike,
+        faces: ArrayLike,
+        face_origin: ArrayLike | None = None,
+        origins: Origins | None = None,
+    ) -> Self:
         """Transfer coordinates and materials to a repaired, welded, divided or renumbered copy of the mesh.
 
         Corners are matched by their positions.
@@ -231,41 +238,43 @@ class PaintedMesh:
             faces: of the copy, shape [G, 3].
             face_origin: the triangle of this mesh that each of the copy was, -1 for a new one, shape [G]; by default
                 that with its corners at the same places, in any order. New triangles get the first material,
-                and coordinates of neighbouring triangles. Origins instead of numbers say which triangles of the copy
-                are parts of one, as those of an exact map are.
+                and coordinates of neighbouring triangles.
+            origins: say which triangles of the copy are parts of one, as those of an exact map are.
 
         Raises:
             OmtwarpError: the copy's triangles are not where this mesh's are.
         """
         points, triangles = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int32)
-        divided = face_origin if isinstance(face_origin, Origins) else None
         # A mesh of as many triangles, as unwrapping makes of a map, is divided as the copy is
-        whole = triangles if divided is None or len(self.faces) >= len(triangles) else divided.whole_faces(triangles)
-        given = None if divided is face_origin else np.asarray(face_origin)
-        origin = self._same_triangles(points, whole) if given is None else given
+        whole = triangles if origins is None or len(self.faces) >= len(triangles) else origins.whole_faces(triangles)
+        origin = self._same_triangles(points, whole) if face_origin is None else np.asarray(face_origin)
         kept = np.flatnonzero(origin >= 0)
         here, there = points[whole[kept]], self.vertices[self.faces[origin[kept]]]
         apart = np.linalg.norm(here[:, :, None] - there[:, None, :], axis=3)
         corner = apart.argmin(axis=2)
-        if len(kept) and apart.min(axis=2).max() > (SAME_PLACE if given is None else WELD) * self._extent:
+        if len(kept) and apart.min(axis=2).max() > (SAME_PLACE if face_origin is None else WELD) * self._extent:
             raise OmtwarpError(ELSEWHERE)
         materials, objects = (
             None if known is None else np.where(origin >= 0, known[origin], 0).astype(np.int32)
             for known in (self.face_material, self.face_object)
         )
-        share, part = np.tile(np.eye(3), (len(kept), 1, 1)), (whole != triangles).any(axis=1)[kept]
+        part = np.flatnonzero((whole != triangles).any(axis=1)[kept])
         sides, inside = here[part, 1:] - here[part, :1], points[triangles[kept[part]]] - here[part, :1]
-        share[part, :, 1:] = np.round(8.0 * (inside @ np.linalg.pinv(sides))) / 8.0  # sides are halved alone
-        share[part, :, 0] = 1.0 - share[part, :, 1:].sum(axis=2)
+        share = np.round(8.0 * (inside @ np.linalg.pinv(sides))) / 8.0  # sides are halved alone
+        share = np.concatenate([1.0 - share.sum(axis=2, keepdims=True), share], axis=2)
+
         uv = colors = None
         if self.uv is not None:
-            own, at_vertex = share @ self.uv[origin[kept, None], corner], np.full((len(points), 2), np.nan)
+            own, at_vertex = self.uv[origin[kept, None], corner], np.full((len(points), 2), np.nan)
+            own[part] = share @ own[part]
             at_vertex[triangles[kept]] = own
             uv = at_vertex[triangles]
             uv[kept] = own
         if self.vertex_colors is not None:
+            shown = self.vertex_colors[self.faces[origin[kept, None], corner]]
+            shown[part] = np.rint(share @ shown[part])
             colors = np.full((len(points), 4), 255, dtype=np.uint8)
-            colors[triangles[kept]] = np.rint(share @ self.vertex_colors[self.faces[origin[kept, None], corner]])
+            colors[triangles[kept]] = shown
         moved = replace(self, vertices=points, faces=triangles, uv=uv, face_material=materials, face_object=objects)
         return replace(moved, vertex_colors=colors, normals=None, layout=None)
 

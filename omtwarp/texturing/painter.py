@@ -125,7 +125,7 @@ def paint(
     origins, structure = (None, None) if stored is None else (stored.origins, stored.report.get("structure"))
     painting = _Painting(
         vertices, faces, sphere, torus, parts, on_map, origins, structure,
-        None if mesh is None else mesh.on(vertices, faces, origins), keep, 0.5 if opacity is None else opacity,
+        None if mesh is None else mesh.on(vertices, faces, origins=origins), keep, 0.5 if opacity is None else opacity,
         names, color, fine,
         image, pattern, projection, atlas, rotate, size, resolve_device(device),
     )  # fmt: skip
@@ -348,10 +348,10 @@ class _Painting:
             finished = replace(finished, normal_picture=normals, own_tangents=True)
         return finished
 
-    def _numbers(self, what: str) -> tuple[Floats, str | dict, float, float]:
+    def _numbers(self, what: str) -> tuple[Floats, str | bakes.LabelTable, float, float]:
         """Return numbers at vertices by the name of a quantity or file, their colour map and the values at its ends."""
         if what not in ("curvature", "area"):
-            values, table = bakes.numbers_in(Path(what), len(self.vertices), self.origins, self.structure)
+            values, table = bakes.data_in(Path(what), len(self.vertices), self.origins, self.structure)
             return values, table or "viridis", float(np.nanmin(values)), float(np.nanmax(values))
         if what == "area":
             # Least range, of a binary logarithm: a map that keeps areas to round-off still has a range of colours

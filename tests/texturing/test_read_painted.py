@@ -221,13 +221,14 @@ def test_coordinates_follow_a_map_that_divides_triangles(exact):
     mesh = PaintedMesh(
         places, triangles, 0.5 + 0.4 * places[triangles][..., :2], (red, blue), side(triangles, places), colors(places)
     )
-    after = mesh.on(result.vertices, result.faces, result.origins)
+    after = mesh.on(result.vertices, result.faces, origins=result.origins)
     np.testing.assert_allclose(after.uv, 0.5 + 0.4 * result.vertices[result.faces][..., :2], atol=1e-12)
     np.testing.assert_array_equal(after.face_material, side(result.faces, result.vertices))
     np.testing.assert_allclose(after.vertex_colors, colors(result.vertices), atol=1)
     painted = omtwarp.paint(result, mesh, pattern="checker", keep="over", size=96, device="cpu")
     assert [material.name for material in painted.materials] == ["red", "blue"]
-    again = after.on(result.vertices, result.faces[::-1], replace(result.origins, face_origin=result.face_origin[::-1]))
+    turned = replace(result.origins, face_origin=result.face_origin[::-1])
+    again = after.on(result.vertices, result.faces[::-1], origins=turned)
     np.testing.assert_array_equal(again.uv, after.uv[::-1])  # a mesh that is divided as the map is
 
 
@@ -307,6 +308,19 @@ def test_what_is_written_is_read_again(tmp_path, suffix):
         assert (one.picture is None) == (other.picture is None)
         if other.picture is not None:
             np.testing.assert_array_equal(one.picture, other.picture)
+
+
+def test_corners_without_coordinates_leave_the_others_of_their_triangle_theirs(tmp_path):
+    mesh = read_painted_mesh(two_halves(tmp_path, picture=True)[0])
+    uv = mesh.uv.copy()
+    uv[3, 1] = np.nan
+    np.testing.assert_array_equal(replace(mesh, uv=uv).on(mesh.vertices, mesh.faces).uv, uv)
+
+
+def test_materials_may_be_given_one_after_another(tmp_path):
+    mesh = read_painted_mesh(two_halves(tmp_path, picture=True)[0])
+    names = [material.name for material in replace(mesh, materials=iter(mesh.materials)).materials]
+    assert names == [material.name for material in mesh.materials]
 
 
 def test_objects_and_groups_of_an_obj_come_back(tmp_path):
