@@ -78,10 +78,8 @@ def run_item(job: Job) -> Row:
         except OmtwarpError as error:
             record = recorded(ERROR, with_options(str(error)))  # a file, for the tables and pages of the command
         except Exception as error:
-            if out_of_memory(error):
-                record = recorded(MEMORY, f"needs more than {job.memory_limit / 2**30:.3g} GiB of memory")
-            else:
-                record = recorded(ERROR, unexpected(error))
+            more = f"needs more than {job.memory_limit / 2**30:.3g} GiB of memory"
+            record = recorded(MEMORY, more) if out_of_memory(error) else recorded(ERROR, unexpected(error))
         append_to_journal(job, str(record["status"]))
         return record
 

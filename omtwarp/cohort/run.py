@@ -99,10 +99,11 @@ def run_cohort(
         >>> run_cohort(read_manifest(f"{folder}/*.ply"), folder + "/out", workers=1, until="moser").counts
         {'ok': 2}
     """
-    items, workers = listed(items, "items", "omtwarp.cohort.Item", Item), core_count() if workers is None else workers
+    items = listed(items, "items", "omtwarp.cohort.Item", Item)
+    workers = core_count() if workers is None else whole_number(workers, "workers", least=1)
     part, parts = whole_numbers(shard, "shard", (2,)).tolist()
     time_limit, memory_limit = real_number(time_limit, "time_limit"), real_number(memory_limit, "memory_limit")
-    _require_possible(items, (part, parts), workers, time_limit, memory_limit)
+    _require_possible(items, part, parts, time_limit, memory_limit)
     if register == GROUP and any(item.id == "template" for item in items):
         raise OmtwarpError("an item is called 'template', as a result of register='group' is: give it another id")
     asked, on = _options_of_jobs(options, repair, fill_area, register)
@@ -163,17 +164,14 @@ def _options_of_jobs(
     return asked, asked | ({"target": digest_of(file)} if file.is_file() else {})
 
 
-def _require_possible(
-    items: Sequence[Item], shard: tuple[int, int], workers: int, time_limit: float, memory_limit: float
-) -> None:
+def _require_possible(items: list[Item], part: int, parts: int, time_limit: float, memory_limit: float) -> None:
     """Refuse a run that asks for what cannot be.
 
     Raises:
-        OmtwarpError: a shard, a limit or a number of workers out of bounds, or a column that the table has itself.
+        OmtwarpError: a shard or a limit out of bounds, or a column that the table has itself.
     """
     longest = 1e8  # seconds of a time limit: three years, and less than timers of the system take
     largest_limit = 1e6  # GiB of a memory limit, in bytes less than 2^63
-    part, parts = shard
     if not 1 <= part <= parts:
         raise OmtwarpError(f"shard {part}/{parts}: give i/n with i from 1 to n")
     if not (0.0 < time_limit <= longest and 0.0 <= memory_limit <= largest_limit):
@@ -184,7 +182,6 @@ def _require_possible(
     taken = next((name for item in items for name in item.fields if name in (*ORDER, *REGISTERED)), None)
     if taken is not None:
         raise OmtwarpError(f"the table of results has a column '{taken}' of its own: rename that of the list of items")
-    whole_number(workers, "workers", least=1)
 
 
 def _require_other_inputs(jobs: Sequence[Job], folder: Path) -> None:

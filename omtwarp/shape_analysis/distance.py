@@ -118,7 +118,8 @@ def shape_distance(
 def _coefficients(sphere: Floats, one: HasTriangles, degree: int, scale: bool) -> Floats:
     """Return the coefficients of a surface without its place, and without its size where it is scaled."""
     numbers = expand(sphere, one.vertices, degree, faces=one.faces).coefficients[1:]
-    return in_range(numbers) * np.sqrt(SPHERE_AREA / (in_range(numbers) ** 2).sum()) if scale else numbers
+    sized = in_range(numbers)
+    return sized * np.sqrt(SPHERE_AREA / (sized**2).sum()) if scale else numbers
 
 
 def coefficient_distance(first: Floats, second: Floats) -> float:

@@ -305,9 +305,8 @@ class WaveletPreconditioner:
         """
         from_numpy = not isinstance(right_hand_side, wp.array)
         if from_numpy:
-            values = wp.array(
-                real_numbers(right_hand_side, "right_hand_side", (len(self._factors),)), device=self.device
-            )
+            given = real_numbers(right_hand_side, "right_hand_side", (len(self._factors),))
+            values = wp.array(given, device=self.device)
         else:
             values = wp.empty_like(right_hand_side) if out is None else out
             wp.copy(values, right_hand_side)
