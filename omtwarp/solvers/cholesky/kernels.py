@@ -260,22 +260,11 @@ UP = """
 """
 
 
-@wp.func_native(of_numbers(DOWN))
-def substitute_down(
+@wp.func_native(of_numbers(f"if (transposed == 1) {{{UP}}} else {{{DOWN}}}"))
+def substitute(
     r: int,
     fronts: wp.array[wp.int32],
-    unknowns: int,
-    stride: int,
-    tree: Fronts,
-    carried: wp.array[wp.float64],
-    x: wp.array[wp.float64],
-): ...
-
-
-@wp.func_native(of_numbers(UP))
-def substitute_up(
-    r: int,
-    fronts: wp.array[wp.int32],
+    transposed: int,
     unknowns: int,
     stride: int,
     tree: Fronts,
@@ -301,10 +290,7 @@ def solve_triangular(
     side, one for every row of every front.
     """
     r, _compiled_once = wp.tid()
-    if transposed == 1:
-        substitute_up(r, fronts, unknowns, stride, tree, carried, x)
-    else:
-        substitute_down(r, fronts, unknowns, stride, tree, carried, x)
+    substitute(r, fronts, transposed, unknowns, stride, tree, carried, x)
 
 
 PRODUCT = """
