@@ -94,18 +94,6 @@ def locate_points(
 
 
 @wp.kernel
-def sort_keys(
-    point_faces: wp.array[wp.int32],
-    # Data out:
-    keys: wp.array[wp.int32],
-    order: wp.array[wp.int32],
-):
-    i = wp.tid()
-    keys[i] = point_faces[i]
-    order[i] = i
-
-
-@wp.kernel
 def face_rows(
     keys: wp.array[wp.int32],
     count: wp.int32,
@@ -228,18 +216,12 @@ def gather_corner_vectors(
     corner_vectors: wp.array2d[wp.vec3d],
 ):
     f = wp.tid()
-    first = wp.vec3d(ZERO, ZERO, ZERO)
-    second = wp.vec3d(ZERO, ZERO, ZERO)
-    third = wp.vec3d(ZERO, ZERO, ZERO)
+    total = wp.mat33d()
     for n in range(row_offsets[f], row_offsets[f + 1]):
         i = order[n]
-        v = tangential(field[i], points[i])
-        first += coordinates[i][0] * v
-        second += coordinates[i][1] * v
-        third += coordinates[i][2] * v
-    corner_vectors[f, 0] = first
-    corner_vectors[f, 1] = second
-    corner_vectors[f, 2] = third
+        total += wp.outer(coordinates[i], tangential(field[i], points[i]))
+    for k in range(3):
+        corner_vectors[f, k] = total[k]
 
 
 @wp.kernel

@@ -8,8 +8,9 @@ at points, and its adjoint, which divided by the mass each node receives is a me
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from omtwarp.device.arrays import sent
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.sums import SparseProduct
@@ -60,21 +61,17 @@ class SphereSampler:
         self.face_count = len(hierarchy.level_faces[self.level])
         levels = hierarchy.level_faces[: self.level + 1]
         starts = np.concatenate([[0], np.cumsum([len(faces) for faces in levels])]).astype(np.int32)
-
-        def send(array: NDArray[np.generic], dtype: type | None = None) -> wp.array:
-            given = {} if dtype is None else {"dtype": dtype}
-            return wp.array(np.ascontiguousarray(array), device=self.device, **given)
-
         nodes = hierarchy.vertices[: self.node_count]
-        self._nodes = send(nodes, wp.vec3d)
-        self.triangles = [self._nodes, send(np.concatenate(levels)), send(starts)]
-        self._faces = send(levels[-1])
-        rows = transposed_rows(levels[-1], self.node_count)
-        self._corner_rows = [Each(send(rows[0]), more=1), send(rows[1])]
+        self._nodes = sent(nodes, wp.vec3d, self.device)
+        all_faces = sent(np.concatenate(levels), wp.int32, self.device)
+        self.triangles = [self._nodes, all_faces, sent(starts, wp.int32, self.device)]
+        self._faces = sent(levels[-1], wp.int32, self.device)
+        offsets, corners = (sent(a, wp.int32, self.device) for a in transposed_rows(levels[-1], self.node_count))
+        self._corner_rows = [Each(offsets, more=1), corners]
         first, second, third = (nodes[levels[-1][:, k]] for k in range(3))
         weights = norms(cross(second - first, third - first))
         at_nodes = np.bincount(levels[-1].ravel(), np.repeat(weights, 3), minlength=self.node_count)
-        self._weights = send(at_nodes if density is None else at_nodes * density)
+        self._weights = sent(at_nodes if density is None else at_nodes * density, wp.float64, self.device)
         self._level_sums: list[wp.array] = []
         self._level_masses: list[wp.array] = []
         self._predictions: list[tuple[SparseProduct, SparseProduct]] = []  # of each level's added nodes, and transposed
@@ -85,6 +82,7 @@ class SphereSampler:
         # The radix sort of Warp needs a workspace of twice the keys.
         self._keys = wp.empty(2 * self.point_count, dtype=wp.int32, device=self.device)
         self._order = wp.empty(2 * self.point_count, dtype=wp.int32, device=self.device)
+        self._numbers = sent(np.arange(self.point_count, dtype=np.int32), wp.int32, self.device)
         self._point_rows = wp.empty(self.face_count + 1, dtype=wp.int32, device=self.device)
         self._face_vectors = wp.empty(self.face_count, dtype=wp.vec3d, device=self.device)
         self._corner_vectors = wp.empty((self.face_count, 3), dtype=wp.vec3d, device=self.device)
@@ -117,7 +115,8 @@ class SphereSampler:
         count = self.point_count
         inputs = [Each(self.points), *self.triangles]
         launch_parts(kernels.locate_points, count, inputs, each(self.point_faces, self.coordinates), self.device)
-        self._launch(kernels.sort_keys, count, [self.point_faces], [self._keys, self._order])
+        wp.copy(self._keys, self.point_faces)
+        wp.copy(self._order, self._numbers)
         bits = int(self.face_count - 1).bit_length()
         wp.utils.radix_sort_pairs(self._keys, self._order, count, end_bit=bits)
         inputs = [self._keys, count, FIRST_THREAD]
@@ -144,7 +143,12 @@ class SphereSampler:
     def set_masses(self, masses: ArrayLike | wp.array) -> None:
         """Give the (positive) masses of the points, shape [P], that :meth:`restrict` divides by."""
         source, _ = self._take(masses, "masses", self.point_count, wp.float64)
-        self._prepare_levels()
+        if not self._level_sums:
+            counts = self.hierarchy.node_counts[: self.level + 1]
+            for j in range(self.level):
+                added = self.hierarchy.refinement_matrix(j)[counts[j] :]
+                self._predictions.append((SparseProduct(added, self.device), SparseProduct(added.T, self.device)))
+            self._level_sums = [wp.empty(count, dtype=wp.float64, device=self.device) for count in counts]
         self._level_masses = self._coarsen(self.adjoint(source), [wp.empty_like(a) for a in self._level_sums])
 
     def restrict(self, sums: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
@@ -171,15 +175,6 @@ class SphereSampler:
             inputs = [self._level_sums[j], self._level_masses[j], smallest]
             self._launch(kernels.mean_values, count, inputs, [out])
         return out.numpy() if from_numpy else out
-
-    def _prepare_levels(self) -> None:
-        if self._level_sums:
-            return
-        counts = self.hierarchy.node_counts[: self.level + 1]
-        for j in range(self.level):
-            added = self.hierarchy.refinement_matrix(j)[counts[j] :]
-            self._predictions.append((SparseProduct(added, self.device), SparseProduct(added.T, self.device)))
-        self._level_sums = [wp.empty(count, dtype=wp.float64, device=self.device) for count in counts]
 
     def _coarsen(self, finest: wp.array, workspace: list[wp.array]) -> list[wp.array]:
         workspace[self.level] = finest
