@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
-from omtwarp.device.arrays import triangles, vectors
+from omtwarp.device.arrays import sent, triangles, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import KERNEL_OPTIONS, LARGE, ONE, THREE, ZERO, wp
 from omtwarp.device.threads import Each, each, launch_parts
@@ -70,10 +70,7 @@ def walk(
         if weights[worst] >= -wp.float64(1e-12):
             break
         # Corner k is opposite to the edge between corners k + 1 and k + 2.
-        edge = worst + 1
-        if edge == 3:
-            edge = int(0)
-        f = neighbours[f][edge]
+        f = neighbours[f][(worst + 1) % 3]
     return f, clamped(weights)
 
 
@@ -88,26 +85,29 @@ def reach(v: wp.float64) -> wp.vec3d:
 
 
 @wp.kernel
-def box_triangles(
-    points: wp.array[wp.vec3d],
-    faces: wp.array[wp.vec3i],
+def box_polygons(
+    corners: wp.array2d[wp.vec3d],
     # Data out:
     lower: wp.array[wp.vec3],
     upper: wp.array[wp.vec3],
 ):
-    """Compute a box around every spherical triangle, in single precision.
+    """Compute a box around every polygon of arcs, in single precision.
 
-    No point of a flat triangle with longest edge L is further than L / √3 from a corner, so that none is nearer to the
-    sphere's centre than √(1 - L² / 3): by what is left to 1 the spherical triangle may bulge out of the flat one's box.
+    No point of the flat polygon of diameter D is further than D / √3 from a corner (Jung 1901), so that none is nearer
+    to the sphere's centre than √(1 - D² / 3): by what is left to 1 its arcs may bulge out of the flat one's box.
     """
-    f = wp.tid()
-    face = faces[f]
-    a, b, c = points[face[0]], points[face[1]], points[face[2]]
-    longest = wp.max(wp.dot(b - a, b - a), wp.max(wp.dot(c - b, c - b), wp.dot(a - c, a - c)))
-    bulge = ONE - wp.sqrt(wp.max(ONE - longest / THREE, ZERO))
-    margin = reach(bulge + BOX_MARGIN)
-    lower[f] = single(wp.min(a, wp.min(b, c)) - margin)
-    upper[f] = single(wp.max(a, wp.max(b, c)) + margin)
+    i = wp.tid()
+    low = corners[i, 0]
+    high = corners[i, 0]
+    diameter = wp.float64(0.0)
+    for k in range(4):
+        low = wp.min(low, corners[i, k])
+        high = wp.max(high, corners[i, k])
+        for m in range(4):
+            diameter = wp.max(diameter, wp.length_sq(corners[i, k] - corners[i, m]))
+    margin = reach(ONE - wp.sqrt(wp.max(ONE - diameter / THREE, ZERO)) + BOX_MARGIN)
+    lower[i] = single(low - margin)
+    upper[i] = single(high + margin)
 
 
 @wp.kernel
@@ -219,6 +219,19 @@ def find_closest(
     coordinates[i] = best_weights
 
 
+def boxes_around(corners: Floats, device: wp.Device) -> tuple[wp.array, wp.array, wp.array]:
+    """Return polygons of arcs on a device, of four corners each, with the lower and the upper ends of their boxes.
+
+    Args:
+        corners: unit vectors, shape [N, 4, 3]; a triangle repeats one.
+        device: a Warp device.
+    """
+    polygons = sent(corners, wp.vec3d, device)
+    lower, upper = (wp.empty(len(corners), dtype=wp.vec3, device=device) for _ in range(2))
+    wp.launch(box_polygons, dim=len(corners), inputs=[polygons], outputs=[lower, upper], device=device)
+    return polygons, lower, upper
+
+
 def combined(vertices: NDArray[np.integer], shares: Floats, count: int) -> sparse.csr_matrix:
     """Return the matrix of points as combinations of vertices, shape [N, count].
 
@@ -288,10 +301,7 @@ class Locator:
         self._points, self._faces = vectors(corners, self.device), triangles(faces, self.device)
         if len(self._faces) == 0:
             raise OmtwarpError("a sphere without triangles: nothing can be located on it")
-        lower, upper = (wp.empty(len(self._faces), dtype=wp.vec3, device=self.device) for _ in range(2))
-        inputs = [self._points, self._faces]
-        wp.launch(box_triangles, dim=len(self._faces), inputs=inputs, outputs=[lower, upper], device=self.device)
-        self._boxes = wp.Bvh(lower, upper)
+        self._boxes = wp.Bvh(*boxes_around(corners[faces[:, [0, 1, 2, 2]]], self.device)[1:])
 
     def find(self, points: ArrayLike | wp.array) -> Found:
         """Return the triangle that holds each point, and where the ray from the centre through the point meets it.

@@ -1,9 +1,8 @@
 """Exact areas in which convex polygons of great-circle arcs overlap."""
 
 # mypy: ignore-errors
-from omtwarp.device.start import KERNEL_OPTIONS, ONE, THREE, ZERO, wp
+from omtwarp.device.start import KERNEL_OPTIONS, ZERO, wp
 from omtwarp.geometry.spherical import solid_angle
-from omtwarp.location import BOX_MARGIN, reach, single
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -49,32 +48,6 @@ def overlap_area(subject: wp.array2d[wp.vec3d], s: int, cutter: wp.array2d[wp.ve
     for m in range(1, count - 1):
         area += solid_angle(first, polygon[m], polygon[m + 1])
     return area
-
-
-@wp.kernel
-def box_polygons(
-    corners: wp.array2d[wp.vec3d],
-    # Data out:
-    lower: wp.array[wp.vec3],
-    upper: wp.array[wp.vec3],
-):
-    """Compute a box around every polygon of arcs.
-
-    No point of the flat polygon is further from a corner than half its diameter times √(4 / 3) (Jung 1901); by what
-    then is left to 1 its arcs may bulge out.
-    """
-    i = wp.tid()
-    low = corners[i, 0]
-    high = corners[i, 0]
-    diameter = wp.float64(0.0)
-    for k in range(4):
-        low = wp.min(low, corners[i, k])
-        high = wp.max(high, corners[i, k])
-        for m in range(4):
-            diameter = wp.max(diameter, wp.length_sq(corners[i, k] - corners[i, m]))
-    margin = reach(ONE - wp.sqrt(wp.max(ONE - diameter / THREE, ZERO)) + BOX_MARGIN)
-    lower[i] = single(low - margin)
-    upper[i] = single(high + margin)
 
 
 @wp.kernel

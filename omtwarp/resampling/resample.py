@@ -19,7 +19,7 @@ from omtwarp.errors import OmtwarpError, choose
 from omtwarp.files.inputs import read_bytes
 from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.files.output import as_path, staged
-from omtwarp.location import Locator, combined
+from omtwarp.location import Locator, boxes_around, combined
 from omtwarp.maps.result import MapResult, is_map_file
 from omtwarp.mesh.arrays import Floats, Ints, in_range, real_numbers, whole_numbers
 from omtwarp.mesh.data import read_data
@@ -28,7 +28,7 @@ from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.surface import MeshLike, sums_around, triangle_areas
 from omtwarp.options import Interpolation, InterpolationLike
 from omtwarp.resampling.averages import average_sphere, is_average
-from omtwarp.resampling.overlap_kernels import box_polygons, list_overlaps
+from omtwarp.resampling.overlap_kernels import list_overlaps
 from omtwarp.spheres import SphereGrid, is_named, mesh_grid, named_grid
 
 
@@ -50,15 +50,8 @@ def overlap_areas(target: SphereGrid, source: SphereGrid, *, device: str | None 
     """
     where = resolve_device(device)
     (target_corners, target_owners), (source_corners, source_owners) = target.cells, source.cells
-
-    def send(corners: Floats) -> tuple[wp.array, wp.array, wp.array]:
-        polygons = wp.array(np.ascontiguousarray(corners), dtype=wp.vec3d, device=where)
-        lower, upper = (wp.empty(len(corners), dtype=wp.vec3, device=where) for _ in range(2))
-        wp.launch(box_polygons, dim=len(corners), inputs=[polygons], outputs=[lower, upper], device=where)
-        return polygons, lower, upper
-
-    targets, lower, upper = send(target_corners)
-    sources, *source_boxes = send(source_corners)
+    targets, lower, upper = boxes_around(target_corners, where)
+    sources, *source_boxes = boxes_around(source_corners, where)
     boxes = wp.Bvh(*source_boxes)
     # Where cells only touch, round-off makes overlaps of some 1e-16 of a cell; the overlaps dropped stay below 1e-13.
     smallest = wp.float64(1e-14 * 4.0 * np.pi / max(len(target_corners), len(source_corners)))
