@@ -12,7 +12,7 @@ both are at least 2, and 2 is perfect.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypedDict
+from typing import TypedDict, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -111,13 +111,7 @@ class Distortion:
 
     def to_dict(self) -> Aggregates:
         """Return the aggregates as plain numbers, ready for JSON."""
-        return {
-            "flips": self.flips,
-            "degree": self.degree,
-            "finite": self.finite,
-            "area": self.area,
-            "angle": self.angle,
-        }
+        return cast("Aggregates", {name: getattr(self, name) for name in Aggregates.__annotations__})
 
     def __str__(self) -> str:
         return (
