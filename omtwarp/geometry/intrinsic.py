@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, TWO, ZERO, wp
-from omtwarp.mesh.arrays import Floats, Ints, norms
+from omtwarp.mesh.arrays import Floats, Ints, edge_keys, norms
 from omtwarp.mesh.surface import Surface
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -176,9 +176,8 @@ def intrinsic_edges(surface: Surface) -> tuple[Ints, Floats]:
 
     def pairs() -> tuple[Ints, Floats]:
         edges, count = delaunay_edges(surface), surface.vertex_count
-        low, high = np.minimum(*edges.ends.T), np.maximum(*edges.ends.T)
-        apart = low != high
-        keys, place = np.unique(low[apart] * count + high[apart], return_inverse=True)
+        apart = edges.ends[:, 0] != edges.ends[:, 1]
+        keys, place = np.unique(edge_keys(edges.ends[apart], count), return_inverse=True)
         weights = np.bincount(place, edges.weights[apart]).astype(np.float64)
         return np.stack([keys // count, keys % count], axis=1).astype(np.int32), weights
 

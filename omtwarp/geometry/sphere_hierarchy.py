@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from omtwarp.mesh.arrays import Floats, Ints, cross, normalised, norms, whole_number
+from omtwarp.mesh.arrays import Floats, Ints, cross, edge_keys, normalised, norms, whole_number
 from omtwarp.mesh.surface import face_neighbours
 
 HIGHEST_LEVEL = 10  # of an icosahedron that has 10 · 4¹⁰ + 2 nodes, ten million
@@ -115,9 +115,8 @@ def predict_stencil(hierarchy: SphereHierarchy, level: int, *, butterfly: bool) 
 
 def _halve_edges(faces: Ints, node_count: int) -> tuple[Ints, Ints, Ints]:
     """Return the edges' ends [E, 2], butterfly wings [E, 6], and the edge (k, k + 1) of every triangle [F, 3]."""
-    tail, head = faces.astype(np.int64), np.roll(faces, -1, axis=1).astype(np.int64)
-    keys = np.minimum(tail, head) * node_count + np.maximum(tail, head)
-    unique, first, edge = np.unique(keys.ravel(), return_index=True, return_inverse=True)
+    keys = edge_keys(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), node_count)
+    unique, first, edge = np.unique(keys, return_index=True, return_inverse=True)
     parents = np.stack([unique // node_count, unique % node_count], axis=1).astype(np.int32)
     neighbours = face_neighbours(faces, node_count)
 

@@ -199,8 +199,8 @@ def edge_keys(ends: NDArray[np.integer], vertex_count: int) -> NDArray[np.int64]
         ends: vertices, shape [E, 2].
         vertex_count: of the surface.
     """
-    ends = ends.astype(np.int64)
-    return ends.min(axis=1) * vertex_count + ends.max(axis=1)
+    first, second = ends[:, 0].astype(np.int64), ends[:, 1].astype(np.int64)
+    return np.minimum(first, second) * vertex_count + np.maximum(first, second)
 
 
 def marked(count: int, places: NDArray[np.integer] | NDArray[np.bool_]) -> NDArray[np.bool_]:

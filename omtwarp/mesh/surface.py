@@ -15,7 +15,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh import arrays
-from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints, cross, norms, real_numbers, whole_numbers
+from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints, cross, edge_keys, norms, real_numbers, whole_numbers
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.validate import MeshLike, mesh_arrays, require_valid, unit_coordinates
 
@@ -223,9 +223,7 @@ class Surface:
     @property
     def _side_keys(self) -> NDArray[np.int64]:
         """A number for the undirected edge opposite to every corner, shape [3F]; it sorts as edges do."""
-        tail = np.roll(self.faces, -1, axis=1).ravel().astype(np.int64)
-        head = np.roll(self.faces, -2, axis=1).ravel().astype(np.int64)
-        return np.minimum(tail, head) * self.vertex_count + np.maximum(tail, head)
+        return edge_keys(self.faces[:, [1, 2, 2, 0, 0, 1]].reshape(-1, 2), self.vertex_count)
 
     @cached_property
     def _sides(self) -> Ints | None:

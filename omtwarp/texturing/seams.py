@@ -20,7 +20,7 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from omtwarp.location import combined
-from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints, cross, marked, normalised, norms
+from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints, cross, edge_keys, marked, normalised, norms
 from omtwarp.texturing.atlas import ON_CUT, Arc, Atlas
 
 # Corners, edge midpoints and the centroid, where the linear coordinates are compared with the exact ones.
@@ -155,21 +155,17 @@ class CutMesh:
             Which of the new faces were not there before, bool, shape [M].
         """
         count = len(self.points)
-        tail = self.faces[face, corner].astype(np.int64)
-        head = self.faces[face, (corner + 1) % 3].astype(np.int64)
-        low, high = np.minimum(tail, head), np.maximum(tail, head)
-        keys, first = np.unique(low * count + high, return_index=True)
+        halves = self.faces[face[:, None], (corner[:, None] + [0, 1]) % 3]
+        keys, first = np.unique(edge_keys(halves, count), return_index=True)
         if len(keys) == 0:
             return np.zeros(len(self.faces), dtype=bool)
-        t = np.where(tail[first] == low[first], fraction[first], 1.0 - fraction[first])
-        ends = np.stack([low[first], high[first]], axis=1)
+        ends = np.sort(halves[first], axis=1)
+        t = np.where(halves[first, 0] == ends[:, 0], fraction[first], 1.0 - fraction[first])
         start = self._add_vertices(combined(ends, np.stack([1.0 - t, t], axis=1), count))
 
         # A face with such an edge has two of their ends at least: most faces are set aside by that.
         met = np.flatnonzero(marked(len(self.points), ends)[self.faces] @ np.ones(3, dtype=np.int8) >= 2)
-        tails = self.faces[met].astype(np.int64)
-        heads = np.roll(tails, -1, axis=1)
-        wanted = np.minimum(tails, heads) * count + np.maximum(tails, heads)
+        wanted = edge_keys(self.faces[met][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), count).reshape(-1, 3)
         position = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
         middle = np.full(self.faces.shape, -1, dtype=np.int32)
         middle[met] = np.where(keys[position] == wanted, start + position, -1)
