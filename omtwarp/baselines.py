@@ -15,7 +15,7 @@ from omtwarp.conformal.centring import centre_points
 from omtwarp.conformal.maps import dipole, most_regular_face, plane_to_sphere
 from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError, check_word
-from omtwarp.mesh.arrays import TINY, Floats, InOneLine, cross, dots, normalised, norms
+from omtwarp.mesh.arrays import TINY, Floats, InOneLine, cross, dots, normalised, norms, tangential_parts
 from omtwarp.mesh.surface import MeshLike, Surface, as_surface, triangle_areas
 from omtwarp.options import Progress, tell
 from omtwarp.solvers.poisson import Factorization, LaplacianSolver
@@ -194,7 +194,7 @@ class _Springs:
         deviation = norms(points - sums / np.maximum(size, TINY)[:, None])
         # E = ½ Σ_ij w_ij (1 - x_i·x_j); the difference is taken per vertex, before anything large is summed.
         energy = 0.5 * float((self.degree - tension).sum())
-        return _State(_tangential(points, sums), tension, float(deviation.max()), energy)
+        return _State(tangential_parts(points, sums), tension, float(deviation.max()), energy)
 
     def newton_system(
         self, points: Floats, tension: Floats, aligned: int, axis: Floats
@@ -248,14 +248,14 @@ def _relax(springs: _Springs, points: Floats, masses: Floats, report: Report) ->
     state = springs.sweep(points)
     step = 1.0
     for iteration in range(MOST_STEPS["relax"]):
-        force = state.force - _tangential(points, masses[:, None] * _multiplier(points, masses, state.force))
+        force = state.force - tangential_parts(points, masses[:, None] * _multiplier(points, masses, state.force))
         if np.sqrt((force**2).sum() / springs.count) <= relaxation_tolerance:
             break
-        direction = _tangential(points, solver.solve(force))
+        direction = tangential_parts(points, solver.solve(force))
         # Take out the part along Möbius transformations: centring would undo it.
         inertia = np.eye(3) - np.einsum("v,vi,vj->ij", masses, points, points)
         boost = np.linalg.solve(inertia, masses @ direction)
-        direction -= _tangential(points, np.broadcast_to(boost, points.shape))
+        direction -= tangential_parts(points, np.broadcast_to(boost, points.shape))
         slope = float((force * direction).sum())
         # Shortest step, of the preconditioned gradient: the energy falls by less than its round-off along a shorter one
         while step > 1e-6:
@@ -291,7 +291,7 @@ def _newton(springs: _Springs, points: Floats, masses: Floats | None, report: Re
             multiplier = _multiplier(points, masses, force)
             pull = masses[:, None] * multiplier
             tension = tension - dots(pull, points)
-            force = force - _tangential(points, pull)
+            force = force - tangential_parts(points, pull)
         if np.abs(force).max() <= newton_tolerance:
             return points, multiplier, True
         if iteration == MOST_STEPS["newton"]:
@@ -329,10 +329,6 @@ def _multiplier(points: Floats, masses: Floats, force: Floats) -> Floats:
     return np.linalg.solve(gram, masses @ force)
 
 
-def _tangential(points: Floats, vectors: Floats) -> Floats:
-    return np.asarray(vectors - dots(points, vectors)[:, None] * points)
-
-
 def _moved(points: Floats, direction: Floats, step: float) -> Floats:
     """Step along the tangential part of a direction and return to the sphere."""
-    return normalised(points + step * _tangential(points, direction))
+    return normalised(points + step * tangential_parts(points, direction))

@@ -34,7 +34,7 @@ from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.axes import OBLIQUE, principal_axes
 from omtwarp.geometry.intrinsic import intrinsic_edges
 from omtwarp.geometry.sphere_hierarchy import triangle_solid_angles
-from omtwarp.mesh.arrays import Floats, Ints, dots, normalised, squared_norms
+from omtwarp.mesh.arrays import Floats, Ints, dots, normalised, squared_norms, tangential_parts
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, Surface, as_sphere, as_surface, triangle_areas
 from omtwarp.options import Progress, Record, tell
 from omtwarp.solvers.poisson import EdgeLaplacianSolver, cotangent_solver, edge_laplacian
@@ -262,7 +262,7 @@ def harmonic_points(
     for number in range(1, STEPS + 1):
         tell(progress, "conformal", number - 1, STEPS, history[-1])
         pull = energy.pull(sphere)
-        slope = _tangent(sphere, pull)
+        slope = tangential_parts(sphere, pull)
         steepest = energy.preconditioned(sphere, slope)
         gain = float((slope * steepest).sum())
         if gain <= GAIN * value:
@@ -271,7 +271,7 @@ def harmonic_points(
         direction = -steepest
         if before is not None:
             turned = max(float((steepest * (slope - before[1])).sum()) / before[2], 0.0)
-            conjugate = direction + turned * _tangent(sphere, before[0])
+            conjugate = direction + turned * tangential_parts(sphere, before[0])
             direction = conjugate if float((conjugate * slope).sum()) < 0.0 else direction
         curvature = energy.curvature(sphere, pull, direction)
         length = -float((direction * slope).sum()) / curvature if curvature > 0.0 else 1.0
@@ -338,14 +338,9 @@ class _DirichletEnergy:
         masses = self._masses[:, None]
         mean = float(masses.sum()) * np.eye(3) - (masses * sphere).T @ sphere  # Σ B
         pull = np.linalg.solve(mean, slope.sum(axis=0))
-        moved = self._solver.solve(slope - masses * _tangent(sphere, pull))
-        shift = np.linalg.solve(mean, (masses * _tangent(sphere, moved)).sum(axis=0))
-        return _tangent(sphere, moved - shift)
-
-
-def _tangent(sphere: Floats, vectors: Floats) -> Floats:
-    """Return vectors, shape [V, 3] or [3], less their parts normal to the sphere at its points."""
-    return vectors - dots(sphere, vectors)[:, None] * sphere
+        moved = self._solver.solve(slope - masses * tangential_parts(sphere, pull))
+        shift = np.linalg.solve(mean, (masses * tangential_parts(sphere, moved)).sum(axis=0))
+        return tangential_parts(sphere, moved - shift)
 
 
 def _centred(sphere: Floats, masses: Floats) -> Floats | None:

@@ -378,6 +378,11 @@ def dots(first: Floats, second: Floats) -> Floats:
     return total
 
 
+def tangential_parts(normals: Floats, vectors: Floats) -> Floats:
+    """Return vectors, shape [..., 2] or [..., 3], less their parts along unit normals; a normal of 0 takes nothing."""
+    return vectors - dots(normals, vectors)[..., None] * normals
+
+
 def squared_norms(vectors: Floats) -> Floats:
     """Return the squared lengths of vectors, shape [...], from shape [..., 2] or [..., 3]."""
     return dots(vectors, vectors)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.arrays import Workspace, vectors
 from omtwarp.device.start import wp
-from omtwarp.mesh.arrays import Floats, dots, normalised
+from omtwarp.mesh.arrays import Floats, normalised, tangential_parts
 from omtwarp.mesh.surface import Surface
 from omtwarp.optimal.cells import Cells, TriangleCells
 from omtwarp.optimal.sphere import Sphere
@@ -44,11 +44,6 @@ def folded_map(double: Double, sphere: Floats) -> Floats:
     rim = np.flatnonzero(double.on_boundary & (sphere[:, 2] != 0.0))
     out[rim] = normalised(out[rim])
     return out
-
-
-def _tangential(normals: Floats, vectors_: Floats) -> Floats:
-    """Return vectors without their components across the boundary, where normals are not zero, shape [..., 2]."""
-    return vectors_ - normals * dots(normals, vectors_)[..., None]
 
 
 class MirroredSphere(Sphere):
@@ -137,7 +132,7 @@ class MirrorFactor(SaddlePointFactor):
         diagonal, off_diagonal, gradients, compliance = matrix.on_host()
         own, others = self._halved(diagonal, off_diagonal)
         slopes = gradients.reshape(-1, COORDINATES)[self._pairs] * self._pair_share  # none crosses the boundary
-        slopes = _tangential(self._normals[self._pair_ends], slopes)
+        slopes = tangential_parts(self._normals[self._pair_ends], slopes)
         self._factor.factorise(SaddleMatrix.of(own, others, slopes, compliance[self._cells] * self._cell_share))
 
     def _halved(self, diagonal: Floats, off_diagonal: Floats) -> tuple[Floats, Floats]:
@@ -152,13 +147,13 @@ class MirrorFactor(SaddlePointFactor):
         own[rim] = projection @ own[rim] @ projection + np.trace(own[rim], axis1=1, axis2=2)[:, None, None] * outer
         others = off_diagonal[self._kept] * self._edge_share[..., None]
         for end in self._edges.T:  # the columns of a block belong to the first end, the rows to the second
-            others = _tangential(self._normals[end][:, None], others.transpose(0, 2, 1))
+            others = tangential_parts(self._normals[end][:, None], others.transpose(0, 2, 1))
         return own, others
 
     def solve(self, right: wp.array) -> wp.array:
         """Solve for coordinates and multipliers of a symmetric right-hand side, shape [2 W + N]."""
         numbers, split = right.numpy(), COORDINATES * len(self._double.mirror)
-        first = _tangential(self._normals, numbers[:split].reshape(-1, COORDINATES)[self._half] * self._share)
+        first = tangential_parts(self._normals, numbers[:split].reshape(-1, COORDINATES)[self._half] * self._share)
         u, q = solve_parts(self._factor, first, numbers[split:][self._cells] * self._cell_share)
         numbers = np.zeros((len(self._double.mirror), COORDINATES))
         numbers[self._half] = u
