@@ -383,6 +383,13 @@ def tangential_parts(normals: Floats, vectors: Floats) -> Floats:
     return vectors - dots(normals, vectors)[..., None] * normals
 
 
+def mean_edge_lengths(points: Floats, ends: NDArray[np.integer]) -> Floats:
+    """Return the mean length of the edges at every vertex, shape [V], 0 without any, from their ends, shape [E, 2]."""
+    lengths = np.repeat(norms(points[ends[:, 0]] - points[ends[:, 1]]), 2)
+    counts = np.bincount(ends.ravel(), minlength=len(points))
+    return np.bincount(ends.ravel(), lengths, len(points)) / np.maximum(counts, 1)
+
+
 def squared_norms(vectors: Floats) -> Floats:
     """Return the squared lengths of vectors, shape [...], from shape [..., 2] or [..., 3]."""
     return dots(vectors, vectors)

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh import validate
-from omtwarp.mesh.arrays import TINY, WELD, Floats, InOneLine, cross, edge_keys, norms
+from omtwarp.mesh.arrays import TINY, WELD, Floats, InOneLine, cross, edge_keys, mean_edge_lengths, norms
 from omtwarp.mesh.origins import Derived
 from omtwarp.mesh.validate import MeshLike, Topology, check, components_of, number
 
@@ -313,13 +313,10 @@ def _first_at_place(unit: Floats, edges: NDArray[np.int64], among: NDArray[np.in
     """
     from scipy.spatial import cKDTree
 
-    lengths = np.repeat(norms(unit[edges[:, 0]] - unit[edges[:, 1]]), 2)
-    counts = np.bincount(edges.ravel(), minlength=len(unit))
-    mean = np.bincount(edges.ravel(), lengths, len(unit)) / np.maximum(counts, 1)
     places, first, inverse = np.unique(unit[among] + 0.0, axis=0, return_index=True, return_inverse=True)
     inverse = inverse.reshape(-1)
     reach = np.full(len(places), np.inf)
-    np.minimum.at(reach, inverse, WELD * mean[among])
+    np.minimum.at(reach, inverse, WELD * mean_edge_lengths(unit, edges)[among])
     # Neighbours, places next to one that are compared with it: more than the faces around most vertices
     far, near = cKDTree(places).query(places, k=min(16, len(places)))
     near = near.reshape(len(places), -1)

@@ -13,7 +13,7 @@ from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import TINY, Floats, cross, normalised, norms, summed
+from omtwarp.mesh.arrays import TINY, Floats, cross, mean_edge_lengths, normalised, norms, summed
 from omtwarp.mesh.polygons import grid_shares, grid_triangles
 from omtwarp.mesh.surface import Surface
 
@@ -482,10 +482,7 @@ def demo_shape(face_count: int = 20000) -> Surface:
 def noisy(surface: Surface, amount: float = 0.2, seed: int = 0) -> Surface:
     """Move every coordinate by a normal random number times ``amount`` times the mean length of the edges there."""
     rng = np.random.default_rng(seed)
-    ends = surface.edges
-    lengths = norms(surface.vertices[ends[:, 0]] - surface.vertices[ends[:, 1]])
-    total = np.bincount(ends.ravel(), weights=np.repeat(lengths, 2), minlength=surface.vertex_count)
-    mean = total / np.bincount(ends.ravel(), minlength=surface.vertex_count)
+    mean = mean_edge_lengths(surface.vertices, surface.edges)
     return Surface(surface.vertices + amount * mean[:, None] * rng.normal(size=surface.vertices.shape), surface.faces)
 
 

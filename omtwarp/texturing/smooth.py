@@ -30,7 +30,7 @@ from scipy.sparse.linalg import cg
 from omtwarp.flips.exact import flipped_faces
 from omtwarp.geometry.operators import corner_cotangents
 from omtwarp.location import combined
-from omtwarp.mesh.arrays import Floats, Ints, marked, normalised, summed
+from omtwarp.mesh.arrays import Floats, Ints, marked, mean_edge_lengths, normalised, summed
 from omtwarp.mesh.polygons import grid_shares, grid_triangles
 from omtwarp.mesh.surface import unit_normals, vertex_normals
 from omtwarp.mesh.validate import Topology
@@ -274,9 +274,7 @@ def _without_waves(places: Floats, faces: Ints, sphere: Floats) -> Floats:
         total += coefficient * now
     filtered = normalised(total / root[:, None])
 
-    length = np.repeat(np.linalg.norm(sphere[pairs[:, 0]] - sphere[pairs[:, 1]], axis=1), 2)
-    number = np.maximum(np.bincount(pairs.ravel(), minlength=count), 1)
-    edge = np.bincount(pairs.ravel(), length, minlength=count) / number
+    edge = mean_edge_lengths(sphere, pairs)
     moved = filtered - sphere
     way = np.linalg.norm(moved, axis=1)
     # In mean edges of a vertex on the sphere: its image is moved no farther.
