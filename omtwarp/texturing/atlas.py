@@ -185,6 +185,12 @@ class Equirectangular(Atlas):
         return direction_from_angles(lon, lat)
 
 
+def angles_from_middle(corners: Floats, chart: NDArray) -> Floats:
+    """Return the angles of corners from the middles of a cube's faces, to the right and upwards, shape [F, 3, 2]."""
+    local = np.einsum("fkj,fij->fki", corners, CUBE_FRAMES[chart])
+    return np.arctan2(local[..., 1:], local[..., :1])
+
+
 class Cube(Atlas):
     """Six equiangular cube faces in two rows of cells at the top left of the picture, +x +y -x -y +z -z.
 
@@ -225,8 +231,7 @@ class Cube(Atlas):
         return np.array([[0, 2], [1, 3], [4, 5]], dtype=np.int32)[axis, (value < 0).astype(int)]
 
     def corner_uv(self, points: Floats, chart: NDArray) -> Floats:
-        local = np.einsum("fkj,fij->fki", points, CUBE_FRAMES[chart])
-        angle = np.arctan2(local[..., 1:], local[..., :1])
+        angle = angles_from_middle(points, chart)
         limit = QUARTER * self.cell / (self.cell - 2 * self.gutter)  # a folded triangle must not reach another chart
         inner = self.cell - 2 * self.gutter
         texel = self.gutter + (np.clip(angle, -limit, limit) / QUARTER + 1.0) * (0.5 * inner)

@@ -12,7 +12,7 @@ from omtwarp.maps.domains import is_torus_map
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.arrays import TINY, Floats, Ints, in_range, real_number
 from omtwarp.mesh.surface import plane_areas, triangle_areas
-from omtwarp.texturing.atlas import CUBE_FRAMES
+from omtwarp.texturing.atlas import CUBE_FRAMES, angles_from_middle
 from omtwarp.texturing.export import Material
 from omtwarp.texturing.painted import PaintedMesh
 from omtwarp.texturing.textured import MapLike, SphereMap, as_map, domains_of
@@ -114,13 +114,13 @@ def _cubes(vertices: Floats, faces: Ints, sphere: Floats, parts: NDArray[np.intp
     farthest = np.deg2rad(87.0)
     corners = sphere[faces]
     chart = np.argmax(corners.sum(axis=1) @ CUBE_FRAMES[:, 0].T, axis=1)
-    angle = _angles(corners, chart)
+    angle = angles_from_middle(corners, chart)
     far = np.abs(angle).max(axis=(1, 2)) > farthest
     if far.any():  # a long triangle may fit better on a neighbouring chart
         at = np.flatnonzero(far)
-        reach = [np.abs(_angles(corners[at], np.full(len(at), k))).max(axis=(1, 2)) for k in range(len(CUBE_FRAMES))]
-        chart[at] = np.argmin(reach, axis=0)
-        angle[at] = _angles(corners[at], chart[at])
+        tried = (angles_from_middle(corners[at], np.full(len(at), k)) for k in range(len(CUBE_FRAMES)))
+        chart[at] = np.argmin([np.abs(one).max(axis=(1, 2)) for one in tried], axis=0)
+        angle[at] = angles_from_middle(corners[at], chart[at])
         far = np.abs(angle).max(axis=(1, 2)) > farthest
     if far.any():
         raise OmtwarpError(
@@ -160,12 +160,6 @@ def _strips(result: MapResult, aspect: float) -> _Charts:
     strips = int(count[np.argmax(scale >= fewer_cuts * scale.max())])
     at = np.floor(plane[..., 0].mean(axis=1) * (strips / length)).astype(np.intp)
     return plane, np.clip(at, 0, strips - 1)
-
-
-def _angles(corners: Floats, chart: NDArray[np.intp]) -> Floats:
-    """Return the angles of corners from the middles of charts, to the right and upwards, shape [F, 3, 2]."""
-    local = np.einsum("fkj,fij->fki", corners, CUBE_FRAMES[chart])
-    return np.arctan2(local[..., 1:], local[..., :1])
 
 
 def _packed(charts: _Charts, aspect: float, margin: float) -> Floats:
