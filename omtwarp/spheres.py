@@ -105,9 +105,8 @@ class SphereGrid:
 
 def polygon_areas(corners: Floats) -> Floats:
     """Return the areas of convex polygons of four great-circle arcs, shape [M], from corners [M, 4, 3]."""
-    return triangle_solid_angles(corners[:, 0], corners[:, 1], corners[:, 2]) + triangle_solid_angles(
-        corners[:, 0], corners[:, 2], corners[:, 3]
-    )
+    a, b, c, d = (corners[:, k] for k in range(4))
+    return triangle_solid_angles(a, b, c) + triangle_solid_angles(a, c, d)
 
 
 def vertex_cells(points: Floats, faces: Ints) -> tuple[Floats, Ints]:

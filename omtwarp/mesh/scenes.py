@@ -97,7 +97,10 @@ class GltfInput:
         for k in wanted:
             arrays.append(self._array(accessors[k]))
             if k in scaled and accessors[k].get("normalized"):
-                arrays[-1] = _unit_range(arrays[-1])
+                # Whole numbers become -1 to 1, or 0 to 1 where they have no sign (glTF 2.0, section 3.11).
+                kind = arrays[-1].dtype
+                most = 1 if kind.kind == "f" else 2 ** (8 * kind.itemsize - (kind.kind == "i")) - 1
+                arrays[-1] = np.maximum(arrays[-1].astype(np.float64) / most, -1.0).astype(np.float32)
                 accessors[k] |= {"componentType": _FLOAT, "normalized": False}
             for key in ("sparse", "byteOffset"):
                 accessors[k].pop(key, None)
@@ -232,13 +235,6 @@ class GltfInput:
             raise OmtwarpError("damaged: a negative number of rows in a sparse array")
         if self.left < 0:
             raise OmtwarpError(f"its sparse arrays take more than {amount(LARGEST_MESH_FILE)}, which is the most")
-
-
-def _unit_range(array: Numbers) -> NDArray[np.float32]:
-    """Convert normalised whole numbers to -1 to 1, or to 0 to 1 where they have no sign (glTF 2.0, section 3.11)."""
-    bits = 8 * array.dtype.itemsize - (array.dtype.kind == "i")
-    most = 1 if array.dtype.kind == "f" else 2**bits - 1
-    return np.maximum(array.astype(np.float64) / most, -1.0).astype(np.float32)
 
 
 Layout: TypeAlias = tuple[int, tuple[float, float], float, tuple[float, float]]

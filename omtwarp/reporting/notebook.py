@@ -14,7 +14,7 @@ from omtwarp.render.pictures import PreviewOptions
 from omtwarp.render.subject import map_view, torus_view
 from omtwarp.reporting.markup import data_uri, fill_page, html
 from omtwarp.reporting.scene import make_scene, page_with_view, viewer_section
-from omtwarp.reporting.stages import Stage, stages_of
+from omtwarp.reporting.stages import stages_of
 from omtwarp.texturing.adaptive import rasterize
 
 if TYPE_CHECKING:
@@ -41,18 +41,13 @@ def notebook_view(result: MapResult) -> str:
         return str(html('<div><img alt="{}" src="{}">{}</div>', repr(result), data_uri(plot(result), "webp"), caption))
     stages = stages_of(result)
     poster = data_uri(plot(result, transparent=True, size=still, camera=Camera(margin=0.03)), "webp")
-    page = view_page(result, stages, poster)
-    return str(fill_page("frame.html", height=height, name=repr(result), poster=poster, page=page, caption=caption))
-
-
-def view_page(result: MapResult, stages: list[Stage], poster: str) -> str:
-    """Make the page in the notebook's frame, which holds only the viewer of the report page."""
     # A notebook holds all of its outputs: the surface is simplified above this many triangles, and its texture has this
     # many texels along each of six faces.
     most_faces, face_texels = 20_000, 256
     scene = make_scene(result, stages, PATTERN, most_faces=most_faces, texels=face_texels)
     view = viewer_section(stages, poster, repr(result), PATTERN.capitalize())
-    return page_with_view("notebook.html", scene, title=repr(result), view=view)
+    page = page_with_view("notebook.html", scene, title=repr(result), view=view)
+    return str(fill_page("frame.html", height=height, name=repr(result), poster=poster, page=page, caption=caption))
 
 
 def plot(result: MapResult, *, pattern: str = PATTERN, **options: Unpack[PreviewOptions]) -> Image:

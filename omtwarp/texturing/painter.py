@@ -30,7 +30,7 @@ from omtwarp.texturing.image import PictureLike
 from omtwarp.texturing.painted import PaintedMesh
 from omtwarp.texturing.patterns import Pattern, pattern as by_name
 from omtwarp.texturing.seams import shares_of_corners
-from omtwarp.texturing.smooth import SmoothMap, smooth_map
+from omtwarp.texturing.smooth import smooth_map
 from omtwarp.texturing.textured import MapLike, SphereMap, as_map, spheres_of, texture
 from omtwarp.texturing.unwrap import pack_rows
 
@@ -296,7 +296,9 @@ class _Painting:
         smooth = smooth_map(self.vertices, self.faces, self.sphere, parts)
 
         def on_sphere(which: NDArray, uv: Floats, size: tuple[int, int]) -> Picture:
-            faces, finer = _divided(smooth, which, uv)
+            corners = grid_shares(smooth.parts)[grid_triangles(smooth.parts)]
+            faces = smooth.faces.reshape(-1, len(corners), 3)[which].reshape(-1, 3)
+            finer = np.einsum("pkc,tcj->tpkj", corners, uv).reshape(-1, 3, 2)
             source: Source = by_name(self.pattern or "circles") if self.image is None else self.image
             return baking.bake_to_uv(
                 source, smooth.sphere, faces, finer, size=size, rotation=turn, projection=self.projection,
@@ -482,19 +484,3 @@ def _extent(material: Material, size: int | None) -> tuple[int, int]:
         times = max(SIZE // max(width, height), 1)
         return (times * width, times * height)
     return (size, max(round(size * height / width), 1))
-
-
-def _divided(smooth: SmoothMap, which: NDArray, uv: Floats) -> tuple[Ints, Floats]:
-    """Return the parts of triangles that a smooth map divides, as vertices of that map, and their coordinates.
-
-    Args:
-        smooth: the divided map.
-        which: numbers of the triangles, shape [T].
-        uv: coordinates of their corners, shape [T, 3, 2].
-
-    Returns:
-        Shapes [T n², 3] and [T n², 3, 2]: the picture of a triangle is divided as the triangle is.
-    """
-    corners = grid_shares(smooth.parts)[grid_triangles(smooth.parts)]
-    faces = smooth.faces.reshape(-1, len(corners), 3)[which]
-    return faces.reshape(-1, 3), np.einsum("pkc,tcj->tpkj", corners, uv).reshape(-1, 3, 2)

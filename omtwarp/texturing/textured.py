@@ -120,7 +120,10 @@ def texture(
     layout, texels = layouts.make_atlas(atlas, size, seam=seam), None
     if isinstance(layout, Equirectangular) and projection == "equirectangular" and picture is not None:
         if picture.shape[:2] == (layout.height, layout.width):
-            layout, texels = _shifted(picture, seam)
+            # A seam that is moved by whole columns shifts the picture by as many, its bytes unchanged.
+            columns = round((seam - np.pi) / (2.0 * np.pi) * layout.width)
+            layout = Equirectangular(layout.width, layout.height, np.pi + 2.0 * np.pi * columns / layout.width)
+            texels = np.roll(pictures.as_bytes(picture), -columns, axis=1)
     # Where a line turns by a quarter of a radian at an edge, and the next is 12 texels on, a smooth curve lies within
     # 0.25 x 12 / 8 of a texel of it: smaller triangles need none.
     bends = truth(smooth, "smooth") and np.sqrt(layout.row_lengths.sum() / len(faces)) >= 12.0
@@ -265,17 +268,6 @@ def _rotation(rotate: ArrayLike | str | None, vertices: Floats, faces: Ints, sph
     if rotate != "auto":
         raise OmtwarpError(f"rotate '{rotate}': give degrees, a matrix, or auto")
     return pictures.rotation_matrix(np.rad2deg(least_visible_meridian(vertices, faces, sphere)) - 180.0)
-
-
-def _shifted(picture: NDArray, seam: float) -> tuple[Equirectangular, Bytes]:
-    """Return an equirectangular picture, its bytes unchanged, in the layout whose seam is nearest to the wanted one.
-
-    A seam that is moved by whole columns shifts the picture by as many.
-    """
-    height, width = picture.shape[:2]
-    columns = round((seam - np.pi) / (2.0 * np.pi) * width)
-    layout = Equirectangular(width, height, np.pi + 2.0 * np.pi * columns / width)
-    return layout, np.roll(pictures.as_bytes(picture), -columns, axis=1)
 
 
 def as_map(result: SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike]) -> tuple[Floats, Ints, Floats]:

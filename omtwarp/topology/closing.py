@@ -154,7 +154,11 @@ def fill_loop(points: Floats) -> tuple[Floats, NDArray[np.int64]]:
         The new vertices, shape [K, 3]; and triangles by the vertices of the loop, 0 to n - 1, and the new ones, n to
         n + K - 1, shape [P, 3].
     """
-    count, begin = len(points), _beginning(points)
+    count, far = len(points), norms(points - points.mean(axis=0))
+    # Equally far: difference of distances, over the largest, that may be round-off of another order or position
+    nearest = np.flatnonzero(far <= far.min() + 1e-9 * far.max())
+    # It begins at the vertex that is nearest to its middle, of equally near ones the first along x, y and z.
+    begin = int(nearest[np.lexsort(points[nearest, ::-1].T)[0]])
     points = np.roll(points, -begin, axis=0)
     # In the unit of the loop: weights and tolerances are then free of scale.
     centre = points.mean(axis=0)
@@ -167,14 +171,6 @@ def fill_loop(points: Floats) -> tuple[Floats, NDArray[np.int64]]:
     for _ in range(6):
         places = _harmonic(places, faces, loop)
     return places[count:] * extent + centre, np.where(faces < count, (faces + begin) % count, faces)
-
-
-def _beginning(points: Floats) -> int:
-    """Return the vertex of a loop that is nearest to its middle, of equally near ones the first along x, y and z."""
-    far = norms(points - points.mean(axis=0))
-    # Equally far: difference of distances, over the largest, that may be round-off of another order or position
-    nearest = np.flatnonzero(far <= far.min() + 1e-9 * far.max())
-    return int(nearest[np.lexsort(points[nearest, ::-1].T)[0]])
 
 
 def _rings(turns: Floats) -> tuple[Floats, NDArray[np.int64]]:

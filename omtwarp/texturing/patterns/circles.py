@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, wp
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import TINY, Floats, Ints, direction_from_angles, normalised
+from omtwarp.mesh.arrays import TINY, Floats, direction_from_angles, normalised
 from omtwarp.mesh.shapes import icosphere
 from omtwarp.texturing.kernels import cube_face
 from omtwarp.texturing.patterns import Pattern, colour_groups, srgb_colours
@@ -83,20 +83,16 @@ class Circles(Pattern):
         self.count = int(count)
         self.palette = srgb_colours("#1f6f78", "#e2725b", "#f0b95b", "#5b8e7d", "#35507a", "#b5838d")
         self.background = srgb_colours("#f6f1e7")[0]
-        self.centres, self.groups = self.spread(self.count)
+        from scipy.spatial import ConvexHull
+
+        self.centres = _even_points(self.count)
+        triangles = ConvexHull(self.centres).simplices
+        self.groups = colour_groups(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), len(self.palette))
         self.radius = float(np.arccos(1.0 - 2.0 * coverage / self.count))
         _, gap = _neighbours(self.centres, 1)
         if 2.0 * self.radius >= gap.min():
             most = 0.5 * self.count * (1.0 - np.cos(gap.min() / 2.0))
             raise OmtwarpError(f"circles: {self.count} over {coverage:.2f} of the sphere touch: at most {most:.2f}")
-
-    def spread(self, count: int) -> tuple[Floats, Ints]:
-        """Compute the centres of so many circles, shape [count, 3], and their groups, shape [count]."""
-        from scipy.spatial import ConvexHull
-
-        centres = _even_points(count)
-        triangles = ConvexHull(centres).simplices
-        return centres, colour_groups(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), len(self.palette))
 
     def _tables(self) -> list[object]:
         within = 1e-9  # chord that is added to a circle's reach, so that rounding leaves no cell's list without it
