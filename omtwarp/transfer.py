@@ -13,7 +13,7 @@ from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError, OmtwarpWarning, check_word, truth
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.arrays import Floats
+from omtwarp.mesh.arrays import Floats, SphereMap
 from omtwarp.options import AtlasLike, CoordinatesLike
 from omtwarp.resampling import SpherePoints, as_points
 from omtwarp.spheres import mesh_grid
@@ -23,7 +23,7 @@ from omtwarp.texturing.export import Material
 from omtwarp.texturing.image import as_bytes, without_full_opacity
 from omtwarp.texturing.painted import PaintedMesh
 from omtwarp.texturing.seams import unwrap
-from omtwarp.texturing.textured import SphereMap, as_map
+from omtwarp.texturing.textured import as_map
 
 Map = SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike]
 

@@ -65,6 +65,23 @@ class HasTriangles(Protocol):
         """Vertex indices of the triangles, shape [F, 3]."""
 
 
+class SphereMap(HasTriangles, Protocol):
+    """A surface and its map to the sphere, such as a :class:`~omtwarp.MapResult`."""
+
+    @property
+    def sphere(self) -> ArrayLike:
+        """Images of the vertices, shape [V, 3]."""
+
+
+@runtime_checkable
+class FinishedMap(SphereMap, Protocol):
+    """A surface with its final and its conformal map, such as a :class:`omtwarp.MapResult`."""
+
+    @property
+    def conformal(self) -> ArrayLike | None:
+        """Images of the vertices by the conformal map, shape [V, 3]."""
+
+
 def real_numbers(
     values: object, name: str, shape: Shape | None, *, finite: bool = True, positive: bool = False, truths: bool = False
 ) -> NDArray[np.float64]:

@@ -35,7 +35,7 @@ value on a triangle is found exactly.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -45,9 +45,9 @@ from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError, choose
 from omtwarp.mesh.arrays import (
     TINY,
+    FinishedMap,
     Floats,
     InOneLine,
-    Ints,
     cross,
     dots,
     normalised,
@@ -66,15 +66,6 @@ ASCENT_STEPS = 3  # by default, as each costs as much as the bound itself
 GOOD_ENOUGH = 1e-4
 """Ascent stops at this gap by default: a tenth of what separates the maps of practice from the optimum."""
 STEPS_BEFORE = 3  # ascent, for progress: the curl, the first potential and its bound
-
-
-class SphereMaps(Protocol):
-    """Attributes of a finished map, such as :class:`omtwarp.MapResult`."""
-
-    vertices: Floats
-    faces: Ints
-    sphere: Floats
-    conformal: Floats
 
 
 @dataclass(frozen=True)
@@ -229,7 +220,7 @@ def optimality(
 
 
 def map_optimality(
-    result: SphereMaps,
+    result: FinishedMap,
     stage: Literal["sphere", "moser", "transported"] = "sphere",
     *,
     ascent_steps: int = ASCENT_STEPS,
@@ -270,7 +261,7 @@ def map_optimality(
         raise OmtwarpError(f"this map has no stage '{stage}'")
     surface, source = Surface(result.vertices, result.faces), getattr(result, "source", None)
     surface.checked = True  # before it was mapped
-    start = result.conformal if source is None else source
+    start = cast("ArrayLike", result.conformal) if source is None else source
     return optimality(surface, points, start=start, ascent_steps=ascent_steps, device=device, progress=progress)
 
 

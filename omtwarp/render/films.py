@@ -27,7 +27,7 @@ from omtwarp.location import combined
 from omtwarp.maps.domains import is_torus_map
 from omtwarp.maps.result import MapResult
 from omtwarp.maps.torus_map import ring_torus, tube_radius
-from omtwarp.mesh.arrays import Bytes, Floats, Ints, cross, normalised, norms, real_number
+from omtwarp.mesh.arrays import Bytes, FinishedMap, Floats, Ints, cross, normalised, norms, real_number
 from omtwarp.mesh.polygons import grid_shares, grid_triangles
 from omtwarp.mesh.surface import SPHERE_AREA, as_unit_vectors, sums_around, triangle_areas
 from omtwarp.options import Backend, BackendLike, PatternLike, Progress, tell
@@ -35,7 +35,7 @@ from omtwarp.render import annotate, output
 from omtwarp.render.camera import Camera, Shot, as_light, as_view, camera_axes, frame
 from omtwarp.render.pictures import View, checked_rate, checked_size, render
 from omtwarp.render.scene import Appearance, Part, RenderJob, SurfaceView, normalisation, smooth_parts, welded_normals
-from omtwarp.render.subject import FinishedMap, Picture, map_view, posed, torus_view
+from omtwarp.render.subject import Picture, map_view, posed, torus_view
 from omtwarp.texturing.adaptive import rasterize
 from omtwarp.texturing.image import PictureLike
 from omtwarp.texturing.smooth import smooth_map

@@ -22,12 +22,12 @@ from omtwarp.colors import backdrop
 from omtwarp.errors import DrawingFailed, OmtwarpError, choose, truth
 from omtwarp.files.limits import FRAMES_PER_SECOND, LARGEST_VIEW, MOST_FILM_PIXELS, MOST_FRAMES
 from omtwarp.files.output import as_path
-from omtwarp.mesh.arrays import Bytes, listed, real_number, whole_number, whole_numbers
+from omtwarp.mesh.arrays import Bytes, FinishedMap, listed, real_number, whole_number, whole_numbers
 from omtwarp.options import BACKGROUND, FILM_RATE, PICTURE_SIZE, Backend, BackendLike, takes
 from omtwarp.render import annotate, gl_client, output, scene
 from omtwarp.render.camera import VIEWS, Camera, Light, as_light, as_views, frame, turntable
 from omtwarp.render.scene import Arrows, RenderJob, ScalarField, SurfaceView, Wireframe
-from omtwarp.render.subject import FinishedMap, Picture, Subject, as_surface_view, map_view, posed
+from omtwarp.render.subject import Picture, Subject, as_surface_view, map_view, posed
 
 logger = logging.getLogger("omtwarp.render")
 PANEL_SIZE = (512, 512)  # pixels of a panel of a sheet, so that four are as large as one preview

@@ -13,7 +13,7 @@ import os
 import warnings
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, TypeAlias, cast, runtime_checkable
+from typing import TYPE_CHECKING, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.colors import to_srgb
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.maps.domains import is_torus_map
-from omtwarp.mesh.arrays import Bytes, Floats, HasTriangles, Ints, cross, norms
+from omtwarp.mesh.arrays import Bytes, FinishedMap, Floats, HasTriangles, Ints, cross, norms
 from omtwarp.render.camera import axis_vector
 from omtwarp.render.scene import SurfaceMaterial, SurfaceView
 from omtwarp.texturing.export import WHITE
@@ -32,19 +32,6 @@ if TYPE_CHECKING:
 
     from omtwarp.maps.result import MapResult
     from omtwarp.texturing.painted import PaintedMesh
-
-
-@runtime_checkable
-class FinishedMap(HasTriangles, Protocol):
-    """A surface with its final and its conformal map, such as a :class:`omtwarp.MapResult`."""
-
-    @property
-    def sphere(self) -> ArrayLike:
-        """Images of the vertices, shape [V, 3]."""
-
-    @property
-    def conformal(self) -> ArrayLike | None:
-        """Images of the vertices by the conformal map, shape [V, 3]."""
 
 
 Picture: TypeAlias = PictureLike

@@ -17,7 +17,7 @@ from omtwarp.device.start import wp
 from omtwarp.errors import OmtwarpError, OmtwarpWarning, check_word
 from omtwarp.maps.domains import is_torus_map
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.arrays import Floats, Ints, real_numbers
+from omtwarp.mesh.arrays import Floats, Ints, SphereMap, real_numbers
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.polygons import grid_shares, grid_triangles
 from omtwarp.mesh.surface import as_faces, plane_areas, triangle_areas, vertex_normals
@@ -31,7 +31,7 @@ from omtwarp.texturing.painted import PaintedMesh
 from omtwarp.texturing.patterns import Pattern, pattern as by_name
 from omtwarp.texturing.seams import shares_of_corners
 from omtwarp.texturing.smooth import smooth_map
-from omtwarp.texturing.textured import MapLike, SphereMap, as_map, spheres_of, texture
+from omtwarp.texturing.textured import MapLike, as_map, spheres_of, texture
 from omtwarp.texturing.unwrap import pack_rows
 
 

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +17,7 @@ from omtwarp.errors import OmtwarpError, check_word, truth
 from omtwarp.files.output import as_path
 from omtwarp.maps.domains import is_torus_map
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.arrays import Bytes, Floats, HasTriangles, Ints, real_number, real_numbers
+from omtwarp.mesh.arrays import Bytes, Floats, Ints, SphereMap, real_number, real_numbers
 from omtwarp.mesh.surface import as_faces, as_unit_vectors, unit_normals, vertex_normals
 from omtwarp.options import AtlasLike, PatternLike, ProjectionLike, ProjectionName
 from omtwarp.texturing import atlas as layouts, image as pictures
@@ -31,15 +31,6 @@ from omtwarp.texturing.painted import PaintedMesh, SphereLayout
 from omtwarp.texturing.patterns import Pattern, pattern as by_name
 from omtwarp.texturing.seams import unwrap
 from omtwarp.texturing.smooth import smooth_curves
-
-
-class SphereMap(HasTriangles, Protocol):
-    """A surface and its map to the sphere, such as a :class:`~omtwarp.MapResult`."""
-
-    @property
-    def sphere(self) -> ArrayLike:
-        """Images of the vertices, shape [V, 3]."""
-
 
 MapLike: TypeAlias = SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike]
 """A surface and its map, in any of the forms that public functions take."""

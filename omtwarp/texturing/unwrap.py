@@ -10,12 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.errors import OmtwarpError
 from omtwarp.maps.domains import is_torus_map
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.arrays import TINY, Floats, Ints, in_range, real_number
+from omtwarp.mesh.arrays import TINY, Floats, Ints, SphereMap, in_range, real_number
 from omtwarp.mesh.surface import plane_areas, triangle_areas
 from omtwarp.texturing.atlas import CUBE_FRAMES, angles_from_middle
 from omtwarp.texturing.export import Material
 from omtwarp.texturing.painted import PaintedMesh
-from omtwarp.texturing.textured import MapLike, SphereMap, as_map, domains_of
+from omtwarp.texturing.textured import MapLike, as_map, domains_of
 
 MARGIN = 1.0 / 128.0
 """Free space around a chart, in heights of the picture: 8 texels at 1024, enough for three levels of mip maps."""
