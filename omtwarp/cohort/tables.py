@@ -2,7 +2,6 @@
 
 import csv
 import glob
-import io
 import re
 import warnings
 from collections import Counter
@@ -14,7 +13,7 @@ from typing import TextIO
 from omtwarp.cohort.item import NUMBERS, OF_REGISTRATION, OK, REAL, WHOLE, Row
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.files import output
-from omtwarp.files.inputs import read_bytes
+from omtwarp.files.inputs import table_rows, table_text
 
 MESH_SUFFIXES = (
     *(".ply", ".obj", ".off", ".stl", ".glb", ".gltf", ".gii", ".vtk", ".vtp", ".vtu", ".mz3", ".msh", ".mesh"),
@@ -64,7 +63,9 @@ def read_manifest(source: str | Path | TextIO) -> list[Item]:
     elif path.is_dir():
         items = _named([(p, {}) for p in _meshes_of(path)])
     else:
-        items = _from_table(path)
+        # Largest manifest: bytes; a million rows of 256
+        text = table_text(path, 2**28, "a table (.csv, .tsv), a folder or a pattern in quotes")
+        items = _from_text(text, f"'{path}'", path.parent, "\t" if path.suffix.lower() == ".tsv" else ",")
     return _checked(items, f"'{source}'")
 
 
@@ -98,26 +99,11 @@ def _checked(items: list[Item], source: str) -> list[Item]:
     return items
 
 
-def _from_table(path: Path) -> list[Item]:
-    try:
-        # Largest manifest: bytes; a million rows of 256
-        text = read_bytes(path, 2**28, "table").decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise OmtwarpError(f"'{path}' is no text: give a table (.csv, .tsv), a folder or a pattern in quotes") from None
-    return _from_text(text, f"'{path}'", path.parent, "\t" if path.suffix.lower() == ".tsv" else ",")
-
-
 def _from_text(text: str, name: str, folder: Path, delimiter: str = "") -> list[Item]:
     """Read items from a table's text, whose columns are separated by tabs where its first line has one."""
     first = text.partition("\n")[0]
-    rows = csv.DictReader(io.StringIO(text), delimiter=delimiter or ("\t" if "\t" in first else ","))
+    names, listed = table_rows(text, name, delimiter or ("\t" if "\t" in first else ","), "path")
     entries: list[tuple[Path, dict[str, str]]] = []
-    try:
-        names, listed = rows.fieldnames or [], [(rows.line_num, row) for row in rows]
-    except csv.Error as error:
-        raise OmtwarpError(f"{name}, line {max(rows.line_num, 1)}: {error}") from None
-    if "path" not in names:
-        raise OmtwarpError(f"{name} has no column 'path': its first line is '{first[:80]}'")
     if twice := [column for column, times in Counter(names).items() if times > 1]:
         raise OmtwarpError(f"{name} has several columns called '{twice[0]}': its first line is '{first[:80]}'")
     for number, row in listed:

@@ -6,6 +6,7 @@ their header, and only in formats that it decodes itself.
 """
 
 import contextlib
+import csv
 import io
 import math
 import os
@@ -14,7 +15,7 @@ import stat
 import threading
 import warnings
 import zipfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, BinaryIO
 
@@ -121,6 +122,49 @@ def read_bytes(path: str | os.PathLike[str], most: int, kind: str = "file") -> b
     """
     with open_input(path, most, kind) as stream:
         return stream.getvalue() if isinstance(stream, io.BytesIO) else _all_of(stream, path, most)
+
+
+def table_text(path: str | os.PathLike[str], most: int, wanted: str) -> str:
+    """Read the text of a table.
+
+    Args:
+        path: of the file.
+        most: bytes it may have.
+        wanted: what a message asks for where the file is no text.
+
+    Raises:
+        OmtwarpError: the file cannot be read, or is no text.
+    """
+    try:
+        return read_bytes(path, most, "table").decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise OmtwarpError(f"'{path}' is no text: give {wanted}") from None
+
+
+def table_rows(
+    text: str, name: str, delimiter: str, *needed: str
+) -> tuple[Sequence[str], list[tuple[int, dict[str, str]]]]:
+    """Return the names of a table's columns, and its rows with the lines that they end in.
+
+    Args:
+        text: of the table.
+        name: what messages call it.
+        delimiter: between columns.
+        needed: names of columns that it must have.
+
+    Raises:
+        OmtwarpError: a row cannot be read, or a column is missing.
+    """
+    rows = csv.DictReader(io.StringIO(text), delimiter=delimiter)
+    try:
+        names, listed = rows.fieldnames or [], [(rows.line_num, row) for row in rows]
+    except csv.Error as error:
+        raise OmtwarpError(f"{name}, line {max(rows.line_num, 1)}: {error}") from None
+    missing = next((column for column in needed if column not in names), None)
+    if missing is not None:
+        first = text.partition("\n")[0][:80]
+        raise OmtwarpError(f"{name} has no column '{missing}': its first line is '{first}'")
+    return names, listed
 
 
 def _all_of(stream: BinaryIO, path: str | os.PathLike[str], most: int) -> bytes:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.files.inputs import read_bytes
+from omtwarp.files.inputs import table_rows, table_text
 from omtwarp.location import Locator
 from omtwarp.mesh.arrays import TINY, Floats, listed, normalised, norms, real_number, real_numbers, whole_numbers
 from omtwarp.mesh.surface import Surface
@@ -207,29 +205,6 @@ class TermSum:
         return VertexDerivatives(sum(one.value for one in derivatives), np.asarray(gradient), np.asarray(hessian))
 
 
-def _table(path: str | os.PathLike[str]) -> list[dict[str, str]]:
-    """Read the rows of a table of landmarks.
-
-    Raises:
-        OmtwarpError: the file cannot be read, or misses a column.
-    """
-    try:
-        # Largest table: bytes; 100,000 rows of 160
-        text = read_bytes(path, 2**24, "table").decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise OmtwarpError(f"'{path}' is no text: give a table of landmarks (.csv, .tsv)") from None
-    rows = csv.DictReader(io.StringIO(text), delimiter="\t" if Path(path).suffix.lower() == ".tsv" else ",")
-    try:
-        table, names = list(rows), rows.fieldnames or []
-    except csv.Error as error:
-        raise OmtwarpError(f"'{path}': {error}") from None
-    for needed in ("label", "side"):
-        if needed not in names:
-            first = text.partition("\n")[0][:80]
-            raise OmtwarpError(f"'{path}' has no column '{needed}': its first line is '{first}'")
-    return table
-
-
 def read_landmarks(path: str | os.PathLike[str]) -> list[Landmark]:
     """Read landmarks of both sides from a table.
 
@@ -250,7 +225,11 @@ def read_landmarks(path: str | os.PathLike[str]) -> list[Landmark]:
     """
     places: dict[str, dict[str, list[list[float]]]] = {}
     weights: dict[str, float] = {}
-    for line, row in enumerate(_table(path), start=2):
+    # Largest table: bytes; 100,000 rows of 160
+    text = table_text(path, 2**24, "a table of landmarks (.csv, .tsv)")
+    delimiter = "\t" if Path(path).suffix.lower() == ".tsv" else ","
+    _, rows = table_rows(text, f"'{path}'", delimiter, "label", "side")
+    for line, (_, row) in enumerate(rows, start=2):
         label, side = (row["label"] or "").strip(), (row["side"] or "").strip()
         if side not in SIDES:
             raise OmtwarpError(f"'{path}', line {line}: the side is '{side}': use {' or '.join(SIDES)}")
