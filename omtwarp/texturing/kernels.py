@@ -13,11 +13,6 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 
 @wp.func
-def sign_of(x: wp.float64):
-    return wp.where(x < ZERO, -ONE, ONE)
-
-
-@wp.func
 def cube_face(d: wp.vec3d):
     """Return the face of the cube that a direction passes through: +x, +y, -x, -y, +z, -z."""
     ax, ay, az = wp.abs(d[0]), wp.abs(d[1]), wp.abs(d[2])
@@ -73,14 +68,14 @@ def picture_direction(
         a = (x - gutter) / half - ONE
         b = ONE - (y - gutter) / half
         if wp.abs(a) > ONE:  # beyond the border lies the other half of the same side, back to front
-            a = sign_of(a) * (TWO - wp.abs(a))
+            a = wp.sign(a) * (TWO - wp.abs(a))
             b = -b
         if wp.abs(b) > ONE:
-            b = sign_of(b) * (TWO - wp.abs(b))
+            b = wp.sign(b) * (TWO - wp.abs(b))
             a = -a
         z = ONE - wp.abs(a) - wp.abs(b)
         if z < ZERO:
-            d = wp.vec3d((ONE - wp.abs(b)) * sign_of(a), (ONE - wp.abs(a)) * sign_of(b), z)
+            d = wp.vec3d((ONE - wp.abs(b)) * wp.sign(a), (ONE - wp.abs(a)) * wp.sign(b), z)
         else:
             d = wp.vec3d(a, b, z)
     else:
@@ -118,8 +113,8 @@ def picture_point(kind: int, d: wp.vec3d, width: int, height: int, offset: wp.fl
         b = d[1] / total
         if d[2] < ZERO:
             c = a
-            a = (ONE - wp.abs(b)) * sign_of(c)
-            b = (ONE - wp.abs(c)) * sign_of(b)
+            a = (ONE - wp.abs(b)) * wp.sign(c)
+            b = (ONE - wp.abs(c)) * wp.sign(b)
         x = gutter + (a + ONE) * half
         y = gutter + (ONE - b) * half
     elif kind == Kind.REPEATED:
@@ -264,7 +259,7 @@ def own_texels(
     area = edge_side(a[0], a[1], b[0], b[1], c[0], c[1])
     if area == ZERO:
         return
-    flip = sign_of(area)
+    flip = wp.sign(area)
     # Lengths turn the edge functions into distances.
     ab, bc, ca = wp.length(b - a) * flip, wp.length(c - b) * flip, wp.length(a - c) * flip
     low_x, high_x = texels_within(a[0], b[0], c[0], grow, 0, width)
