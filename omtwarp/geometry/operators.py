@@ -29,13 +29,6 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 
 @wp.func
-def unit_normal(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
-    """Return the unit normal of a triangle; a triangle without area has none and gives zero."""
-    n = wp.cross(b - a, c - a)
-    return n / wp.max(wp.length(n), TINY)
-
-
-@wp.func
 def dual_flux_vector(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
     """Return the sum of (dual length) x (unit edge) over the two edges leaving ``a``.
 
@@ -43,20 +36,8 @@ def dual_flux_vector(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
     l_c c^ + l_b b^ of equation (23) is the edge ``bc`` turned by -90 degrees and halved. It is evaluated in that form:
     the cotangents of a sliver are huge and cancel, the turned edge is not.
     """
-    return HALF * wp.cross(c - b, unit_normal(a, b, c))
-
-
-@wp.kernel
-def rotate_in_faces(
-    vertices: wp.array[wp.vec3d],
-    faces: wp.array2d[wp.int32],
-    field: wp.array[wp.vec3d],
-    # Data out:
-    rotated_out: wp.array[wp.vec3d],
-):
-    f = wp.tid()
-    n = unit_normal(vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]])
-    rotated_out[f] = wp.cross(n, field[f])
+    n = wp.cross(b - a, c - a)
+    return HALF * wp.cross(c - b, n / wp.max(wp.length(n), TINY))  # of no length where the triangle has no area
 
 
 @wp.kernel
@@ -158,7 +139,7 @@ class DifferentialOperators:
     """The differential operators as Warp kernels, for a mesh kept on a device.
 
     Methods take NumPy or Warp arrays. NumPy in gives NumPy out; a Warp array must live on this device and gives a Warp
-    array (``out`` may be given to write into).
+    array.
 
     Args:
         vertices: positions, shape [V, 3].
@@ -176,34 +157,20 @@ class DifferentialOperators:
         self.corner_offsets = wp.array(offsets, dtype=wp.int32, device=self.device)
         self.corners = wp.array(corners, dtype=wp.int32, device=self.device)
 
-    def _run(
-        self,
-        kernel: wp.Kernel,
-        size: int,
-        field: ArrayLike | wp.array,
-        out_dtype: type,
-        out: wp.array | None = None,
-        gather: bool = True,
-    ) -> wp.array:
+    def _run(self, kernel: wp.Kernel, field: ArrayLike | wp.array, dtype: type) -> wp.array:
         from_numpy = not isinstance(field, wp.array)
         if from_numpy:
             source = wp.array(real_numbers(field, "field", (self.face_count, 3)), dtype=wp.vec3d, device=self.device)
-        if out is None:
-            out = wp.empty(size, dtype=out_dtype, device=self.device)
-        rows = [self.corner_offsets, self.corners] if gather else []
-        inputs = [self.vertices, self.faces, *rows, source if from_numpy else field]
-        wp.launch(kernel, dim=size, inputs=inputs, outputs=[out], device=self.device)
+        out = wp.empty(self.vertex_count, dtype=dtype, device=self.device)
+        inputs = [self.vertices, self.faces, self.corner_offsets, self.corners, source if from_numpy else field]
+        wp.launch(kernel, dim=len(out), inputs=inputs, outputs=[out], device=self.device)
         return out.numpy() if from_numpy else out
 
-    def rotate(self, field: ArrayLike | wp.array) -> wp.array:
-        """Apply J, a turn by +90 degrees, in each triangle, [F, 3] -> [F, 3] (section 2.3, equation 10)."""
-        return self._run(rotate_in_faces, self.face_count, field, wp.vec3d, gather=False)
-
-    def divergence(self, field: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
+    def divergence(self, field: ArrayLike | wp.array) -> wp.array:
         """Return the outflow of each vertex's cell, [F, 3] -> [V]: equation 23 (appendix A.2)."""
-        return self._run(vertex_divergence, self.vertex_count, field, wp.float64, out)
+        return self._run(vertex_divergence, field, wp.float64)
 
-    def interpolate_dual(self, field: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
+    def interpolate_dual(self, field: ArrayLike | wp.array) -> wp.array:
         """Interpolate vectors from dual vertices linearly to the primal ones, [F, 3] -> [V, 3] (Algorithm 1, line 7).
 
         The vertex lies in the polygon of the circumcentres around it, whose sides bisect the edges. Its Wachspress
@@ -211,7 +178,7 @@ class DifferentialOperators:
         functions of a flat neighbourhood whether or not triangles are obtuse. The paper says "linear interpolation"
         and no more.
         """
-        return self._run(interpolate_at_vertices, self.vertex_count, field, wp.vec3d, out)
+        return self._run(interpolate_at_vertices, field, wp.vec3d)
 
 
 def cotangent_edge_weights(surface: Surface, points: Floats) -> Floats:
