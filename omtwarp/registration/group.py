@@ -100,15 +100,6 @@ def members(
     for name, given in wanted.items():
         if len(given) != len(maps):
             raise OmtwarpError(f"feature '{name}' has {len(given)} files for {len(maps)} maps: give one a map")
-    paths = _by_name(maps, folder, *taken)
-    return {
-        stem: Member(path, tuple((name, Path(given[k])) for name, given in wanted.items()))
-        for k, (stem, path) in enumerate(paths.items())
-    }
-
-
-def _by_name(maps: Files, folder: str | os.PathLike[str], *taken: str) -> dict[str, Path]:
-    """Return maps by their names without suffix; arguments and errors as of :func:`members`."""
     files = {Path(path).stem: Path(path) for path in maps}
     if len(maps) < 2:
         raise OmtwarpError(f"{len(maps)} map in all: give at least two")
@@ -124,7 +115,10 @@ def _by_name(maps: Files, folder: str | os.PathLike[str], *taken: str) -> dict[s
     missing = next((path for path in files.values() if not path.is_file()), None)
     if missing is not None:
         raise OmtwarpError(f"'{missing}' is no file: give maps (.npz)")
-    return files
+    return {
+        stem: Member(path, tuple((name, Path(given[k])) for name, given in wanted.items()))
+        for k, (stem, path) in enumerate(files.items())
+    }
 
 
 class Kept:

@@ -90,9 +90,16 @@ def conformal_torus(surface: Surface) -> FlatTorus:
     Raises:
         OmtwarpError: the mesh is too coarse for two loops that cross once.
     """
-    jumps = _two_loops(surface.scaled_vertices, surface.faces)
+    points, faces = surface.scaled_vertices, surface.faces
+    cut = cut_handles(points, faces, 1, thorough=False)  # any two loops will do
+    crossing = next(loops_across(cut, cut.sides[0], on_boundary(cut.faces, len(cut.vertices))), None)
+    if crossing is None:
+        raise OmtwarpError("the mesh is too coarse for two loops that cross once: use a finer one")
+    again = cut_handles(points, faces, 1, loops=[crossing])
+    # Integers at corners that jump by one across two loops that cross once
+    jumps = np.stack([np.isin(each.faces, each.sides[0][1]).astype(np.int64) for each in (cut, again)], axis=2)
     edges = delaunay_edges(surface, jumps)
-    values = _harmonic(surface.vertex_count, surface.scaled_vertices, edges)
+    values = _harmonic(surface.vertex_count, points, edges)
     forms = values[edges.ends[:, 1]] - values[edges.ends[:, 0]] + edges.steps
     gram = np.einsum("e,ei,ej->ij", edges.weights, forms, forms)
     if plane_areas(values[surface.faces] + jumps).sum() < 0.0:
@@ -199,13 +206,3 @@ def _reduced(values: Floats, jumps: NDArray[np.int64], lattice: Floats) -> FlatT
 def quantised(values: Floats) -> Floats:
     """Round coordinates to multiples of a step, so that adding whole numbers to them is exact."""
     return np.round(values / QUANTUM) * QUANTUM
-
-
-def _two_loops(points: Floats, faces: NDArray) -> NDArray[np.int64]:
-    """Return the integers at corners, shape [F, 3, 2], that jump by one across two loops that cross once."""
-    cut = cut_handles(points, faces, 1, thorough=False)  # any two loops will do
-    crossing = next(loops_across(cut, cut.sides[0], on_boundary(cut.faces, len(cut.vertices))), None)
-    if crossing is None:
-        raise OmtwarpError("the mesh is too coarse for two loops that cross once: use a finer one")
-    again = cut_handles(points, faces, 1, loops=[crossing])
-    return np.stack([np.isin(each.faces, each.sides[0][1]).astype(np.int64) for each in (cut, again)], axis=2)

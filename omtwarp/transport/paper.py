@@ -47,7 +47,7 @@ from omtwarp.errors import OmtwarpError, choose
 from omtwarp.flips.exact import flipped_faces
 from omtwarp.geometry import DifferentialOperators, circumcentric_coordinates
 from omtwarp.geometry.spherical import TINY, geodesic_distance, hat_gradient
-from omtwarp.mesh.arrays import Floats, Ints, cross, marked, normalised, norms, real_number, whole_number, whole_numbers
+from omtwarp.mesh.arrays import Floats, cross, marked, normalised, norms, real_number, whole_number, whole_numbers
 from omtwarp.mesh.patches import touching
 from omtwarp.mesh.surface import MeshLike, Surface, as_sphere, as_surface, triangle_areas
 from omtwarp.options import Cost, CostLike, Progress, Record, tell
@@ -214,7 +214,11 @@ class PaperFlow:
         self._field, self._velocity = (empty(surface.face_count, wp.vec3d, self.device) for _ in range(2))
         self._rate = empty(surface.face_count, wp.float64, self.device)
 
-        weights = _dual_weights(start, surface.faces)[..., None]
+        # Barycentric coordinates of the dual vertices, clamped to their triangles
+        inside = np.maximum(circumcentric_coordinates(start, surface.faces), 0.0)
+        total = inside.sum(axis=1)
+        inside[~np.isfinite(total) | (total <= 0)] = 1 / 3
+        weights = (inside / inside.sum(axis=1)[:, None])[..., None]
         self._points, self.dual_map = (
             sent(normalised((weights * places[surface.faces]).sum(axis=1)), wp.vec3d, self.device)
             for places in (start, sphere)
@@ -291,14 +295,6 @@ class PaperFlow:
                 return True
             held |= touching(self.faces, marked(len(self.map), self.faces[flipped]))
         return False
-
-
-def _dual_weights(points: Floats, faces: Ints) -> Floats:
-    """Return the barycentric coordinates of the dual vertices, clamped to their triangles, shape [F, 3]."""
-    inside = np.maximum(circumcentric_coordinates(points, faces), 0.0)
-    total = inside.sum(axis=1)
-    inside[~np.isfinite(total) | (total <= 0)] = 1 / 3
-    return inside / inside.sum(axis=1)[:, None]
 
 
 def default_resolutions(vertex_count: int) -> tuple[int, ...]:

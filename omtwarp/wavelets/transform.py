@@ -249,14 +249,6 @@ def wavelet_energies(hierarchy: SphereHierarchy, wavelets: SphericalWavelets) ->
 _energies: WeakKeyDictionary[SphereHierarchy, dict[tuple[bool, bool], Floats]] = WeakKeyDictionary()
 
 
-def _kept_energies(hierarchy: SphereHierarchy, wavelets: SphericalWavelets) -> Floats:
-    kept = _energies.setdefault(hierarchy, {})
-    kind = (wavelets.butterfly, wavelets.lifted)
-    if kind not in kept:
-        kept[kind] = wavelet_energies(hierarchy, wavelets)
-    return kept[kind]
-
-
 class WaveletPreconditioner:
     """H = S D S^T r: a symmetric approximate inverse of the Laplacian on a hierarchy's finest level.
 
@@ -285,7 +277,10 @@ class WaveletPreconditioner:
         self.hierarchy = hierarchy
         self.wavelets = SphericalWavelets(hierarchy, butterfly=butterfly, device=device)
         self.device = self.wavelets.device
-        energies = _kept_energies(hierarchy, self.wavelets)
+        kept, kind = _energies.setdefault(hierarchy, {}), (self.wavelets.butterfly, self.wavelets.lifted)
+        if kind not in kept:
+            kept[kind] = wavelet_energies(hierarchy, self.wavelets)
+        energies = kept[kind]
         solid = hierarchy.node_counts[0]
         factors = np.zeros(hierarchy.node_count)
         factors[solid:] = 1 / energies[solid:]
