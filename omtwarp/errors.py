@@ -1,7 +1,8 @@
 """The package's exception, the category of its warnings, their form in a terminal, and the choice of a known value."""
 
+import contextlib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from enum import StrEnum
 from typing import TypeVar
 
@@ -74,6 +75,23 @@ def with_options(text: str) -> str:
     for words, option in OPTIONS.items():
         text = text.replace(words, option)
     return ARGUMENT.sub(lambda match: f"--{match[1].replace('_', '-')}{' ' if match[2] else ''}{match[2] or ''}", text)
+
+
+@contextlib.contextmanager
+def installed(lacks: str, extra: str) -> Iterator[None]:
+    """Import a package in this context that is not always installed.
+
+    Args:
+        lacks: what the message says where it is missing.
+        extra: of this package, with which it is installed.
+
+    Raises:
+        OmtwarpError: it is missing.
+    """
+    try:
+        yield
+    except ImportError:
+        raise OmtwarpError(f"{lacks}: pip install 'omtwarp[{extra}]'") from None
 
 
 def out_of_memory(error: Exception) -> bool:

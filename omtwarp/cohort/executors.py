@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 
 from omtwarp.cohort.item import CRASHED, MEMORY, TIMEOUT, Job, Row, read_record, settle
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, installed
 from omtwarp.files.interruptions import interpreter, safe_paths
 from omtwarp.files.output import make_folder
 
@@ -194,10 +194,8 @@ class DaskCluster:
     """
 
     def __init__(self, address: str, workers: int):
-        try:
+        with installed("Dask is not installed", "dask"):
             from distributed import Client, LocalCluster
-        except ImportError:
-            raise OmtwarpError("Dask is not installed: pip install 'omtwarp[dask]'") from None
         self._safe = contextlib.ExitStack()  # as long as the cluster may start a worker again
         self._safe.enter_context(safe_paths())
         try:
@@ -241,10 +239,8 @@ class SubmititArray:
     """
 
     def __init__(self, cluster: str, folder: Path, workers: int):
-        try:
+        with installed("submitit is not installed", "slurm"):
             import submitit
-        except ImportError:
-            raise OmtwarpError("submitit is not installed: pip install 'omtwarp[slurm]'") from None
         try:
             self._executor = submitit.AutoExecutor(folder=folder / "submitit", cluster=cluster)
         except Exception as error:

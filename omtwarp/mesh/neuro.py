@@ -16,7 +16,7 @@ from xml.parsers.expat import ParserCreate
 
 import numpy as np
 
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, installed
 from omtwarp.files.inputs import file_beside, open_input, read_arrays, read_bytes, reading
 from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.files.output import scratch
@@ -36,10 +36,8 @@ def nibabel_module() -> ModuleType:
     Raises:
         OmtwarpError: nibabel is not installed.
     """
-    try:
+    with installed("needs nibabel", "neuro"):
         import nibabel
-    except ImportError:
-        raise OmtwarpError("needs nibabel: pip install 'omtwarp[neuro]'") from None
     return nibabel
 
 

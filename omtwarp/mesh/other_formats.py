@@ -10,7 +10,7 @@ import struct
 
 import numpy as np
 
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, installed
 from omtwarp.files.output import scratch
 from omtwarp.mesh.arrays import Floats, whole_numbers
 from omtwarp.mesh.polygons import Triangles, fans
@@ -50,10 +50,8 @@ def read_by_meshio(data: bytes, name: str) -> Triangles:
     """
     if name == "abaqus" and re.search(rb"^[ \t]*\*[ \t]*INCLUDE", data, re.M | re.I):
         raise OmtwarpError("names other files by *INCLUDE, which are not read: export it as one file")
-    try:
+    with installed("needs meshio", "meshio"):
         import meshio
-    except ImportError:
-        raise OmtwarpError("needs meshio: pip install 'omtwarp[meshio]'") from None
     if name == "gmsh" and b"$MeshFormat" not in data:
         name = "ansys"
     with scratch() as folder, contextlib.redirect_stderr(io.StringIO()):  # to which meshio prints its warnings

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Unpack, cast
 
 import numpy as np
 
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import installed
 from omtwarp.maps.domains import is_torus_map
 from omtwarp.maps.result import MapResult
 from omtwarp.render import Camera, SurfaceView, preview
@@ -65,10 +65,8 @@ def plot(result: MapResult, *, pattern: str = PATTERN, **options: Unpack[Preview
 
 def to_pyvista(result: MapResult) -> pyvista.PolyData:
     """Make PyVista's mesh of a map; see :meth:`omtwarp.maps.Displayable.to_pyvista`."""
-    try:
+    with installed("PyVista is not installed", "viewers"):
         import pyvista
-    except ImportError:
-        raise OmtwarpError("PyVista is not installed: pip install 'omtwarp[viewers]'") from None
     mesh = pyvista.PolyData.from_regular_faces(np.asarray(result.vertices), np.asarray(result.faces))
     for name in ("sphere", "conformal", "moser", "transported", "coordinates"):
         if (values := getattr(result, name, None)) is not None:
@@ -80,10 +78,8 @@ def to_pyvista(result: MapResult) -> pyvista.PolyData:
 
 def to_polyscope(result: MapResult, name: str = "surface") -> polyscope.SurfaceMesh:
     """Register a map with Polyscope; see :meth:`omtwarp.maps.Displayable.to_polyscope`."""
-    try:
+    with installed("Polyscope is not installed", "viewers"):
         import polyscope
-    except ImportError:
-        raise OmtwarpError("Polyscope is not installed: pip install 'omtwarp[viewers]'") from None
     if not polyscope.is_initialized():
         polyscope.init()
     vertices, faces = np.asarray(result.vertices), np.asarray(result.faces)
