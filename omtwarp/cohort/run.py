@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 from collections import Counter
 from collections.abc import Generator, Sequence
@@ -15,7 +16,7 @@ from omtwarp.cohort.item import OK, Job, Row, complete_journal, forget_failure, 
 from omtwarp.cohort.tables import GROUP, ORDER, REGISTERED, REGISTERED_MAPS, Item, write_table
 from omtwarp.device import core_count
 from omtwarp.errors import OmtwarpError, choose
-from omtwarp.files.output import digest_of, folder_of_results, locked, require_own
+from omtwarp.files.output import digest_of, folder_of_results, locked, require_own, write_text
 from omtwarp.mesh.arrays import listed, real_number, whole_number, whole_numbers
 from omtwarp.options import AreaMatch, FillArea, MapKeywords, MapOptions, Progress, Record, takes_map_options, tell
 
@@ -72,7 +73,7 @@ def run_cohort(
         time_limit: seconds that an item may take; the largest surfaces of the field, 330,000 faces, take 60 to 120.
         memory_limit: GiB that it may allocate (on Linux); 0 for no limit.
         retry: work again on items that failed.
-        collect: only write the table and the page of what is there.
+        collect: only write the table and the page of what is there, with the options of the last run in the folder.
         progress: called as ``progress("cohort", done, total, {"failed": ...})``.
         repair: repair meshes first, as ``omtwarp map --repair`` does.
         fill_area: fill holes of surfaces, on the sphere with their own area (``natural``) or a ``small`` one, see
@@ -84,8 +85,8 @@ def run_cohort(
         options: those of :class:`omtwarp.options.MapOptions`.
 
     Raises:
-        OmtwarpError: an unknown option or executor, a folder that cannot be written to, or a file at the place of a
-            map, the table or the page that no cohort wrote.
+        OmtwarpError: an unknown option or executor, a folder that cannot be written to, a file at the place of a map,
+            the table or the page that no cohort wrote, or options to ``collect`` with that the run did not have.
         KeyboardInterrupt: the run was interrupted; its text says how many items have a record.
 
     Example:
@@ -112,6 +113,9 @@ def run_cohort(
     target = Path(folder).absolute()
     with folder_of_results(target, *RESULTS):  # refused before the work, not after it
         make_folders(target)
+    run, run_file = on | {"group": register == GROUP}, target / "locks" / ".options.json"
+    on = _of_last_run(run_file, run) if collect else dict(run)
+    in_group = on.pop("group")
     limits = time_limit, int(memory_limit * 2**30)
     jobs = [Job(one.id, str(one.path.absolute()), str(target), key_of(one.path, on), asked, *limits) for one in items]
     _require_other_inputs(jobs, target)
@@ -119,6 +123,8 @@ def run_cohort(
     todo = [job for job in mine if (record := read_record(job)) is None or (retry and record["status"] != OK)]
     for job in todo:
         require_own(job.map_file, may_write_map(job))
+    if not collect:
+        write_text(run_file, json.dumps(run))
     if todo:
         words = f"another process is working on '{target}': wait for it, or use shard=(i, n)"
         with locked(target / "locks" / f".driver-{part}-{parts}", words):
@@ -127,16 +133,19 @@ def run_cohort(
             records = executor_for(str(executor), target, workers).records(todo)
             _follow(records, len(mine) - len(todo), len(mine), progress)
     complete_journal(jobs, target)
-    rows = []
-    for item, job in zip(items, jobs, strict=True):
-        own: Row = {"id": item.id, "path": str(item.path)}  # as it was given
-        rows.append(own | item.fields | (read_record(job) or {"status": "waiting", "message": ""}) | own)
-    if register == GROUP:
+    rows = [_row(item, read_record(job)) for item, job in zip(items, jobs, strict=True)]
+    if in_group:
         _register_all(rows, target, progress, collect)
     with folder_of_results(target, *RESULTS):
         table = write_table(rows, target)
         page = write_page(rows, target)
     return CohortResult(dict(Counter(str(row["status"]) for row in rows)), len(todo), table, page)
+
+
+def _row(item: Item, record: Row | None) -> Row:
+    """Return an item's row of the table, with its path as it was given."""
+    own: Row = {"id": item.id, "path": str(item.path)}
+    return own | item.fields | (record or {"status": "waiting", "message": ""}) | own
 
 
 def _options_of_jobs(
@@ -162,6 +171,24 @@ def _options_of_jobs(
     file = Path(register)
     asked["register"] = str(file.absolute()) if file.is_file() else register
     return asked, asked | ({"target": digest_of(file)} if file.is_file() else {})
+
+
+def _of_last_run(file: Path, given: dict[str, object]) -> dict[str, object]:
+    """Return the options of the last run in a folder, for what is collected; those given where none are recorded.
+
+    Raises:
+        OmtwarpError: one that is given has neither the value that it had there nor the one that it has by default.
+    """
+    try:
+        known: dict[str, object] = {"group": False} | json.loads(file.read_text("utf-8"))
+    except (OSError, ValueError, TypeError):
+        return given
+    usual = _options_of_jobs({}, False, None, None)[1] | {"group": False}
+    other = [name for name, value in given.items() if value not in (usual.get(name), known.get(name))]
+    if other:
+        names = ", ".join("register" if name in ("group", "target") else name for name in other)
+        raise OmtwarpError(f"the results in '{file.parents[1]}' are not of this {names}: leave options out to collect")
+    return known
 
 
 def _require_possible(items: list[Item], part: int, parts: int, time_limit: float, memory_limit: float) -> None:

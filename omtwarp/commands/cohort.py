@@ -46,7 +46,7 @@ class Running:
         time_limit (SECONDS): Seconds after which an item counts as failed.
         memory_limit (GIB): GiB of memory that an item may allocate, on Linux; 0 for no limit.
         retry: Compute failed items again.
-        collect: Compute nothing; write the table and the page.
+        collect: Compute nothing; write the table and the page, with the options of the last run.
         fill_area: Fill holes, on the sphere as large as they are or small; the filling is in the .npz only.
         register (TARGET|group): Register every map, to a map, template or fsaverage5-left or -right, or all to one of
             the group.

@@ -500,6 +500,14 @@ def test_maps_are_registered_after_they_are_made(tmp_path, monkeypatch, capsys, 
         folder = "registered" if to == "group" else "maps"
         times.append([file.stat().st_mtime_ns for file in sorted((tmp_path / "out" / folder).glob("s*.npz"))])
     assert times[0] == times[1] == times[2]
+    with pytest.raises(SystemExit):  # without the options of the run, which are taken from it
+        main("cohort list.csv -o out --collect --quiet".split())
+    assert read_table(Path(said["table"])) == rows
+    other = "target.npz" if to == "group" else "group"
+    with pytest.raises(SystemExit):
+        main(["cohort", "list.csv", "-o", "out", "--collect", "--quiet", "--register", other])
+    assert "not of this register" in capsys.readouterr().err
+    assert read_table(Path(said["table"])) == rows
     assert all(row["registered_to"].endswith(to) for row in rows)
     assert all(row["registration_flips"] == 0.0 and row["registration_strain"] < 1.2 for row in rows)
     assert rows[0]["registration_sulc"] > 0.96
