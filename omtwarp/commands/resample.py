@@ -57,18 +57,17 @@ class Given:
     data: Annotated[Path | None, Typed(file=input_file)] = None
     labels: bool = False
 
-    def read(self, source: Path | None, target: Path | None) -> VertexData | None:
-        """Read the data; where their file does not say what part of the brain they are of, the source does.
+    def read(self, structure: str | None, target: Path | None) -> VertexData | None:
+        """Read the data, of a part of the brain that their file may say itself.
 
         Raises:
             OmtwarpError: they cannot be read, or are of another structure of the brain than the target.
         """
         from omtwarp.mesh.data import read_data
-        from omtwarp.mesh.neuro import require_same_structure, structure_of
+        from omtwarp.mesh.neuro import require_same_structure
 
         if self.data is None:
             return None
-        structure = structure_of(source) or structure_of(target)
         given = read_data(self.data, structure)
         require_same_structure(self.data, target)
         return replace(given, structure=given.structure or structure)
@@ -103,7 +102,7 @@ def run_resample(
         output: The data at the target; without --data the surface; - is standard output, .npy or .ply.
         method: How; barycentric by default, and conservative (largest overlap) for labels.
         surface (MESH): The surface of SOURCE, where SOURCE is a sphere without one.
-        hemisphere: Of fsLR32k; by default the one that SOURCE or the data say.
+        hemisphere: Of fsLR32k, and of what is written where neither SOURCE nor the data say it.
     """
     from omtwarp.mesh.data import DATA_SUFFIXES
     from omtwarp.mesh.neuro import require_same_structure, structure_of
@@ -114,8 +113,8 @@ def run_resample(
 
     files = [file for file in (given.data, surface, *map(Path, (source, to))) if file is not None]
     refuse({"--labels is of --data": given.labels and given.data is None})
-    side = hemisphere or next(filter(None, map(structure_of, files)), None)
-    source, to = (text if is_named(text) else with_side(text, side) for text in (source, to))
+    structure = _structure(files, hemisphere, output)
+    source, to = (text if is_named(text) else with_side(text, structure) for text in (source, to))
     here, there = (None if is_named(text) or is_average(text) else Path(text) for text in (source, to))
     if output == STREAM:
         output = cast(Path, output_file(".ply" if given.data is None else ".npy")(output))
@@ -124,7 +123,7 @@ def run_resample(
     check_outputs([(output, suffixes), (extras.sphere, SUFFIXES), (extras.matrix, (".npz",))], *inputs)
     like = here if surface is None else surface
     require_same_structure(like, there)
-    data = given.read(like, there)
+    data = given.read(structure, there)
     as_labels = given.labels or (data is not None and data.is_labels)  # of which the one of largest overlap is taken
     chosen = method or (Interpolation.CONSERVATIVE if as_labels else Interpolation.BARYCENTRIC)
     start_device(device)
@@ -136,10 +135,26 @@ def run_resample(
         if data is not None:
             _write(output, resampling, data, as_labels)
         else:
-            _write_surface(output, resampling, like, to)
+            _write_surface(output, resampling, like, to, structure)
         extras.write(resampling, there if structure_of(there) else like)
         done("write")
     show_facts(_record(resampling, output, data), _line(resampling, output, data, as_labels), printing)
+
+
+def _structure(files: list[Path], hemisphere: Side | None, output: Path) -> str | None:
+    """Return the part of the brain that is written: the files' own or, where they do not say it, the hemisphere asked.
+
+    Raises:
+        OmtwarpError: the hemisphere, or the one in the output's name, is another one than the files'.
+    """
+    from omtwarp.mesh.neuro import STRUCTURES, structure_in_name, structure_of
+
+    asked = hemisphere and f"Cortex{hemisphere.title()}"
+    structure = next(filter(None, map(structure_of, files)), asked)
+    for what, named in {"--hemisphere": asked, f"'{output}'": structure_in_name(output.name)}.items():
+        if {structure, named} == set(STRUCTURES.values()):
+            raise OmtwarpError(f"{what} names the other hemisphere than what is written, {structure}")
+    return structure
 
 
 def _line(resampling: Resampling, output: Path, data: VertexData | None, as_labels: bool) -> str:
@@ -150,7 +165,7 @@ def _line(resampling: Resampling, output: Path, data: VertexData | None, as_labe
     return f"{line}, {empty} of them 0 as they lie in filled holes" if empty else line
 
 
-def _write_surface(output: Path, resampling: Resampling, like: Path | None, target: str) -> None:
+def _write_surface(output: Path, resampling: Resampling, like: Path | None, target: str, structure: str | None) -> None:
     """Write the surface with the target's triangles.
 
     Raises:
@@ -161,7 +176,7 @@ def _write_surface(output: Path, resampling: Resampling, like: Path | None, targ
     grid = resampling.target.grid
     if grid.faces is None:
         raise OmtwarpError(f"{target} has no triangles that a surface could have: give --data, or another target")
-    write_mesh(output, resampling.surface(), grid.own_triangles, like=like)
+    write_mesh(output, resampling.surface(), grid.own_triangles, like=like, structure=structure)
 
 
 def _write(output: Path, resampling: Resampling, given: VertexData, as_labels: bool) -> None:

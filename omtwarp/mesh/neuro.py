@@ -67,6 +67,11 @@ def structure_of(path: Path | None) -> str | None:
             named = re.search(rb"StructurePrimary\W*Name>\s*<Value>(?:<!\[CDATA\[)?\s*(\w+)", _gifti_text(path))
         if named:
             return named[1].decode()
+    return structure_in_name(name)
+
+
+def structure_in_name(name: str) -> str | None:
+    """Return the hemisphere in a file's name, ``CortexLeft`` or ``CortexRight``; None where there is none."""
     match = re.search(r"(?:^|[._-])(?:(l|r)h(?=[._])|hemi-([LR])(?=[._])|([LR])(?=[.]))", name)
     return STRUCTURES[next(word for word in match.groups() if word).upper()] if match else None
 
@@ -125,11 +130,13 @@ def require_same_structure(one: Path | None, other: Path | None) -> None:
         raise OmtwarpError(f"'{one}' is {ours} and '{other}' is {theirs}: take the template of the same hemisphere")
 
 
-def write_gifti_surface(file: Path, points: Floats, faces: Ints, spherical: bool, like: Path | None) -> None:
+def write_gifti_surface(
+    file: Path, points: Floats, faces: Ints, spherical: bool, like: Path | None, structure: str | None
+) -> None:
     """Write a GIFTI surface (single precision, as its readers expect).
 
-    Metadata and coordinate system are those of the file that it is like; otherwise the structure follows from the
-    names.
+    Metadata and coordinate system are those of the file that it is like; otherwise the structure is the given one, or
+    follows from the names.
     """
     nibabel = nibabel_module()
     gifti = nibabel.gifti
@@ -143,7 +150,7 @@ def write_gifti_surface(file: Path, points: Floats, faces: Ints, spherical: bool
                 own, system = dict(array.meta), array.coordsys
             elif array.intent == nibabel.nifti1.intent_codes["NIFTI_INTENT_TRIANGLE"]:
                 corners = dict(array.meta)
-    structure = own.get("AnatomicalStructurePrimary") or structure_of(like) or structure_of(file)
+    structure = own.get("AnatomicalStructurePrimary") or structure_of(like) or structure or structure_of(file)
     if structure:
         own["AnatomicalStructurePrimary"] = structure
     if spherical:

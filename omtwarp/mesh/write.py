@@ -25,6 +25,7 @@ def write_mesh(
     beside: Mapping[str, NDArray] | None = None,
     spherical: bool = False,
     like: Path | None = None,
+    structure: str | None = None,
 ) -> None:
     """Write a triangle mesh; vertex order and faces are kept, except that STL has only triangles.
 
@@ -36,6 +37,8 @@ def write_mesh(
         beside: further numbers per vertex by name, each shape [V]; for .ply and .vtk alone.
         spherical: it is a sphere, which GIFTI records.
         like: the file that the mesh comes from; GIFTI keeps its metadata, FreeSurfer's format its volume geometry.
+        structure: the part of the brain, such as ``CortexLeft``, which GIFTI names where that file does not say it; by
+            default what the names of the files say.
 
     Raises:
         OmtwarpError: arrays of another type or shape, another suffix, or the file cannot be written; then an older file
@@ -53,7 +56,7 @@ def write_mesh(
         raise OmtwarpError(f"cannot write '{file}': only .ply and .vtk hold numbers at the vertices")
     with staged(file) as place:
         if suffix == ".gii":
-            write_gifti_surface(place, points, triangles, spherical, like)
+            write_gifti_surface(place, points, triangles, spherical, like, structure)
         elif suffix in FREESURFER_SUFFIXES:
             write_freesurfer_surface(place, points, triangles, like)
         elif suffix == ".vtk":

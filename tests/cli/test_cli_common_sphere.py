@@ -325,6 +325,8 @@ def test_a_distance_of_scaled_shapes_has_no_unit(desk, capsys):
         (["resample", "lh.npz", "--to", "ico99", "-o", "x.ply"], "there is no sphere 'ico99'"),
         (["resample", "lh.npz", "--to", "rh.template.ply", "-o", "x.ply"], "same hemisphere"),
         (["resample", "lh.npz", "--to", "ico3", "--data", "thickness.npy", "-o", "x.label.gii"], "without a table"),
+        (["resample", "lh.npz", "--to", "ico3", "--hemisphere", "right", "-o", "x.ply"], "--hemisphere names"),
+        (["resample", "lh.npz", "--to", "ico3", "-o", "rh.surf.gii"], "'rh.surf.gii' names the other hemisphere"),
         (["resample", "lh.npz", "--to", "healpix:4", "-o", "x.ply"], "no triangles"),
         (["resample", "lh.npz", "--to", "ico3", "-o", "-", "--data", "holes.npy"], "infinite at 1 of"),
         (

@@ -307,6 +307,11 @@ def test_commands_take_the_hemisphere_of_the_surface(tmp_path, monkeypatch, caps
         main(["resample", "sphere.ply", *line, "other.shape.gii"])
     said = capsys.readouterr().err
     assert ended.value.code == 1 and said.count("\n") == 1 and "does not say which" in said
+    for side, structure in (("left", "CortexLeft"), ("right", "CortexRight")):  # which an option may say
+        for words in ([*line, "other.shape.gii"], ["--surface", "sphere.ply", "--to", "ico3", "-o", "other.surf.gii"]):
+            with pytest.raises(SystemExit) as ended:
+                main(["resample", "sphere.ply", *words, "--hemisphere", side])
+            assert not ended.value.code and structure_of(Path(words[-1])) == structure
 
 
 def test_other_hemisphere_is_told(tmp_path):
