@@ -19,7 +19,7 @@ from omtwarp.colors import to_linear, to_srgb
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import file_beside, read_bytes, reading
 from omtwarp.files.limits import LARGEST_MESH_FILE, MOST_FACES
-from omtwarp.mesh.arrays import Bytes, Floats, Ints, whole_numbers
+from omtwarp.mesh.arrays import Bytes, Floats, Ints, marked, whole_numbers
 from omtwarp.mesh.ply import Column, ply_columns, polygons_of
 from omtwarp.mesh.polygons import fans, taken_together
 from omtwarp.mesh.read import coordinates, mesh_content, numbers_of, obj_text, read_mesh, require_counted_from_one, utf8
@@ -141,7 +141,7 @@ def read_painted_mesh(path: str | os.PathLike[str]) -> PaintedMesh:
 
     OBJ with its material library, PLY with coordinates at vertices or faces, and every format of scenes (GLB, glTF,
     COLLADA, ...) keep a pair of coordinates per corner and a material per triangle. Colours of a PLY's faces become the
-    texels of a picture. Formats of scenes, and PLY with
+    texels of a picture; those at vertices of an OBJ or PLY are white under a picture. Formats of scenes, and PLY with
     coordinates at its vertices, double vertices along seams: where boundaries have equal places, they are joined again.
     Several geometries of a scene are taken together. Formats without materials give a mesh with one, plain material.
 
@@ -169,10 +169,8 @@ def read_painted_mesh(path: str | os.PathLike[str]) -> PaintedMesh:
     with reading(file, suffix, None):
         if plain is not None:
             painted = PaintedMesh(plain.vertices, corners_of(plain.faces, len(plain.vertices)), notes=plain.notes)
-        elif suffix == "obj":
-            painted = _from_obj(data, file)
-        elif suffix == "ply":
-            painted = _from_ply(data, file)
+        elif suffix in ("obj", "ply"):
+            painted = _pictures_alone((_from_obj if suffix == "obj" else _from_ply)(data, file))
         else:
             scene = load_scene(data, file, suffix)
             looks, notes = gltf_materials(data, file, suffix) if suffix in ("glb", "gltf") else (None, [])
@@ -228,6 +226,21 @@ def _from_obj(data: bytes, file: Path) -> PaintedMesh:
         tuple(notes), source_files=tuple(named), objects=tuple((name, group) for name, group in objects),
         face_object=number[face],
     )  # fmt: skip
+
+
+def _pictures_alone(mesh: PaintedMesh) -> PaintedMesh:
+    """Make colours at vertices white under pictures, which glTF multiplies by them.
+
+    Programs that show an OBJ or PLY file show either of the two, and scanners write the same colours as both.
+    """
+    if mesh.vertex_colors is None or mesh.uv is None:
+        return mesh
+    has_picture = np.array([material.picture is not None for material in mesh.materials])
+    drawn = has_picture[mesh.material_of] & np.isfinite(mesh.uv).all(axis=(1, 2))
+    if drawn.all():
+        return replace(mesh, vertex_colors=None)
+    under = marked(len(mesh.vertices), mesh.faces[drawn]) & ~marked(len(mesh.vertices), mesh.faces[~drawn])
+    return replace(mesh, vertex_colors=np.where(under[:, None], np.uint8(255), mesh.vertex_colors))
 
 
 def _materials_beside(file: Path, libraries: list[str], named: list[Path], notes: list[str]) -> dict[str, Material]:

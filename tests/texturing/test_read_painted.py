@@ -581,6 +581,22 @@ def test_a_picture_that_a_library_moves_is_said(tmp_path, options, left):
     assert list(mesh.notes) == [f"left out {left} of the picture 'stripes.png', which is not read"] * bool(left)
 
 
+@pytest.mark.parametrize("everywhere", [True, False])
+def test_a_picture_of_an_obj_is_not_darkened_by_colours_at_vertices(tmp_path, everywhere):
+    """They are multiplied in a GLB, where an OBJ has one or the other; under no picture they stay."""
+    path, *_ = two_halves(tmp_path, picture=True)
+    text = re.sub(r"^(v .*)$", r"\1 0.5 0.5 0.5", path.read_text(), flags=re.MULTILINE)
+    path.write_text(text.replace("usemtl red", "usemtl blue" if everywhere else "usemtl red"))
+    mesh = read_painted_mesh(path)
+    (file,) = mesh.export(tmp_path / "two.glb")
+    assert (b"COLOR_0" in file.read_bytes()) is not everywhere
+    if everywhere:
+        assert mesh.vertex_colors is None
+        return
+    plain = np.unique(mesh.faces[mesh.face_material == 0])
+    assert (np.delete(mesh.vertex_colors, plain, axis=0) == 255).all() and (mesh.vertex_colors[plain, :3] == 128).all()
+
+
 def test_a_preview_warns_of_a_picture_that_is_not_there(tmp_path):
     path, *_ = two_halves(tmp_path, picture=True)
     (tmp_path / "stripes.png").unlink()
