@@ -170,7 +170,7 @@ def run_map(
         front (AXIS): The axis towards longitude 0; guessed where --up is given.
     """
 
-    from omtwarp.mesh.neuro import structure_of
+    from omtwarp.mesh.neuro import structure_of, volume_geometry_of
     from omtwarp.mesh.write import SUFFIXES
 
     if topology.torus and beside:
@@ -200,6 +200,8 @@ def run_map(
             result = standing(result, None, up, front)
         if structure is not None:
             result.report["structure"] = structure
+        if (volume := volume_geometry_of(mesh)) is not None:
+            result.report["volume_geometry"] = volume
         result, joined = with_copies(result, sound)
         with staged(target) as file:
             save(result, file, like=mesh, radius=radius, beside=beside, joined=joined)

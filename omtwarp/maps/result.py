@@ -111,6 +111,7 @@ class MapReport(ChosenOptions, total=False):
 
     mesh: MeshReport
     structure: str
+    volume_geometry: Mapping[str, object]
     versions: dict[str, str]
     device: str
     solver: str

@@ -20,13 +20,14 @@ from omtwarp.errors import OmtwarpError, installed
 from omtwarp.files.inputs import file_beside, open_input, read_arrays, read_bytes, reading
 from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.files.output import scratch
-from omtwarp.mesh.arrays import Floats, Ints, single_precision
+from omtwarp.mesh.arrays import Floats, Ints, real_numbers, single_precision, whole_numbers
 
 if TYPE_CHECKING:
     from nibabel.gifti import GiftiImage
 
 # Names that FreeSurfer gives to its surfaces, behind lh. or rh.
 FREESURFER_SUFFIXES = (".sphere", ".reg", ".white", ".pial", ".inflated", ".orig", ".smoothwm")
+VECTORS, TEXTS = ("voxelsize", "xras", "yras", "zras", "cras"), ("valid", "filename")  # of a volume's geometry
 STRUCTURES = {"L": "CortexLeft", "R": "CortexRight"}
 
 
@@ -76,14 +77,39 @@ def structure_in_name(name: str) -> str | None:
     return STRUCTURES[next(word for word in match.groups() if word).upper()] if match else None
 
 
-def _structure_of_map(path: Path) -> str | None:
-    """Return the part of the brain that a map's report names; None where it names none."""
+def _report_of_map(path: Path) -> dict:
+    """Return the report of a map; an empty one where there is none."""
     try:
         with open_input(path, LARGEST_MESH_FILE, "map") as stream:
-            known = json.loads(str(read_arrays(stream, ("report",))["report"]))["structure"]
+            return dict(json.loads(str(read_arrays(stream, ("report",))["report"])))
     except (OmtwarpError, ValueError, RecursionError, KeyError, TypeError):  # no map, or one without
-        return None
+        return {}
+
+
+def _structure_of_map(path: Path) -> str | None:
+    """Return the part of the brain that a map's report names; None where it names none."""
+    known = _report_of_map(path).get("structure")
     return known if isinstance(known, str) and re.fullmatch(r"[\w .-]{1,80}", known) else None
+
+
+def volume_geometry_of(path: Path) -> dict[str, object] | None:
+    """Return the volume geometry of a FreeSurfer surface, or of the map of one, as JSON holds it; None without any.
+
+    It says where the surface lies in the volume that it was made from; the names are those that FreeSurfer writes.
+    """
+    with contextlib.suppress(OmtwarpError, ValueError, OSError, KeyError, TypeError):
+        if path.suffix.lower() == ".npz":
+            known = _report_of_map(path)["volume_geometry"]
+        else:
+            data = read_bytes(path, LARGEST_MESH_FILE)
+            if not data.startswith(b"\xff\xff\xfe"):
+                return None
+            with copied(data, path.name) as copy:
+                known = nibabel_module().freesurfer.io.read_geometry(copy, read_metadata=True)[2]
+        whole = {name: whole_numbers(known[name], name, (None,), below=2**31).tolist() for name in ("head", "volume")}
+        numbers = {name: real_numbers(known[name], name, (3,)).tolist() for name in VECTORS}
+        return whole | numbers | {name: " ".join(str(known[name]).splitlines()) for name in TEXTS}
+    return None
 
 
 def load_gifti(path: Path) -> "GiftiImage":
@@ -168,13 +194,6 @@ def write_gifti_surface(
 
 def write_freesurfer_surface(file: Path, points: Floats, faces: Ints, like: Path | None) -> None:
     """Write a surface in FreeSurfer's binary format, with the volume geometry of the file that it is like."""
-    io = nibabel_module().freesurfer.io
-    volume = None
-    if like is not None and not like.name.lower().endswith((".gii", ".gii.gz", ".npz")):
-        try:
-            with copied(read_bytes(like, LARGEST_MESH_FILE), like.name) as copy:
-                volume = io.read_geometry(copy, read_metadata=True)[2] or None
-        except (ValueError, OSError):
-            volume = None  # of another format, which has none
+    io, volume = nibabel_module().freesurfer.io, None if like is None else volume_geometry_of(like)
     rounded = single_precision(points, "vertices")
     io.write_geometry(file, rounded, faces, create_stamp="created by omtwarp", volume_info=volume)

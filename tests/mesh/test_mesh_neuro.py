@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from trimesh.exchange.ply import load_ply
 
 from omtwarp.commands._cli import main
 from omtwarp.errors import OmtwarpError
+from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
 from omtwarp.mesh.data import VertexData, read_data, write_data
 from omtwarp.mesh.neuro import require_same_structure, structure_of
@@ -68,7 +70,7 @@ def test_gifti_says_what_it_is_and_keeps_what_it_was(tmp_path):
     assert structure_of(tmp_path / "lh.sphere.surf.gii") == "CortexLeft"
 
 
-def test_freesurfer_volume_geometry_is_kept(tmp_path):
+def test_freesurfer_volume_geometry_is_kept(tmp_path, monkeypatch):
     io = pytest.importorskip("nibabel").freesurfer.io
     volume = {
         "head": np.array([2, 0, 20], np.int32),
@@ -86,8 +88,20 @@ def test_freesurfer_volume_geometry_is_kept(tmp_path):
     points, faces, found = io.read_geometry(tmp_path / "lh.sphere", read_metadata=True)
     np.testing.assert_array_equal(faces, SPHERE.faces)
     np.testing.assert_allclose(points, 100 * SPHERE.vertices, atol=2e-5)
-    for key, value in volume.items():
-        np.testing.assert_array_equal(found[key], value)
+    lines = ["map lh.white -o lh.npz --until conformal --device cpu", "align lh.npz -o moved.npz"]
+    monkeypatch.chdir(tmp_path)
+    for line in [*lines, "resample moved.npz --to ico2 -o lh.pial --device cpu"]:  # through the map too
+        with pytest.raises(SystemExit) as ended:
+            main([*line.split(), "-q"])
+        assert not ended.value.code
+    for kept in (found, io.read_geometry("lh.pial", read_metadata=True)[2]):
+        for key, value in volume.items():
+            np.testing.assert_array_equal(kept[key], value)
+    assert MapResult.load("lh.npz").report["volume_geometry"]["cras"] == [5.4, 18.0, 0.0]
+    damaged = replace(MapResult.load("lh.npz"), report={"volume_geometry": {"cras": "far"}})
+    damaged.save("damaged.npz")
+    write_mesh("lh.orig", BALL.vertices, BALL.faces, like=Path("damaged.npz"))
+    assert not io.read_geometry("lh.orig", read_metadata=True)[2]
 
 
 @pytest.mark.parametrize(
