@@ -13,9 +13,20 @@ from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import TINY, Floats, cross, mean_edge_lengths, normalised, norms, summed
+from omtwarp.mesh.arrays import (
+    TINY,
+    Floats,
+    cross,
+    mean_edge_lengths,
+    normalised,
+    norms,
+    real_number,
+    real_numbers,
+    summed,
+    whole_number,
+)
 from omtwarp.mesh.polygons import grid_shares, grid_triangles
-from omtwarp.mesh.surface import Surface
+from omtwarp.mesh.surface import Surface, as_triangles
 
 Faces = NDArray[np.int64]
 
@@ -33,6 +44,7 @@ def icosphere(frequency: int = 16) -> Surface:
     Args:
         frequency: any whole number from 1; the mesh has 20 ``frequency``² faces and 10 ``frequency``² + 2 vertices.
     """
+    frequency = whole_number(frequency, "frequency", least=1)
     corners, big_faces = _icosahedron()
     shares = grid_shares(frequency)
     points = np.einsum("pk,fkx->fpx", shares, corners[big_faces]).reshape(-1, 3)
@@ -52,7 +64,7 @@ def icosphere(frequency: int = 16) -> Surface:
 
 def icosphere_near(face_count: int) -> Surface:
     """Return the geodesic sphere whose number of faces is nearest to the one asked for."""
-    return icosphere(max(1, round(np.sqrt(face_count / 20))))
+    return icosphere(max(1, round(np.sqrt(_size(face_count, "face_count") / 20))))
 
 
 def sphere_from_directions(directions: ArrayLike) -> Surface:
@@ -64,10 +76,13 @@ def sphere_from_directions(directions: ArrayLike) -> Surface:
     Returns:
         The sphere, with the vertices in the order given and 2 V - 4 faces.
     """
-    from scipy.spatial import ConvexHull
+    from scipy.spatial import ConvexHull, QhullError
 
-    points = np.asarray(directions, dtype=np.float64)
-    hull = ConvexHull(points)
+    points = real_numbers(directions, "directions", (None, 3))
+    try:
+        hull = ConvexHull(points)
+    except (ValueError, QhullError):  # fewer than four, or all in a plane
+        raise OmtwarpError("directions: must be points that surround the centre, four or more") from None
     faces = hull.simplices.astype(np.int64)
     p0, p1, p2 = (points[faces[:, k]] for k in range(3))
     inward = np.einsum("ij,ij->i", cross(p1 - p0, p2 - p0), hull.equations[:, :3]) < 0
@@ -84,7 +99,7 @@ def fibonacci_sphere(face_count: int = 5000) -> Surface:
     Args:
         face_count: any even number from 4 on.
     """
-    count = face_count // 2 + 2
+    count = whole_number(face_count, "face_count", least=4) // 2 + 2
     index = np.arange(count) + 0.5
     z = 1.0 - 2.0 * index / count
     radius, turn = np.sqrt(1.0 - z * z), GOLDEN_ANGLE * index
@@ -99,9 +114,10 @@ def random_sphere(face_count: int = 5000, seed: int = 0, clustering: float = 0.0
         seed: of the random numbers.
         clustering: 0 spreads the vertices uniformly; larger values draw them towards the north pole.
     """
-    points = normalised(np.random.default_rng(seed).normal(size=(face_count // 2 + 2, 3)))
+    count = whole_number(face_count, "face_count", least=4) // 2 + 2
+    points = normalised(_random(seed).normal(size=(count, 3)))
     points[:4] = _TETRAHEDRON  # which certainly surround the centre
-    points[4:, 2] += clustering
+    points[4:, 2] += real_number(clustering, "clustering")
     return sphere_from_directions(normalised(points))
 
 
@@ -112,6 +128,7 @@ def uv_sphere(rings: int = 32, segments: int = 64) -> Surface:
         rings: parallels between the poles, from 1.
         segments: meridians, from 3.
     """
+    rings, segments = whole_number(rings, "rings", least=1), whole_number(segments, "segments", least=3)
     polar = np.pi * np.arange(1, rings + 1) / (rings + 1)
     turn = 2.0 * np.pi * np.arange(segments) / segments
     circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
@@ -124,19 +141,20 @@ def uv_sphere(rings: int = 32, segments: int = 64) -> Surface:
 def ellipsoid(axes: tuple[float, float, float] = (1.0, 0.7, 0.5), face_count: int = 5120) -> Surface:
     """Return an ellipsoid with the given half axes."""
     sphere = icosphere_near(face_count)
-    return Surface(sphere.vertices * np.asarray(axes, dtype=np.float64), sphere.faces)
+    return Surface(sphere.vertices * real_numbers(axes, "axes", (3,), positive=True), sphere.faces)
 
 
 def needle(length: float = 20.0, face_count: int = 5120) -> Surface:
     """Return an ellipsoid of revolution ``length`` times as long as it is thick."""
-    return ellipsoid((1.0, 1.0, length), face_count)
+    return ellipsoid((1.0, 1.0, _size(length, "length")), face_count)
 
 
 def plate(width: float = 4.0, depth: float = 3.0, thickness: float = 0.2, face_count: int = 5120) -> Surface:
     """Return a thin slab with rounded edges: the superquadric x⁸ + y⁸ + z⁸ = 1, stretched to the sides given."""
     sphere = icosphere_near(face_count)
     radius = (sphere.vertices**8).sum(axis=1) ** (-1 / 8)
-    return Surface(sphere.vertices * radius[:, None] * (np.array([width, depth, thickness]) / 2), sphere.faces)
+    sides = _size(width, "width"), _size(depth, "depth"), _size(thickness, "thickness")
+    return Surface(sphere.vertices * radius[:, None] * (np.array(sides) / 2), sphere.faces)
 
 
 def star_shape(radius: Callable[[Floats], Floats], sphere: Surface | int = 5120) -> Surface:
@@ -147,7 +165,7 @@ def star_shape(radius: Callable[[Floats], Floats], sphere: Surface | int = 5120)
         sphere: a triangulated unit sphere, or the number of faces of a geodesic one.
     """
     base = sphere if isinstance(sphere, Surface) else icosphere_near(sphere)
-    return Surface(base.vertices * radius(base.vertices)[:, None], base.faces)
+    return Surface(base.vertices * _values(radius, base.vertices, "radius", positive=True)[:, None], base.faces)
 
 
 def blob(seed: int = 0, amplitude: float = 0.35, degree: int = 6, sphere: Surface | int = 5120) -> Surface:
@@ -159,9 +177,9 @@ def blob(seed: int = 0, amplitude: float = 0.35, degree: int = 6, sphere: Surfac
         degree: highest degree of the harmonics, from 1; higher ones are wrinklier.
         sphere: a triangulated unit sphere, or the number of faces of a geodesic one.
     """
-    rng = np.random.default_rng(seed)
+    rng = _random(seed)
     # A Legendre polynomial of the cosine to a random axis is a harmonic of its degree.
-    orders = np.repeat(np.arange(1, degree + 1), 3)
+    orders = np.repeat(np.arange(1, whole_number(degree, "degree", least=1) + 1), 3)
     axes = normalised(rng.normal(size=(len(orders), 3)))
     strengths = rng.normal(size=len(orders))
 
@@ -172,7 +190,7 @@ def blob(seed: int = 0, amplitude: float = 0.35, degree: int = 6, sphere: Surfac
         return total
 
     reference = logarithm(icosphere(8).vertices)
-    scale = amplitude / reference.std()
+    scale = real_number(amplitude, "amplitude") / reference.std()
     return star_shape(lambda x: np.exp(scale * (logarithm(x) - reference.mean())), sphere)
 
 
@@ -187,7 +205,8 @@ def limbs(
         sharpness: larger is thinner; a limb's half-width is about 1 / sqrt(sharpness).
         sphere: a triangulated unit sphere, or the number of faces of a geodesic one.
     """
-    axes = _TETRAHEDRON if directions is None else normalised(directions)
+    axes = _TETRAHEDRON if directions is None else normalised(real_numbers(directions, "directions", (None, 3)))
+    length, sharpness = real_number(length, "length"), real_number(sharpness, "sharpness")
     return star_shape(lambda x: 1.0 + length * np.exp(sharpness * (x @ axes.T - 1.0)).sum(axis=1), sphere)
 
 
@@ -208,12 +227,14 @@ def tube(
         face_count: roughly how many faces.
 
     Raises:
-        ValueError: a bend so tight that the tube would cut into itself.
+        OmtwarpError: a bend so tight that the tube would cut into itself.
     """
-    radius = girth / 2
+    length, radius = _size(length, "length"), _size(girth, "girth") / 2
+    bend, taper = real_number(bend, "bend"), real_number(taper, "taper", least=0.0)
+    face_count = round(_size(face_count, "face_count"))
     if abs(bend) * radius >= length:
         most = length / radius
-        raise ValueError(f"a tube of length {length} and girth {girth} can bend by less than {most:.3g} radians")
+        raise OmtwarpError(f"bend: a tube of length {length} and girth {girth} bends by less than {most:.3g} radians")
     total = length + np.pi * radius * (1 + taper) / 2
     segments = max(6, round(np.sqrt(face_count / 2 * np.pi * girth * (1 + taper) / 2 / total)))
     rings = max(4, round(face_count / 2 / segments))
@@ -253,8 +274,8 @@ def hippocampus(
         face_count: roughly how many faces.
 
     Raises:
-        ValueError: a variation that is negative or above 0.15, from where on tubes might cut into themselves; a bump of
-            -1 or less; a width that is not positive.
+        OmtwarpError: a variation that is negative or above 0.15, from where on tubes might cut into themselves; a bump
+            of -1 or less; a width that is not positive.
 
     Example:
         >>> import numpy as np, omtwarp
@@ -266,13 +287,14 @@ def hippocampus(
     # Diameter of the tail over that of the head, and the angle of the arc in radians.
     hippocampus_taper = 0.45
     hippocampus_bend = 1.8
-    if not 0.0 <= variation <= 0.15 or bump <= -1.0 or width <= 0.0:
-        raise ValueError(f"variation {variation}, bump {bump}, width {width}: use 0 to 0.15, above -1, above 0")
+    bump, width = real_number(bump, "bump", above=-1.0), _size(width, "width")
+    if not 0.0 <= real_number(variation, "variation") <= 0.15:
+        raise OmtwarpError(f"variation {variation}: use 0 to 0.15")
     length = 3.0
     base = tube(length, girth=1.0, taper=hippocampus_taper, face_count=face_count)
     points = base.vertices
     across, along = points[:, :2], points[:, 2]
-    rng = np.random.default_rng(seed)
+    rng = _random(seed)
     stretch, bend, flatness = 1.0 + variation * np.clip(rng.normal(size=3), -2.5, 2.5) * [1.0, 2.0, 0.5]
     # Waves in space are smooth at the ends of the tube too, where angles around it are not.
     waves, phases = rng.normal(size=(6, 3)) * [0.8, 0.8, 1.2], rng.uniform(0.0, 2.0 * np.pi, 6)
@@ -317,11 +339,12 @@ def implicit_surface(value: Callable[[Floats], Floats], low: ArrayLike, high: Ar
     Source: A. Doi and A. Koide, An efficient method of triangulating equi-valued surfaces by using tetrahedral cells,
     IEICE Transactions E74 (1991).
     """
-    low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
-    shape = np.ceil((high - low) / cell).astype(np.int64) + 1
+    low, high = real_numbers(low, "low", (3,)), real_numbers(high, "high", (3,))
+    extent = real_numbers(high - low, "the sides of the box", (3,), positive=True)
+    shape = np.ceil(extent / _size(cell, "cell")).astype(np.int64) + 1
     grid = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=3).reshape(-1, 3)
     nodes = low + cell * grid
-    values = value(nodes)
+    values = _values(value, nodes, "value")
     # A node on the surface would make triangles of no area: one that is nearer than this is moved inside.
     values = np.where(np.abs(values) < 1e-6 * cell, -1e-6 * cell, values)
 
@@ -347,7 +370,8 @@ def rings(count: int = 1, tube: float = 0.35, cell: float = 0.15) -> Surface:
         tube: radius of the tubes; the rings' middle circles have radius 1.
         cell: side of the grid's cubes, see :func:`implicit_surface`; the number of faces grows as its inverse square.
     """
-    centres = 2.0 * np.arange(count)
+    centres = 2.0 * np.arange(whole_number(count, "count", least=1))
+    tube, cell = _size(tube, "tube"), _size(cell, "cell")
 
     def value(p: Floats) -> Floats:
         around = [np.hypot(np.hypot(p[:, 0] - x, p[:, 1]) - 1.0, p[:, 2]) - tube for x in centres]
@@ -430,7 +454,7 @@ def metaballs(spheres: ArrayLike, blend: float = 0.15) -> Callable[[Floats], Flo
         spheres: rounded cones, shape [N, 8]: two ends (x, y, z, radius each).
         blend: distance over which two of them melt into each other.
     """
-    cones = np.asarray(spheres, dtype=np.float64).reshape(-1, 8)
+    cones, blend = real_numbers(spheres, "spheres", (None, 8)), _size(blend, "blend")
 
     def value(x: Floats) -> Floats:
         total = np.zeros(len(x))
@@ -465,7 +489,7 @@ def demo_shape(face_count: int = 20000) -> Surface:
         [-1.2, 0.05, 0.55, 0.12, -1.35, 0.15, 0.98, 0.1],
         [-1.35, 0.15, 0.98, 0.1, -1.12, 0.3, 1.28, 0.12],
     ]
-    cell = 10.1 / np.sqrt(face_count)
+    cell = 10.1 / np.sqrt(_size(face_count, "face_count"))
     cones = np.array(body + legs + feet + head + ears + tail)
     cones[:, [3, 7]] = np.maximum(cones[:, [3, 7]], 0.8 * cell)  # thinner than this the grid would cut them off
     value = metaballs(cones, blend=0.05)
@@ -481,8 +505,9 @@ def demo_shape(face_count: int = 20000) -> Surface:
 
 def noisy(surface: Surface, amount: float = 0.2, seed: int = 0) -> Surface:
     """Move every coordinate by a normal random number times ``amount`` times the mean length of the edges there."""
-    rng = np.random.default_rng(seed)
+    rng, surface = _random(seed), Surface(*as_triangles(surface))
     mean = mean_edge_lengths(surface.vertices, surface.edges)
+    amount = real_number(amount, "amount", least=0.0)
     return Surface(surface.vertices + amount * mean[:, None] * rng.normal(size=surface.vertices.shape), surface.faces)
 
 
@@ -492,9 +517,9 @@ def flip_edges(surface: Surface, rounds: int = 10, seed: int = 0) -> Surface:
     In a round, edges whose two triangles touch no others' are turned into the other diagonal of the two, where that
     leaves at least three neighbours everywhere, no double edge and no triangle that faces backwards.
     """
-    rng = np.random.default_rng(seed)
+    rng, surface = _random(seed), Surface(*as_triangles(surface))
     points, faces = surface.vertices, surface.faces.astype(np.int64)
-    for _ in range(rounds):
+    for _ in range(whole_number(rounds, "rounds")):
         half = np.flatnonzero(faces.ravel() < np.roll(faces, -1, axis=1).ravel())
         other = Surface(points, faces).face_neighbours.ravel()[half].astype(np.int64)
         face, k = half // 3, half % 3
@@ -522,7 +547,7 @@ def flip_edges(surface: Surface, rounds: int = 10, seed: int = 0) -> Surface:
 
 def shuffled(surface: Surface, seed: int = 0) -> Surface:
     """Reorder the vertices and faces of a surface at random, and begin every face at a random corner."""
-    rng = np.random.default_rng(seed)
+    rng, surface = _random(seed), Surface(*as_triangles(surface))
     order = rng.permutation(surface.vertex_count)
     faces = np.argsort(order)[surface.faces[rng.permutation(surface.face_count)]]
     turn = (np.arange(3)[None] + rng.integers(3, size=len(faces))[:, None]) % 3
@@ -530,6 +555,34 @@ def shuffled(surface: Surface, seed: int = 0) -> Surface:
 
 
 # Parts --------------------------------------------------------------------------------------------------------------
+
+
+def _size(value: float, name: str) -> float:
+    """Check a positive number."""
+    return real_number(value, name, above=0.0)
+
+
+def _random(seed: int) -> np.random.Generator:
+    """Return random numbers.
+
+    Raises:
+        OmtwarpError: the seed is none.
+    """
+    try:
+        return np.random.default_rng(seed)
+    except (TypeError, ValueError):
+        raise OmtwarpError(f"seed: must be a whole number from 0, not {seed!r}") from None
+
+
+def _values(function: Callable[[Floats], Floats], points: Floats, name: str, positive: bool = False) -> Floats:
+    """Return what a function has at points, shape [N].
+
+    Raises:
+        OmtwarpError: it is no function, or has no such numbers there.
+    """
+    if not callable(function):
+        raise OmtwarpError(f"{name}: must be a function of points, not a {type(function).__name__}")
+    return real_numbers(function(points), name, (len(points),), positive=positive)
 
 
 def _icosahedron() -> tuple[Floats, Faces]:

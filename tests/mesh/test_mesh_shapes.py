@@ -95,3 +95,63 @@ def test_a_creature_of_too_few_faces_is_refused():
     """A creature of so few faces that its limbs would merge into handles is refused."""
     with pytest.raises(OmtwarpError, match="ask for 2,000 or more"):
         shapes.demo_shape(320)
+
+
+def radius(points):
+    return 1.0 + 0.1 * points[:, 0]
+
+
+ARGUMENTS = {
+    "icosphere": {"frequency": 2},
+    "icosphere_near": {"face_count": 80},
+    "sphere_from_directions": {"directions": shapes.icosphere(1).vertices},
+    "fibonacci_sphere": {"face_count": 40},
+    "random_sphere": {"face_count": 40, "seed": 0, "clustering": 0.5},
+    "uv_sphere": {"rings": 3, "segments": 4},
+    "ellipsoid": {"axes": (1, 2, 3), "face_count": 80},
+    "needle": {"length": 3, "face_count": 80},
+    "plate": {"width": 1, "depth": 2, "thickness": 1, "face_count": 80},
+    "star_shape": {"radius": radius, "sphere": 80},
+    "blob": {"seed": 0, "amplitude": 0.2, "degree": 3, "sphere": 80},
+    "limbs": {"directions": np.eye(3), "length": 1, "sharpness": 9, "sphere": 80},
+    "tube": {"length": 6, "girth": 1, "bend": 0, "taper": 1, "face_count": 200},
+    "hippocampus": {"seed": 0, "bump": 0, "width": 0.5, "variation": 0.1, "face_count": 200},
+    "implicit_surface": {"value": lambda p: p @ p.T.mean(axis=1), "low": [-1] * 3, "high": [1] * 3, "cell": 0.5},
+    "rings": {"count": 1, "tube": 0.5, "cell": 0.4},
+    "metaballs": {"spheres": [[0, 0, 0, 1, 1, 0, 0, 1]], "blend": 0.1},
+    "demo_shape": {"face_count": 2000},
+    "noisy": {"surface": shapes.icosphere(2), "amount": 0.1, "seed": 0},
+    "flip_edges": {"surface": shapes.icosphere(2), "rounds": 1, "seed": 0},
+    "shuffled": {"surface": shapes.icosphere(2), "seed": 0},
+}
+
+
+@pytest.mark.parametrize("name", ARGUMENTS)
+def test_arguments_of_no_use_are_one_line(name):
+    """Text, complex numbers, NaN, lists of another length, and nothing, where nothing has no meaning."""
+    for argument, default in ARGUMENTS[name].items():
+        for wrong in ("many", 1j, np.nan, [1, 2], {}, *([] if argument in ("seed", "directions") else [None])):
+            if argument == "seed" and wrong == [1, 2]:  # which NumPy takes
+                continue
+            with pytest.raises(OmtwarpError) as caught:
+                getattr(shapes, name)(**(ARGUMENTS[name] | {argument: wrong}))
+            assert "\n" not in str(caught.value), default
+
+
+def test_arguments_out_of_range_are_refused():
+    for made in (
+        lambda: shapes.icosphere(0),
+        lambda: shapes.uv_sphere(3, 2),
+        lambda: shapes.blob(degree=0),
+        lambda: shapes.blob(seed=-1),
+        lambda: shapes.ellipsoid((1, 1, 0)),
+        lambda: shapes.plate(thickness=-1),
+        lambda: shapes.star_shape(lambda x: x[:, 0]),
+        lambda: shapes.tube(length=0),
+        lambda: shapes.hippocampus(bump=-1.0),
+        lambda: shapes.implicit_surface(radius, [0] * 3, [0] * 3, 0.1),
+        lambda: shapes.rings(cell=0),
+        lambda: shapes.sphere_from_directions(np.eye(3)),
+    ):
+        with pytest.raises(OmtwarpError):
+            made()
