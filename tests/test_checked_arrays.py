@@ -294,9 +294,22 @@ def test_materials_that_are_none(name):
     for value in ("x", None, np.nan, [np.nan] * 3, [1.0, 2.0], 1j, {}, np.ones((4, 1))):
         with pytest.raises(OmtwarpError, match=name):
             omtwarp.Material(**{name: value})
+    grey = np.zeros((4, 4), np.uint8)
+    for value in ("x.png", 3, grey, np.zeros((4, 4, 3)), np.zeros((4, 0, 3), np.uint8), [[[0, 0, 0]]]):
+        with pytest.raises(OmtwarpError, match="picture: must be a picture"):
+            omtwarp.Material(picture=value)
+    for value in (3, None, ["red"], b"red"):
+        with pytest.raises(OmtwarpError, match="name: must be text"):
+            omtwarp.Material(value)
     for value in ("x", 3, None, [None], np.ones(3)):
         with pytest.raises(OmtwarpError, match=r"materials: must be a list of omtwarp\.Material"):
             omtwarp.PaintedMesh(VERTICES, FACES, materials=value)
+
+
+def test_frames_that_turn_no_map():
+    for value in ("x", None, 1j, np.eye(2), np.ones(3), np.full((3, 3), np.nan), [[1, 0], [0]]):
+        with pytest.raises(OmtwarpError, match="frame"):
+            MAP.turned(value)
 
 
 @pytest.mark.parametrize("function", TAKES_A_PATH)

@@ -345,8 +345,9 @@ class MapResult(Displayable):
         """Return the map and those of its stages turned by a rotation or reflection, ``points @ frame``.
 
         Raises:
-            OmtwarpError: the map is to a torus.
+            OmtwarpError: the map is to a torus, or the frame is no such matrix.
         """
+        frame = real_numbers(frame, "frame", (3, 3))
         known = {"sphere": self.sphere, **{name: self.arrays[name] for name in ON_SPHERE if name in self.arrays}}
         return self.with_arrays({name: points @ frame for name, points in known.items()})
 

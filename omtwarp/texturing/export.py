@@ -51,7 +51,8 @@ class Material:
             an OBJ is written with them again.
 
     Raises:
-        OmtwarpError: colour, emission, metalness or roughness are not that many finite numbers.
+        OmtwarpError: colour, emission, metalness or roughness are not that many finite numbers, the name is no text, or
+            a picture has another form.
 
     Example:
         >>> import omtwarp
@@ -76,6 +77,13 @@ class Material:
     def __post_init__(self) -> None:
         for name, shape in {"color": (4,), "emission": (3,), "metallic": (), "roughness": ()}.items():
             real_numbers(getattr(self, name), name, shape)
+        if not isinstance(self.name, str):
+            raise OmtwarpError(f"name: must be text, not a {type(self.name).__name__}")
+        for name in (own for _, own, *_ in SLOTS if getattr(self, own) is not None):
+            picture = getattr(self, name)
+            form = picture.shape[2:] if isinstance(picture, np.ndarray) and picture.dtype == np.uint8 else None
+            if form not in ((3,), (4,)) or not picture.size:
+                raise OmtwarpError(f"{name}: must be a picture, uint8, of shape [H, W, 3] or [H, W, 4]")
 
     @property
     def plain(self) -> bool:
