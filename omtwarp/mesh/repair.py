@@ -256,10 +256,12 @@ class _Work:
         keys = edge_keys(half, len(self.points))
         boundary = np.isin(keys, topology.edges[lone] @ np.array([len(self.points), 1]))
         known = set(map(tuple, topology.edges.tolist()))
+        # A face without neighbours would be closed by itself, turned over.
+        alone = set(map(frozenset, self.faces[boundary.reshape(-1, 3).all(axis=1)].tolist()))
         filled, faces_added = 0, 0
         for loop in _loops(half[boundary]):
             patch = _patch(self.points, loop, known) if len(loop) <= LARGEST_HOLE else None
-            if patch is None:
+            if patch is None or frozenset(loop) in alone:
                 continue
             known.update((min(e), max(e)) for t in patch for e in zip(t, t[1:] + t[:1], strict=True))
             self.faces = np.concatenate([self.faces, np.array(patch)])

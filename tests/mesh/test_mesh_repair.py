@@ -92,6 +92,14 @@ def test_a_large_hole_is_left_and_named():
     assert defect.kind == "open-boundary" and defect.count > LARGEST_HOLE
 
 
+def test_a_face_alone_is_not_filled_with_itself():
+    repaired = repair((np.eye(3), [[0, 1, 2]]))
+    assert (len(repaired.faces), repaired.actions) == (1, [])
+    assert [defect.kind for defect in check(repaired.vertices, repaired.faces)] == ["open-boundary"]
+    two = repair((np.vstack([np.eye(3), np.zeros(3)]), [[0, 1, 2], [1, 0, 3]]))
+    assert len(two.faces) == 4 and not check(two.vertices, two.faces)
+
+
 def test_the_largest_component_is_kept():
     v, f = ball()
     small = shapes.icosphere(2)
