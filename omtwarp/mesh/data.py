@@ -29,7 +29,7 @@ from omtwarp.errors import OmtwarpError, brief
 from omtwarp.files.inputs import array_of, read_bytes, reading
 from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.files.output import staged
-from omtwarp.mesh.arrays import Floats, Ints, single_precision
+from omtwarp.mesh.arrays import Floats, Ints, single_precision, whole_numbers
 from omtwarp.mesh.neuro import copied, load_gifti, nibabel_module, structure_of
 from omtwarp.mesh.ply import ply_columns
 from omtwarp.mesh.write import ply_bytes
@@ -116,8 +116,9 @@ def from_npy(data: bytes, name: str = "data") -> VertexData:
     array = array_of(data, name)
     if array.dtype.kind not in "iufb" or array.ndim not in (1, 2):
         raise OmtwarpError("not an array of numbers of shape [V] or [V, K]")
-    columns = array.reshape(len(array), -1)
-    return VertexData(columns.astype(np.float64 if array.dtype.kind == "f" else np.int64), _numbered(name, columns))
+    columns = (array.astype(np.int64) if array.dtype.kind == "b" else array).reshape(len(array), -1)
+    values = columns.astype(np.float64) if array.dtype.kind == "f" else whole_numbers(columns, "data", (None, None))
+    return VertexData(values, _numbered(name, columns))
 
 
 def _numbered(name: str, columns: NDArray[np.generic]) -> tuple[str, ...]:

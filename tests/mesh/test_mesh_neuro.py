@@ -120,6 +120,16 @@ def test_numbers_come_back(tmp_path, name):
     assert name.startswith(("a.npy", "lh")) or found.names == names
 
 
+def test_whole_numbers_that_int64_does_not_hold_are_refused(tmp_path):
+    np.save(tmp_path / "a.npy", np.array([2**63 - 1, 3], np.uint64))
+    assert read_data(tmp_path / "a.npy").values.tolist() == [[2**63 - 1], [3]]
+    np.save(tmp_path / "a.npy", np.array([2**63 + 5, 3], np.uint64))
+    with pytest.raises(OmtwarpError, match="numbers up to 9223372036854775813 are out of range"):
+        read_data(tmp_path / "a.npy")
+    np.save(tmp_path / "a.npy", np.array([True, False]))
+    assert read_data(tmp_path / "a.npy").values.tolist() == [[1], [0]]
+
+
 def test_text_is_read_with_any_separator_and_names(tmp_path):
     (tmp_path / "a.txt").write_text("\ufeff# heights\nx; y\n1; 2.5\n\n-3e2;nan;\n", "utf-8")
     found = read_data(tmp_path / "a.txt")
