@@ -154,10 +154,15 @@ def _encoder(program: str) -> list[str]:
     return next((options for name, options in ENCODERS.items() if f" {name} " in listed), MPEG4)
 
 
+def video_size(width: int, height: int) -> tuple[int, int]:
+    """Return the even numbers of pixels that an MP4 has along its sides: H.264 halves the resolution of colours."""
+    return width // 2 * 2, height // 2 * 2
+
+
 def _mp4(frames: Iterable[Image.Image], file: Path, fps: float) -> None:
     shown_in_turn = iter(frames)
     first = next(shown_in_turn)
-    width, height = (first.width // 2 * 2, first.height // 2 * 2)  # H.264 halves the colours' resolution
+    width, height = video_size(first.width, first.height)
     program = _ffmpeg()
     command = [
         program, "-hide_banner", "-loglevel", "error", "-nostdin", "-y",

@@ -199,7 +199,7 @@ def preview(
             (vertices, faces), or a :class:`SurfaceView`. Textures and colours of files and meshes are kept.
         path: .png, .jpg, .webp, .tif, .gif or .mp4; the file appears whole or not at all. With ``frames`` a .webp is
             a film, too.
-        size: width and height of a view in pixels.
+        size: width and height of a view in pixels; of an .mp4 the even numbers up to these.
         views: a name (front, back, left, right, top, bottom, three-quarter), ``"AZ,EL"`` or (azimuth, elevation) in
             degrees, a :class:`Camera`, a list of these, or ``"six"``. Several views make one sheet, all at one scale.
         camera: field of view, projection, zoom, roll and, without ``views``, the direction.
@@ -247,6 +247,8 @@ def preview(
     film, transparent = options.get("frames") is not None, truth(options.get("transparent", False), "transparent")
     target = None if path is None else output.check_target(path, film=film, transparent=transparent)
     chosen = complete(options, "preview")
+    if target is not None and target.suffix.lower() == ".mp4":
+        chosen["size"] = output.video_size(*chosen["size"])
     cameras = cameras_of(chosen)
     several = not film and len(cameras) > 1
     names = _captions(chosen["captions"], cameras) if several else []

@@ -264,7 +264,7 @@ def test_mp4_keeps_the_colours(tmp_path) -> None:
 def test_mp4_holds_the_frames(tmp_path) -> None:
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
     frames = preview(TRIANGLE, tmp_path / "film.mp4", frames=5, fps=10, size=(65, 48), backend="warp")
-    assert len(frames) == 5
+    assert len(frames) == 5 and frames[0].size == (64, 48)  # as the video is
     count, seconds = ffmpeg.count_frames_and_secs(str(tmp_path / "film.mp4"))
     assert count == 5 and seconds == pytest.approx(0.5, abs=0.11)
     assert [file.name for file in tmp_path.iterdir()] == ["film.mp4"]
