@@ -123,15 +123,16 @@ def run_cohort(
     todo = [job for job in mine if (record := read_record(job)) is None or (retry and record["status"] != OK)]
     for job in todo:
         require_own(job.map_file, may_write_map(job))
-    if not collect:
-        write_text(run_file, json.dumps(run))
     if todo:
         words = f"another process is working on '{target}': wait for it, or use shard=(i, n)"
         with locked(target / "locks" / f".driver-{part}-{parts}", words):
+            write_text(run_file, json.dumps(run))  # not before: the options of a run that is refused are no one's
             for job in todo if retry else ():
                 forget_failure(job)
             records = executor_for(str(executor), target, workers).records(todo)
             _follow(records, len(mine) - len(todo), len(mine), progress)
+    elif not collect:
+        write_text(run_file, json.dumps(run))
     complete_journal(jobs, target)
     rows = [_row(item, read_record(job)) for item, job in zip(items, jobs, strict=True)]
     if in_group:
