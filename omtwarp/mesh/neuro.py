@@ -101,10 +101,10 @@ def volume_geometry_of(path: Path) -> dict[str, object] | None:
         if path.suffix.lower() == ".npz":
             known = _report_of_map(path)["volume_geometry"]
         else:
-            data = read_bytes(path, LARGEST_MESH_FILE)
-            if not data.startswith(b"\xff\xff\xfe"):
-                return None
-            with copied(data, path.name) as copy:
+            with open_input(path, LARGEST_MESH_FILE) as stream:
+                if stream.read(3) != b"\xff\xff\xfe":  # of another format: no more of it is read
+                    return None
+            with copied(read_bytes(path, LARGEST_MESH_FILE), path.name) as copy:
                 known = nibabel_module().freesurfer.io.read_geometry(copy, read_metadata=True)[2]
         whole = {name: whole_numbers(known[name], name, (None,), below=2**31).tolist() for name in ("head", "volume")}
         numbers = {name: real_numbers(known[name], name, (3,)).tolist() for name in VECTORS}
