@@ -77,14 +77,14 @@ class Circles(Pattern):
     _kernel = circle_colours
 
     def __init__(self, count: int = 162, coverage: float = 0.56):
+        from scipy.spatial import ConvexHull
+
         # Most circles: whose repulsion takes 6.5 s
         if not 4 <= count <= 20_000 or not 0 < coverage < 1:
             raise OmtwarpError(f"circles: count {count}, coverage {coverage}: give 4 to 20000 circles, a share below 1")
         self.count = int(count)
         self.palette = srgb_colours("#1f6f78", "#e2725b", "#f0b95b", "#5b8e7d", "#35507a", "#b5838d")
         self.background = srgb_colours("#f6f1e7")[0]
-        from scipy.spatial import ConvexHull
-
         self.centres = _even_points(self.count)
         triangles = ConvexHull(self.centres).simplices
         self.groups = colour_groups(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), len(self.palette))
