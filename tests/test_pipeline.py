@@ -304,7 +304,7 @@ def creature() -> Surface:
     return demo_shape(3000)
 
 
-REAL = ("squirrel_5k", "cheburashka_13k", "gargoyle_20k", "spot_6k")
+REAL = ("squirrel_5k", "cheburashka_13k", "gargoyle_20k", "spot_6k", "caudate_8k", "human_14k")
 
 
 @pytest.mark.parametrize("name", ["creature", *REAL])

@@ -203,8 +203,8 @@ def embedded_start(
     """Return a map near the optimal one, made from a coarse-to-fine embedding of even areas.
 
     The embedding, turned towards the points x, is triangulated coarsely, and so is the triangulation, down to a few
-    hundred vertices. The optimal map of each is carried to the next, turned back limb by limb, and its slivers smoothed
-    away.
+    hundred vertices. The optimal map of each is carried to the next and turned back limb by limb. Slivers are smoothed
+    away on the mesh itself.
 
     Args:
         surface: closed, V vertices.
@@ -219,21 +219,22 @@ def embedded_start(
     from omtwarp.start.hierarchical import hierarchical_embedding  # its kernels are read for few surfaces
 
     sphere = hierarchical_embedding(surface, device=device).sphere if embedding is None else embedding
+    return smoothed(surface, _from_embedding(surface, sphere, start, double, device), device=device)
+
+
+def _from_embedding(surface: Surface, sphere: Floats, start: Floats, double: bool, device: str | None) -> Floats:
+    """Return the map that an embedding leads to, with slivers; arguments are as of :func:`embedded_start`."""
     turned = normalised(turned_towards(sphere, start, surface.vertex_areas))
     sphere = turned if is_bijective(turned, surface.faces, device=device) else sphere
-    try:
-        sphere = untangled(surface, moser_map(surface, sphere, device=device).sphere, device=device)
-    except OmtwarpError:
-        pass  # the flow flips more than can be repaired: the map before stays
     if surface.vertex_count >= VERTICES_PER_COARSE * LEAST_COARSE and not double:
         try:
             coarse = coarse_surface(surface, sphere, places=surface.scaled_vertices + APART * sphere)
             points = start[coarse.vertices]
-            first = embedded_start(coarse.surface, points, sphere[coarse.vertices], device=device)
+            first = _from_embedding(coarse.surface, sphere[coarse.vertices], points, double, device)
             sphere = untangled(surface, _carried(coarse, first, points, device), device=device)
         except OmtwarpError:
             pass  # the carried map has flips that cannot be repaired: steps begin on the mesh itself
-    return smoothed(surface, turned_back(surface, sphere, start, device=device), device=device)
+    return turned_back(surface, sphere, start, device=device)
 
 
 def _carried(coarse: Coarse, first: Floats, start: Floats, device: str | None) -> Floats:
