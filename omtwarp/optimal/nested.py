@@ -244,10 +244,10 @@ def _carried(coarse: Coarse, first: Floats, start: Floats, device: str | None) -
     return coarse.carried(optimal.sphere)
 
 
-def smoothed(surface: Surface, sphere: Floats, *, device: str | None = "auto") -> Floats:
-    """Return a map without the slivers of an embedding, turned onto the one given; as found where turning flips."""
+def smoothed(surface: Surface, sphere: Floats, *, steps: int = SMOOTHING_STEPS, device: str | None = "auto") -> Floats:
+    """Return a map without its slivers after some steps, turned onto the one given; as found where turning flips."""
     refined = least_distortion(
-        surface, sphere, SMOOTHING_WEIGHT, iterations=SMOOTHING_STEPS, tolerance=SMOOTHING_TOLERANCE, device=device
+        surface, sphere, SMOOTHING_WEIGHT, iterations=steps, tolerance=SMOOTHING_TOLERANCE, device=device
     ).sphere
     turned = normalised(turned_towards(refined, sphere, surface.vertex_areas))
     return turned if is_bijective(turned, surface.faces, device=device) else refined
