@@ -43,7 +43,7 @@ def ascend(
     """
     # Steps end where so many times what the last two gained would not reach what is wanted, or where that was less than
     # this share of the excess.
-    pace, stalled = 8.0, 2e-3
+    pace, stalled = 16.0, 2e-3
     pairs = _Pairs(dual)
     slope = dual.slope(best)
     excesses, done = [best.excess], 0
@@ -150,14 +150,15 @@ class MapDual:
         y: the y_i, in the same way.
         mass: the m_i, shape [V].
         device: where kernels run.
+        curl: on a sphere, the part of the displacement log_y(x) that is no gradient, shape [V, 3]; none by default.
         shift: of a torus, what is added at the corners of triangles, shape [F, 3, 3].
         lattice: vectors that the torus repeats along, as rows, shape [2, 3].
 
     Attributes:
         surface, mass: as given.
         cost: c(x_i, y_i), shape [V].
-        log: log_y(x) at every vertex, shape [V, 3].
-        edge_terms: the quadratic terms of ψ on the edges of every triangle, vec3d, shape [F].
+        edge_terms: what ψ on every triangle depends on besides its values at corners, e_k, s_k and t_k of
+            :mod:`omtwarp.metrics.optimality_kernels`, vec3d, shape [F] each.
     """
 
     def __init__(
@@ -169,17 +170,23 @@ class MapDual:
         device: str | None,
         shift: Floats | None = None,
         lattice: Floats | None = None,
+        *,
+        curl: Floats | None = None,
     ):
         self.device = resolve_device(device)
         self.surface, self.mass, self._x, self._y, self._lattice = surface, mass, x, y, lattice
         self._apart = np.zeros(3) if shift is None else edge_steps(surface, shift)
-        self.log, self.cost = self._logs(y, x), self._costs(x, y)
+        self.cost = self._costs(x, y)
         corners = y[surface.faces] if shift is None else y[surface.faces] + shift
-        logs, others = self.log[surface.faces], np.roll(corners, -1, axis=1)
-        ahead, back = self._logs(corners, others), self._logs(others, corners)
-        # Of ψ on the edges (k, k+1): those that a quadratic of the distance along the edge has whose slopes at the ends
-        # are -log, the two ends averaged.
-        bulges = -0.5 * (dots(np.roll(logs, -1, axis=1), back) + dots(logs, ahead))
+        slopes = -self._logs(y, x)[surface.faces]
+        slopes = slopes if curl is None else slopes + curl[surface.faces]
+        # Slopes of ψ along the edges (k, k+1) at both ends: by the length of the arc, which decide on ψ in the middle,
+        # and by the length of the edge, as places move along it.
+        others, ends = np.roll(corners, -1, axis=1), np.roll(slopes, -1, axis=1)
+        arcs = dots(slopes, self._logs(corners, others)), -dots(ends, self._logs(others, corners))
+        first, last = dots(slopes, others - corners), dots(ends, others - corners)
+        bulges = 0.5 * (arcs[0] - arcs[1])
+        terms = (bulges, 0.5 * (first + last), 0.5 * (first - last) - bulges)
         if lattice is None:
             triangles, parts = trees.narrow_parts(y, surface.faces)
         else:
@@ -191,11 +198,12 @@ class MapDual:
         leaves, samples = trees.leaf_count(len(order)), kernels.SAMPLES * len(order)
         tree = self._tree = kernels.Tree()
         tree.flat, tree.images = lattice is not None, sent(corners, wp.mat33d, self.device)
-        tree.faces, self.edge_terms = surface.on(self.device).faces, vectors(bulges, self.device)
-        tree.edge, tree.leaf_count = self.edge_terms, leaves
+        tree.edge, tree.mean, tree.bend = self.edge_terms = [vectors(term, self.device) for term in terms]
+        tree.faces, tree.leaf_count = surface.on(self.device).faces, leaves
         tree.triangles = sent(triangles[order].astype(np.int32), wp.int32, self.device)
         tree.corners = sent(parts[order], wp.mat33d, self.device)
         tree.places, tree.values = (wp.empty(samples, kind, device=self.device) for kind in (wp.vec3d, wp.float64))
+        tree.bulges = wp.empty(len(order), wp.float64, device=self.device)
         tree.centres, tree.axes = (wp.empty(2 * leaves, wp.vec3d, device=self.device) for _ in range(2))
         tree.models, tree.extremes = (wp.empty(2 * leaves, kernels.vec6d, device=self.device) for _ in range(2))
         self._fitted = False  # whether there are paraboloids, to the first potential; for others they are raised
@@ -277,7 +285,12 @@ class MapDual:
     def slope(self, current: Bound) -> Floats:
         """Return the derivative of Σ m_i (φ(x_i) + ψ(y_i)) by ψ: the map's own mass less the mass at the minimisers."""
         moved = current.face >= 0
-        arrived = (self.mass[moved][:, None] * current.weights[moved]).ravel()
+        weights = current.weights[moved]
+        if self._lattice is None:  # the cubic part is one of them, too
+            after = np.roll(weights, -1, axis=1)
+            cubic = weights * after * (weights - after)
+            weights = weights + cubic - np.roll(cubic, 1, axis=1)
+        arrived = (self.mass[moved][:, None] * weights).ravel()
         corners = self.surface.faces[current.face[moved]].ravel()
         return np.where(moved, self.mass, 0.0) - np.bincount(corners, weights=arrived, minlength=len(self.mass))
 

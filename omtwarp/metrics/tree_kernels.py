@@ -17,7 +17,7 @@ from omtwarp.mesh.arrays import Floats, Ints, normalised, norms
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-LONGEST_EDGE = 0.25
+LONGEST_EDGE = 0.12
 """Longest edge of a leaf of the tree, an arc: bounds of nodes err by the third power of their radii."""
 
 

@@ -96,7 +96,7 @@ def test_masses_and_cost_are_those_of_the_quartered_mesh(energy_and_map):
 
 
 def test_every_triangle_keeps_its_area_and_the_map_is_optimal(mapped, monkeypatch):
-    """An exact map keeps triangles' areas to 1e-6 without a flip, with a gap like that of the default map."""
+    """An exact map keeps triangles' areas to 1e-6 without a flip, with less of a gap than the default map in parts."""
     surface, x, y = mapped
     plain = optimal_map(surface, y, start=x, device="cpu")
     cut = quarter(surface)
@@ -109,9 +109,11 @@ def test_every_triangle_keeps_its_area_and_the_map_is_optimal(mapped, monkeypatc
     areas = solid_angles(found.sphere, cut.surface.faces).reshape(-1, 4).sum(axis=1)
     np.testing.assert_allclose(areas, surface.face_areas, rtol=1e-6)
     assert is_bijective(found.sphere, cut.surface.faces)
-    before = optimality(surface, plain.sphere, start=x, device="cpu")
-    after = optimality(cut.surface, found.sphere, start=start, device="cpu")
-    assert after.gap < 1.5 * before.gap + 1e-4
+    before, after = (
+        optimality(cut.surface, points, start=start, device="cpu")
+        for points in (cut.on_sphere(plain.sphere), found.sphere)
+    )
+    assert after.gap < before.gap and after.relative_curl < before.relative_curl
     assert [number for _, number, *_ in told] == list(range(1, len(found.history)))
     again = exact_map(cut, cut.on_sphere(plain.sphere), start=start, device="cpu")
     np.testing.assert_array_equal(again.sphere, found.sphere)
