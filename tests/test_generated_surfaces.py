@@ -119,9 +119,9 @@ def test_ordinary_surfaces_keep_every_promise(ordinary):
 
 
 def test_ordinary_surfaces_are_at_the_optimum(ordinary):
-    """Coarse meshes have an error of their own, and chains of rings, once cut, are the longest limbs of all."""
+    """Chains of rings, once cut, are the longest limbs of all; where limbs have few triangles their shape counts."""
     moved = [one for one in ordinary if one["moved"] > 0.1]
-    for least, share in ((0, 0.7), (2000, 0.8)):
+    for least, share in ((0, 0.89), (2000, 0.88)):
         fine = [one for one in moved if one["faces"] >= least]
         far = [(one["kind"], one["faces"], one["gap"]) for one in fine if one["gap"] > 3e-3]
         assert len(far) <= (1.0 - share) * len(fine), far
@@ -144,8 +144,7 @@ def test_areas_around_vertices_are_kept(examined):
 def test_maps_are_near_the_optimum(examined):
     moved = [one for one in examined if one["moved"] > 0.1]
     far = [(one["kind"], one["faces"], one["gap"]) for one in moved if one["gap"] > 2e-2]
-    # Coarse meshes have an error of their own: of 106 other surfaces 24 are above.
-    assert len(far) <= 0.3 * len(moved), far
+    assert len(far) <= 0.2 * len(moved), far
 
 
 def test_what_is_not_kept_comes_with_a_warning(examined):
