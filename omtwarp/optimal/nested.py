@@ -244,11 +244,20 @@ def _carried(coarse: Coarse, first: Floats, start: Floats, device: str | None) -
     return coarse.carried(optimal.sphere)
 
 
-def smoothed(surface: Surface, sphere: Floats, *, steps: int = SMOOTHING_STEPS, device: str | None = "auto") -> Floats:
-    """Return a map without its slivers after some steps, turned onto the one given; as found where turning flips."""
-    refined = least_distortion(
-        surface, sphere, SMOOTHING_WEIGHT, iterations=steps, tolerance=SMOOTHING_TOLERANCE, device=device
-    ).sphere
+def smoothed(
+    surface: Surface, sphere: Floats, *, rings: float = 0.0, steps: int = SMOOTHING_STEPS, device: str | None = "auto"
+) -> Floats:
+    """Return a map without its slivers, turned onto the one given; as found where turning flips.
+
+    Args:
+        surface: V vertices.
+        sphere: the map, no triangle flipped, shape [V, 3].
+        rings: the weight of the areas around vertices beside those of triangles.
+        steps: largest number of them.
+        device: where the kernels run.
+    """
+    least = partial(least_distortion, iterations=steps, tolerance=SMOOTHING_TOLERANCE, device=device)
+    refined = least(surface, sphere, SMOOTHING_WEIGHT, of_rings=rings).sphere
     turned = normalised(turned_towards(refined, sphere, surface.vertex_areas))
     return turned if is_bijective(turned, surface.faces, device=device) else refined
 

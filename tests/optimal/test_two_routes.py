@@ -3,6 +3,7 @@
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ import omtwarp
 from omtwarp.mapping import pipeline
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.shapes import blob, demo_shape
+from omtwarp.optimal import nested
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))
 
@@ -35,7 +37,7 @@ def test_two_routes_end_in_the_same_map(name, monkeypatch):
     def refused(*arguments, **options):
         raise omtwarp.OmtwarpError("not wanted here")
 
-    monkeypatch.setattr(pipeline, "nested_start", refused)
+    monkeypatch.setattr(nested, "nested_start", refused)
     other = omtwarp.map_to_sphere(mesh, device="cpu")
     roads = [next(s["road"] for s in r.report["stages"] if s["name"] == "omt") for r in (usual, other)]
     assert roads == ["nested", "embedded"]
@@ -63,7 +65,7 @@ def test_what_has_no_optimum_near_the_nested_map_has_one_near_the_embedded(seed,
 def test_of_two_minimisations_without_an_optimum_the_nearer_in_areas_is_taken(monkeypatch):
     found = []
 
-    def stopped(*arguments, solve=pipeline.minimised, **options):
+    def stopped(*arguments, solve=nested.minimised, **options):
         optimal, term = solve(*arguments, **options)
         found.append(replace(optimal, converged=False, ended="stopped"))
         if len(found) == 2:
@@ -71,6 +73,6 @@ def test_of_two_minimisations_without_an_optimum_the_nearer_in_areas_is_taken(mo
             found[1] = replace(found[1], history=(*found[1].history, worse))
         return found[-1], term
 
-    monkeypatch.setattr(pipeline, "minimised", stopped)
+    monkeypatch.setattr(pipeline, "nested", SimpleNamespace(**vars(nested) | {"minimised": stopped}))
     stage = omtwarp.map_to_sphere(MADE["blob"](), device="cpu").report["stages"][-2]
     assert len(found) == 2 and stage["road"] == "nested" and stage["ended"] == "stopped"
