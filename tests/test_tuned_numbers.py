@@ -109,7 +109,7 @@ OTHERS = {
     },
     # Of options that the default map does not take, and of what the report calls optimal.
     "option or report": {
-        "mapping/pipeline.py": "FAR_GAP FAR_CURL FAR_COST NO_BOUND DISTANCE_SHAPE GAP_ASCENT_STEPS",
+        "mapping/pipeline.py": "FAR_GAP FAR_CURL FAR_COST NO_BOUND DISTANCE_SHAPE GAP_ASCENT_STEPS AREAS_OF_HALVES",
         "optimal/energy.py": "SHAPE_WEIGHT",
         "optimal/solver.py": "SOFTNESS",
         "start/hierarchical.py": "HEMISPHERE_SWEEPS",

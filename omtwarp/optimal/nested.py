@@ -25,7 +25,7 @@ from omtwarp.mesh.surface import SPHERE_AREA, Surface, sums_around, triangle_are
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.moser import moser_map
 from omtwarp.optimal.refinement import least_distortion
-from omtwarp.optimal.solver import OptimalMap, optimal_map
+from omtwarp.optimal.solver import optimal_map
 from omtwarp.optimal.turns import turned_back
 from omtwarp.transport.cost import transport_cost
 from omtwarp.untangling.untangle import untangled
@@ -239,9 +239,9 @@ def _from_embedding(surface: Surface, sphere: Floats, start: Floats, double: boo
 
 def _carried(coarse: Coarse, first: Floats, start: Floats, device: str | None) -> Floats:
     """Return the optimal map of a triangulation from a first one, carried to the surface; triangles may be flipped."""
-    solve = partial(optimal_map, coarse.surface, start=start, device=device)
-    optimal, _ = minimised(coarse.surface, first, start, solve, device=device)
-    return coarse.carried(optimal.sphere)
+    term = shape_term(coarse.surface, first, start, device)
+    solve = partial(optimal_map, shape_weight=term.weight, area_weight=term.area, iterations=STEPS, device=device)
+    return coarse.carried(solve(coarse.surface, first, start=start).sphere)
 
 
 def smoothed(
@@ -260,19 +260,3 @@ def smoothed(
     refined = least(surface, sphere, SMOOTHING_WEIGHT, of_rings=rings).sphere
     turned = normalised(turned_towards(refined, sphere, surface.vertex_areas))
     return turned if is_bijective(turned, surface.faces, device=device) else refined
-
-
-def minimised(
-    surface: Surface, sphere: Floats, start: Floats, solve: Callable[..., OptimalMap], *, device: str | None = "auto"
-) -> tuple[OptimalMap, ShapeTerm]:
-    """Return the optimal map from a map near it, and the weights of its shape term.
-
-    Args:
-        surface: closed, V vertices.
-        sphere: the map to begin with, without flips, shape [V, 3].
-        start: the points x, shape [V, 3].
-        solve: :func:`omtwarp.optimal_map` of the surface.
-        device: where the kernels run.
-    """
-    term = shape_term(surface, sphere, start, device)
-    return solve(sphere, shape_weight=term.weight, area_weight=term.area, iterations=STEPS), term

@@ -289,7 +289,7 @@ def test_refinement_of_a_disk_is_in_the_plane():
         distortion = result.distortion("disk")
         measured.append((distortion.area["surface"], distortion.angle["surface"]))
     area, angle = np.transpose(measured)
-    assert area[0] < 2.001 < area[1] < 2.005 < area[2] < 2.03 < area[3]
+    assert area[0] < area[1] < 2.001 < 2.005 < area[2] < 2.03 < area[3]
     assert angle[0] > angle[1] > angle[2] + 0.1 > angle[3] + 0.2
 
 

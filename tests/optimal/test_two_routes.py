@@ -3,7 +3,6 @@
 import sys
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ import omtwarp
 from omtwarp.mapping import pipeline
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.shapes import blob, demo_shape
-from omtwarp.optimal import nested
+from omtwarp.optimal import nested, optimal_map
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))
 
@@ -65,14 +64,14 @@ def test_what_has_no_optimum_near_the_nested_map_has_one_near_the_embedded(seed,
 def test_of_two_minimisations_without_an_optimum_the_nearer_in_areas_is_taken(monkeypatch):
     found = []
 
-    def stopped(*arguments, solve=nested.minimised, **options):
-        optimal, term = solve(*arguments, **options)
+    def stopped(*arguments, **options):
+        optimal = optimal_map(*arguments, **options)
         found.append(replace(optimal, converged=False, ended="stopped"))
         if len(found) == 2:
             worse = dict(found[0].history[-1], ring_rms=1.0)
             found[1] = replace(found[1], history=(*found[1].history, worse))
-        return found[-1], term
+        return found[-1]
 
-    monkeypatch.setattr(pipeline, "nested", SimpleNamespace(**vars(nested) | {"minimised": stopped}))
+    monkeypatch.setattr(pipeline, "optimal_map", stopped)
     stage = omtwarp.map_to_sphere(MADE["blob"](), device="cpu").report["stages"][-2]
     assert len(found) == 2 and stage["road"] == "nested" and stage["ended"] == "stopped"
