@@ -204,6 +204,7 @@ class MapComputation:
         origin: of the first map: the route that led to it, and why that one.
         measured: how far the map by Newton's method is from optimal.
         known: the map asked for last by :meth:`examine`, and what that returned.
+        direct: whether the optimal map comes by Newton's method.
     """
 
     surface: Surface
@@ -219,6 +220,7 @@ class MapComputation:
     repair_given_up: bool = False
     measured: Optimality | None = None
     known: tuple[Floats, Examined] | None = None
+    direct: bool = False
     records: list[StageReport] = field(default_factory=list)
     maps: dict[str, Floats] = field(default_factory=dict)
     history: list[Record] = field(default_factory=list)
@@ -287,9 +289,9 @@ class MapComputation:
                 Stage.REFINE: self.refine,
             }
             # The optimal map of the uniform sphere, by Newton's method, needs no Moser map.
-            direct = options.scheme is Scheme.DEFAULT and self.target is None and Stage.OMT in options.stages
+            self.direct = options.scheme is Scheme.DEFAULT and Stage.OMT in options.stages
             for stage in options.stages:
-                if stage is not Stage.MOSER or not direct:
+                if stage is not Stage.MOSER or not self.direct or self.target is not None:
                     stages[stage]()
             if options.exact:
                 self.keep_every_area()
@@ -379,13 +381,17 @@ class MapComputation:
         return sphere if mended is None else mended
 
     def moser(self) -> None:
-        """Run Moser's flow from the start, again from its own result, and repair flips after each pass."""
+        """Run Moser's flow from the start, again from its own result, and repair flips after each pass.
+
+        Where the optimal map to a density follows, the flow begins near that of the uniform sphere: from the conformal
+        map it flips more triangles than can be repaired where limbs are crowded together.
+        """
         # One pass of Moser's flow leaves an area error of the order of the mesh; a second, from where the first ended,
         # about halves it; a third gains little.
         moser_passes = 2
         from omtwarp.moser import moser_map  # its kernels are read for maps with this stage alone
 
-        sphere = self.sphere
+        sphere = next(self.nearby_maps())[0] if self.direct and self.target is not None else self.sphere
         least = area_loss(self.goal(sphere), sphere)
         steps = repaired = 0
         fewest = self.surface.face_count  # flips of a pass so far
