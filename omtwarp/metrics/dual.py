@@ -181,12 +181,12 @@ class MapDual:
         slopes = -self._logs(y, x)[surface.faces]
         slopes = slopes if curl is None else slopes + curl[surface.faces]
         # Slopes of ψ along the edges (k, k+1) at both ends: by the length of the arc, which decide on ψ in the middle,
-        # and by the length of the edge, as places move along it.
+        # and half of those by the length of the edge, as places move along it.
         others, ends = np.roll(corners, -1, axis=1), np.roll(slopes, -1, axis=1)
         arcs = dots(slopes, self._logs(corners, others)), -dots(ends, self._logs(others, corners))
-        first, last = dots(slopes, others - corners), dots(ends, others - corners)
+        first, last = 0.5 * dots(slopes, others - corners), 0.5 * dots(ends, others - corners)
         bulges = 0.5 * (arcs[0] - arcs[1])
-        terms = (bulges, 0.5 * (first + last), 0.5 * (first - last) - bulges)
+        self.edge_terms = [vectors(term, self.device) for term in (bulges, first + last, first - last - bulges)]
         if lattice is None:
             triangles, parts = trees.narrow_parts(y, surface.faces)
         else:
@@ -198,7 +198,7 @@ class MapDual:
         leaves, samples = trees.leaf_count(len(order)), kernels.SAMPLES * len(order)
         tree = self._tree = kernels.Tree()
         tree.flat, tree.images = lattice is not None, sent(corners, wp.mat33d, self.device)
-        tree.edge, tree.mean, tree.bend = self.edge_terms = [vectors(term, self.device) for term in terms]
+        tree.edge, tree.mean, tree.bend = self.edge_terms
         tree.faces, tree.leaf_count = surface.on(self.device).faces, leaves
         tree.triangles = sent(triangles[order].astype(np.int32), wp.int32, self.device)
         tree.corners = sent(parts[order], wp.mat33d, self.device)
