@@ -204,7 +204,6 @@ class MapComputation:
         origin: of the first map: the route that led to it, and why that one.
         measured: how far the map by Newton's method is from optimal.
         known: the map asked for last by :meth:`examine`, and what that returned.
-        direct: whether the optimal map comes by Newton's method.
     """
 
     surface: Surface
@@ -220,7 +219,6 @@ class MapComputation:
     repair_given_up: bool = False
     measured: Optimality | None = None
     known: tuple[Floats, Examined] | None = None
-    direct: bool = False
     records: list[StageReport] = field(default_factory=list)
     maps: dict[str, Floats] = field(default_factory=dict)
     history: list[Record] = field(default_factory=list)
@@ -234,6 +232,11 @@ class MapComputation:
     def sphere(self) -> Floats:
         """The map of the latest stage."""
         return next(reversed(self.maps.values()))
+
+    @property
+    def direct(self) -> bool:
+        """Whether the optimal map comes by Newton's method."""
+        return self.options.scheme is Scheme.DEFAULT and Stage.OMT in self.options.stages
 
     @property
     def common(self) -> FromSource:
@@ -289,7 +292,6 @@ class MapComputation:
                 Stage.REFINE: self.refine,
             }
             # The optimal map of the uniform sphere, by Newton's method, needs no Moser map.
-            self.direct = options.scheme is Scheme.DEFAULT and Stage.OMT in options.stages
             for stage in options.stages:
                 if stage is not Stage.MOSER or not self.direct or self.target is not None:
                     stages[stage]()
@@ -454,9 +456,7 @@ class MapComputation:
                 break
             if road == nested.NESTED:
                 self.given_up.append(f"the minimisation from the nested map: {optimal.ended}")
-        road, solve, optimal, weight = min(
-            found, key=lambda one: (not one[2].converged, one[2].history[-1]["ring_rms"])
-        )
+        road, solve, optimal, weight = min(found, key=lambda it: (not it[2].converged, it[2].history[-1]["ring_rms"]))
         self.history = continued(self.history, optimal.history)
         if self.options.cost is Cost.GEODESIC:
             weight *= DISTANCE_SHAPE

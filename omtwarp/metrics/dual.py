@@ -150,9 +150,9 @@ class MapDual:
         y: the y_i, in the same way.
         mass: the m_i, shape [V].
         device: where kernels run.
-        curl: on a sphere, the part of the displacement log_y(x) that is no gradient, shape [V, 3]; none by default.
         shift: of a torus, what is added at the corners of triangles, shape [F, 3, 3].
         lattice: vectors that the torus repeats along, as rows, shape [2, 3].
+        slopes: the gradient of ψ at the y_i, shape [V, 3]; -log_y(x) by default.
 
     Attributes:
         surface, mass: as given.
@@ -171,15 +171,14 @@ class MapDual:
         shift: Floats | None = None,
         lattice: Floats | None = None,
         *,
-        curl: Floats | None = None,
+        slopes: Floats | None = None,
     ):
         self.device = resolve_device(device)
         self.surface, self.mass, self._x, self._y, self._lattice = surface, mass, x, y, lattice
         self._apart = np.zeros(3) if shift is None else edge_steps(surface, shift)
         self.cost = self._costs(x, y)
         corners = y[surface.faces] if shift is None else y[surface.faces] + shift
-        slopes = -self._logs(y, x)[surface.faces]
-        slopes = slopes if curl is None else slopes + curl[surface.faces]
+        slopes = (-self._logs(y, x) if slopes is None else slopes)[surface.faces]
         # Slopes of ψ along the edges (k, k+1) at both ends: by the length of the arc, which decide on ψ in the middle,
         # and half of those by the length of the edge, as places move along it.
         others, ends = np.roll(corners, -1, axis=1), np.roll(slopes, -1, axis=1)

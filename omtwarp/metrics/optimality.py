@@ -191,8 +191,9 @@ def optimality(
         tell(progress, "optimality", step, total, details)
 
     notify(0, {})
-    curl = _curl(surface, y[surface.faces], log_maps(y, x))
-    dual = MapDual(surface, x, y, mass, device, curl=curl.field)
+    log = log_maps(y, x)
+    curl = _curl(surface, y[surface.faces], log)
+    dual = MapDual(surface, x, y, mass, device, slopes=curl.field - log)
     notify(1, {})
     fitted, swapped = dual.initial_potential()
     notify(2, {})

@@ -224,8 +224,7 @@ def embedded_start(
 
 def _from_embedding(surface: Surface, sphere: Floats, start: Floats, double: bool, device: str | None) -> Floats:
     """Return the map that an embedding leads to, with slivers; arguments are as of :func:`embedded_start`."""
-    turned = normalised(turned_towards(sphere, start, surface.vertex_areas))
-    sphere = turned if is_bijective(turned, surface.faces, device=device) else sphere
+    sphere = _turned(surface, sphere, start, device)
     if surface.vertex_count >= VERTICES_PER_COARSE * LEAST_COARSE and not double:
         try:
             coarse = coarse_surface(surface, sphere, places=surface.scaled_vertices + APART * sphere)
@@ -258,5 +257,10 @@ def smoothed(
     """
     least = partial(least_distortion, iterations=steps, tolerance=SMOOTHING_TOLERANCE, device=device)
     refined = least(surface, sphere, SMOOTHING_WEIGHT, of_rings=rings).sphere
-    turned = normalised(turned_towards(refined, sphere, surface.vertex_areas))
-    return turned if is_bijective(turned, surface.faces, device=device) else refined
+    return _turned(surface, refined, sphere, device)
+
+
+def _turned(surface: Surface, sphere: Floats, towards: Floats, device: str | None) -> Floats:
+    """Return a map turned onto other points, or as it is where turning flips a triangle."""
+    turned = normalised(turned_towards(sphere, towards, surface.vertex_areas))
+    return turned if is_bijective(turned, surface.faces, device=device) else sphere
