@@ -105,8 +105,7 @@ def map_surface(
             proportion to those of the parts; closed parts are slit open. ``domain`` is then left at ``auto``.
         cut: whether a surface with handles is cut along a loop for each, and both sides filled small.
         cut_along: ``handles``, the shortest loops around them; ``holes``, along them through the holes that they make,
-            which closes these; ``auto``, the shortest loops unless they leave limbs with few vertices around, and then
-            those that leave thicker limbs.
+            which closes these; ``auto``, those of either kind that leave thicker limbs.
         progress: called as ``progress(stage, done, total, details)``.
         weights: of vertices or triangles, see :func:`omtwarp.map_to_sphere`; not for a torus.
         weights_at: what they belong to, as there.

@@ -27,7 +27,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.geometry.limbs import thinnest_ring, vertices_needed
+from omtwarp.geometry.limbs import rings, vertices_needed
 from omtwarp.mesh.arrays import Floats, edge_keys, marked, norms
 from omtwarp.mesh.origins import Derived
 from omtwarp.mesh.surface import Surface
@@ -302,8 +302,7 @@ def cut_open(
         faces: a connected, oriented manifold mesh, shape [F, 3].
         genus: number of its handles.
         along: ``handles``, the shortest loops; ``holes``, for each of them the shortest that crosses it once and no
-            other, where one keeps clear of the others; ``auto``, the shortest unless they leave limbs with few
-            vertices around, and then those of either kind that leave thicker ones.
+            other, where one keeps clear of the others; ``auto``, those of either kind that leave thicker limbs.
 
     Returns:
         The surface cut open, and the kind of each loop, ``handles`` or ``holes``.
@@ -316,12 +315,7 @@ def cut_open(
     kinds: list[str] = [CutAlong.HANDLES] * genus
     if genus == 0 or along == CutAlong.HANDLES:
         return cut, kinds
-    thickness = _thickness(cut) if along == CutAlong.AUTO else -np.inf
-    # Vertices around the thinnest limb for those needed, above which the shortest loops are taken unseen. Of thirteen
-    # surfaces of 2 to 5 handles and 2,600 to 13,200 faces, area distortion was at most 2.005 at 1.98 and above, and
-    # 2.02 to 2.15 below; and each had less with the loops that leave the larger ratio.
-    if thickness >= 1.9:
-        return cut, kinds
+    thinness = _thinness(cut) if along == CutAlong.AUTO else np.inf
     through = loops_through_holes(cut)
     taken, known = np.zeros(genus, dtype=bool), np.array([each is not None for each in through])
     # All loops through holes first, then each handle by itself.
@@ -331,9 +325,9 @@ def cut_open(
         pairs = zip(around, through, crossing, strict=True)
         loops = [other if across and other is not None else own for own, other, across in pairs]
         candidate = cut_handles(vertices, faces, genus, loops)
-        thick = _thickness(candidate)
-        if thick > thickness:
-            cut, taken, thickness = candidate, crossing, thick
+        thin = _thinness(candidate) if along == CutAlong.AUTO else 0.0
+        if thin < thinness:
+            cut, taken, thinness = candidate, crossing, thin
     return cut, [CutAlong.HOLES if each else CutAlong.HANDLES for each in taken]
 
 
@@ -386,9 +380,13 @@ def loops_across(
             yield origin[np.array(_path_to(end, before)[:-1])]
 
 
-def _thickness(cut: CutSurface) -> float:
-    """Return the vertices around the thinnest limb of a cut surface, all its holes filled, for those needed there."""
+def _thinness(cut: CutSurface) -> float:
+    """Return how thin the limbs of a cut surface are, all its holes filled: Σ (vertices needed / vertices around)².
+
+    The sum is over rings around all limbs. Of 13 surfaces of 2 to 5 handles and 2,600 to 13,200 faces, each cut in 4 to
+    12 ways, the way with the least sum has the least area distortion; by the thinnest ring alone three have .002 to
+    .015 more.
+    """
     filled = fill_holes(cut.vertices, cut.faces, boundary_loops(cut.faces, len(cut.vertices)))
     surface = Surface(filled.vertices, filled.faces)
-    ring = thinnest_ring(surface)
-    return np.inf if ring is None else ring.around / vertices_needed(ring.share, surface.face_count)
+    return sum((vertices_needed(ring.share, surface.face_count) / ring.around) ** 2 for ring in rings(surface))
