@@ -366,8 +366,7 @@ def face_neighbours(faces: Ints, vertex_count: int) -> Ints:
     order = np.argsort(keys)
     position = np.minimum(np.searchsorted(keys, twins, sorter=order), len(keys) - 1)
     match = order[position]
-    paired = keys[match] == twins
-    return np.where(paired, match // 3, -1).astype(np.int32).reshape(faces.shape)
+    return np.where(keys[match] == twins, match // 3, -1).astype(np.int32).reshape(faces.shape)
 
 
 def as_surface(mesh: MeshLike) -> Surface:

@@ -252,8 +252,7 @@ class _Xml:
             source = "".join((array.text or "").split()).encode("ascii")
         else:
             source = self.appended[int(array.get("offset", "0")) :]
-        content = b"".join(self._blocks(source, encoded))
-        return np.frombuffer(content, dtype=self.order + kind)
+        return np.frombuffer(b"".join(self._blocks(source, encoded)), dtype=self.order + kind)
 
     def _blocks(self, source: bytes, encoded: bool) -> Iterator[bytes]:
         """Yield the content of an array block by block; lengths stand before it."""

@@ -189,8 +189,7 @@ def domain_places(
     points = stage.sphere[used]
     seen, kind = camera_axes(Camera(azimuth=AZIMUTH, elevation=ELEVATION)), stage.domain.rstrip("s")
     matrices, shifts = fits_of(placed, points, triangles, own[triangles[:, 0]], kind, seen)
-    radii = norms(matrices[:, 0])
-    return np.column_stack([shifts, radii])[own].astype(np.float32)
+    return np.column_stack([shifts, norms(matrices[:, 0])])[own].astype(np.float32)
 
 
 def shown_mesh(vertices: Floats, faces: Ints, most: int = MOST_FACES) -> tuple[Floats, Ints]:

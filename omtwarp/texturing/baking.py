@@ -458,8 +458,7 @@ def own_at_parts(cut: Unwrapped, faces: NDArray, own: Floats) -> Floats:
     Each corner is a combination of vertices of its source face; its coordinates are the same combination of that
     face's corners.
     """
-    shares = shares_of_corners(cut, faces)
-    return np.einsum("tij,tjc->tic", shares, own[cut.source_face])
+    return np.einsum("tij,tjc->tic", shares_of_corners(cut, faces), own[cut.source_face])
 
 
 def tiled_copies(uv: Floats) -> tuple[NDArray[np.int64], Floats]:

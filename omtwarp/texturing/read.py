@@ -19,7 +19,7 @@ from omtwarp.colors import to_linear, to_srgb
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.inputs import file_beside, read_bytes, reading
 from omtwarp.files.limits import LARGEST_MESH_FILE, MOST_FACES
-from omtwarp.mesh.arrays import Bytes, Floats, Ints, marked, whole_numbers
+from omtwarp.mesh.arrays import TINY, Bytes, Floats, Ints, marked, whole_numbers
 from omtwarp.mesh.ply import Column, ply_columns, polygons_of
 from omtwarp.mesh.polygons import fans, taken_together
 from omtwarp.mesh.read import coordinates, mesh_content, numbers_of, obj_text, read_mesh, require_counted_from_one, utf8
@@ -319,8 +319,7 @@ def _from_ply(data: bytes, file: Path) -> PaintedMesh:
         named_picture = whole_numbers(_numbers(sides["texnumber"])[face], "'texnumber'", (None,))
         number = np.clip(named_picture, 0, len(pictures) - 1).astype(np.int32)
     materials = tuple(Material(f"material-{k}", picture=one) for k, one in enumerate(pictures)) or (Material(),)
-    known = (*decided, *notes)
-    mesh = PaintedMesh(points, faces, uv, materials, number, colors, known, source_files=tuple(named))
+    mesh = PaintedMesh(points, faces, uv, materials, number, colors, (*decided, *notes), source_files=tuple(named))
     return joined_seams(mesh) if doubled else mesh
 
 
@@ -417,22 +416,26 @@ def gltf_materials(data: bytes, file: Path, suffix: str) -> tuple[list[Material]
     Raises:
         OmtwarpError: a picture cannot be read, or is elsewhere than in the file's directory.
     """
-    # By the identity of their content, which several materials may have, and whether their opacity is left out.
-    known: dict[tuple[int, bool], Bytes] = {}
+    # By the identity of their content, which several materials may have, and the opacity from which texels are opaque.
+    known: dict[tuple[int, float | None], Bytes] = {}
 
-    def picture(content: bytes, opaque: bool = False) -> Bytes:
-        key = id(content), opaque
+    def picture(content: bytes, least: float | None = None) -> Bytes:
+        key = id(content), least
         if key not in known:
-            whole = picture(content) if opaque else as_bytes(decoded(io.BytesIO(content), "a picture in it"))
-            known[key] = whole[..., :3] if opaque and whole.shape[2] == 4 else whole
+            whole = as_bytes(decoded(io.BytesIO(content), "a picture in it")) if least is None else picture(content)
+            if least is not None and whole.shape[2] == 4:
+                opacity = np.where(whole[..., 3:] < 255.0 * least, np.uint8(0), np.uint8(255))
+                whole = without_full_opacity(np.concatenate([whole[..., :3], opacity], axis=2))
+            known[key] = whole
         return known[key]
 
     materials = []
     described, lost = gltf_pictures(data, file, suffix)
     for material, pictures in described:
-        opaque = material.get("alphaMode", "OPAQUE") == "OPAQUE"  # whatever opacity its colours have
-        by_role = {role: picture(content, opaque and role == "baseColorTexture") for role, content in pictures.items()}
-        materials.append(_of_gltf(material, by_role, opaque))
+        cut = {"OPAQUE": 0.0, "MASK": float(material.get("alphaCutoff", 0.5))}.get(material.get("alphaMode", "OPAQUE"))
+        least = None if cut is None else cut / max(_factor(material)[3], TINY)
+        by_role = {role: picture(one, least if role == "baseColorTexture" else None) for role, one in pictures.items()}
+        materials.append(_of_gltf(material, by_role, least))
     return materials, lost
 
 
@@ -472,18 +475,22 @@ def _appearance(mesh: trimesh.Trimesh, looks: list[Material] | None) -> tuple[Ma
     return _of_gltf(known | {"pbrMetallicRoughness": known}, {}), coordinates, _vertex_colors(mesh)
 
 
-def _of_gltf(material: Document, pictures: dict[str, Bytes], opaque: bool = False) -> Material:
+def _factor(material: Document) -> Floats:
+    """Return the colour and opacity that multiply a glTF material's picture, linear, shape [4]."""
+    given = material.get("pbrMetallicRoughness", {}).get("baseColorFactor", ())
+    return np.asarray(given if len(given) == 4 else (1.0, 1.0, 1.0, 1.0), dtype=np.float64)
+
+
+def _of_gltf(material: Document, pictures: dict[str, Bytes], least: float | None = None) -> Material:
     """Return a material that is described in the terms of glTF.
 
     Args:
         material: its entry.
         pictures: by the names of their roles.
-        opaque: whether the opacity of its colour counts for nothing.
+        least: the opacity from which a texel is opaque, and below which it is clear; None where it counts as it is.
     """
-    surface = material.get("pbrMetallicRoughness", {})
-    factor = surface.get("baseColorFactor", ())
-    scaled = np.asarray(factor if len(factor) == 4 else (1.0, 1.0, 1.0, 1.0), dtype=np.float64)
-    color = _color(np.append(to_srgb(scaled[:3]), 1.0 if opaque else scaled[3]))
+    surface, scaled = material.get("pbrMetallicRoughness", {}), _factor(material)
+    color = _color(np.append(to_srgb(scaled[:3]), scaled[3] if least is None else float(least <= 1.0)))
     picture = pictures.get("baseColorTexture")
     if picture is not None and picture.shape[:2] == (1, 1):  # one texel is a plain colour, which needs no coordinates
         texel = with_opacity(picture[0]) / 255.0

@@ -408,6 +408,31 @@ def test_opacity_of_an_opaque_material_of_glb_counts_for_nothing(tmp_path):
         np.testing.assert_array_equal(picture[..., :3], clear[..., :3])
 
 
+@pytest.mark.parametrize(("cutoff", "first"), [(0.4, 128), (0.9, None), (0.0, 0)])
+def test_a_mask_of_glb_makes_texels_opaque_or_clear(tmp_path, cutoff, first):
+    """As glTF 2.0 has it: opaque where the picture's opacity times the colour's is the cutoff or more."""
+    rising = np.full((4, 256, 4), (200, 60, 30, 0), dtype=np.uint8)
+    rising[..., 3] = np.arange(256)
+    whole, file = read_painted_mesh(two_halves(tmp_path)[0]), tmp_path / "mask.glb"
+    materials = (Material("leaf", color=(1.0, 1.0, 1.0, 0.8), picture=rising), *whole.materials[1:])
+    replace(whole, materials=materials).export(file)
+    data = file.read_bytes()
+    length = int.from_bytes(data[12:16], "little")
+    document = json.loads(data[20 : 20 + length])
+    document["materials"][0] |= {"alphaMode": "MASK", "alphaCutoff": cutoff}
+    content = json.dumps(document, separators=(",", ":")).encode()
+    content += b" " * (-len(content) % 4)
+    total = (len(data) + len(content) - length).to_bytes(4, "little")
+    head = data[:8] + total + len(content).to_bytes(4, "little") + data[16:20]
+    file.write_bytes(head + content + data[20 + length :])
+    material = read_painted_mesh(file).materials[0]
+    picture = material.picture
+    opaque = np.zeros(256, dtype=bool) if first is None else np.arange(256) >= first
+    given = picture[..., 3] if picture.shape[2] == 4 else np.full((4, 256), 255)
+    np.testing.assert_array_equal(np.round(given * material.color[3]), np.where(opaque, 255, 0)[None].repeat(4, 0))
+    np.testing.assert_array_equal(picture[..., :3], rising[..., :3])
+
+
 def test_white_of_glb_is_white(tmp_path):
     """So that colours at the vertices alone are seen in a preview."""
     whole = read_painted_mesh(two_halves(tmp_path)[0])
