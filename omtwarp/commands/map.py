@@ -57,13 +57,15 @@ class Topology:
         """Return the options of :func:`omtwarp.map_surface`; None where the surface has to be a sphere.
 
         Raises:
-            OmtwarpError: options of more than one domain are given.
+            OmtwarpError: options of more than one domain are given, or some that its surfaces have no use for.
         """
         rims = [domain for domain in (Domain.HEMISPHERE, Domain.DISK, Domain.CAP, Domain.TORUS) if vars(self)[domain]]
         if len(rims) > 1:
             raise OmtwarpError(f"both --{rims[0]} and --{rims[1]}: give one")
         if self.together and rims:
             raise OmtwarpError(f"both --together and --{rims[0]}: parts side by side lie on caps")
+        if self.torus and (self.cut or self.cut_along or self.fill_area):
+            raise OmtwarpError("--torus is for whole surfaces: leave --cut, --cut-along and --fill-area out")
         if self == Topology():
             return None
         return {

@@ -66,8 +66,7 @@ def triangles_of_strips(flat: NDArray[np.generic], lengths: NDArray[np.int64]) -
     step = np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts)
     odd = step % 2
     triangles = flat[np.stack([first + step + odd, first + step + 1 - odd, first + step + 2], axis=1)]
-    repeated = (triangles == np.roll(triangles, -1, axis=1)).any(axis=1)
-    return triangles[~repeated]
+    return triangles[~(triangles == np.roll(triangles, -1, axis=1)).any(axis=1)]
 
 
 def parts_of_strips(flat: NDArray[np.generic], sizes: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

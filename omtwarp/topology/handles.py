@@ -100,8 +100,7 @@ def slit_open(vertices: Floats, faces: NDArray, share: float = 1.0) -> Derived:
     path = _path_to(root, before)
     if len(path) < 3:  # a path of one edge opens nothing: go on to any neighbour of its end that is not its beginning
         path.append(int(np.setdiff1d(edges[(edges == path[-1]).any(axis=1)], path)[0]))
-    kept = path[: max(3, round(share * len(path)))]
-    return _cut_along(surface, np.array(kept), closed=False)
+    return _cut_along(surface, np.array(path[: max(3, round(share * len(path)))]), closed=False)
 
 
 def shortest_handle_loop(vertices: Floats, faces: NDArray, *, thorough: bool = True) -> NDArray[np.int64] | None:

@@ -458,6 +458,9 @@ def test_refusals_name_the_part_and_the_option(capsys, maps, tmp_path):
         ((mixed, "--torus"), "only one of genus 1, closed, maps to a torus: --components (with --cut) or --together"),
         ((maps / "ring.ply", "--fill-area", "small"), "has genus 1, closed: --torus or --cut would map it"),
         ((maps / "pretzel.ply", "--torus"), "the surface has genus 2, closed, and only one of genus 1"),
+        ((maps / "pretzel.ply", "--torus", "--cut"), "--torus is for whole surfaces: leave --cut, --cut-along and"),
+        ((maps / "pretzel.ply", "--torus", "--cut-along", "holes"), "--torus is for whole surfaces: leave --cut"),
+        ((maps / "pretzel.ply", "--torus", "--fill-area", "small"), "--torus is for whole surfaces: leave --cut"),
         ((maps / "open.ply", "--torus"), "--hemisphere, --disk, --cap or --fill-area natural or small would map it"),
         ((maps / "closed.ply", "--cap"), "the surface is closed, without a boundary to put on the rim of a cap"),
     ):
