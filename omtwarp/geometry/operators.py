@@ -131,8 +131,7 @@ def cotangent_laplacian(
     size = len(points)
     weights = sparse.csr_matrix((half.ravel(), (i, j)), shape=(size, size))
     weights = sparse.csr_matrix(weights + weights.T)
-    diagonal = np.asarray(weights.sum(axis=1)).ravel()
-    return sparse.csr_matrix(sparse.diags(diagonal) - weights)
+    return sparse.csr_matrix(sparse.diags(np.asarray(weights.sum(axis=1)).ravel()) - weights)
 
 
 class DifferentialOperators:

@@ -342,8 +342,7 @@ def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
     scaled = (vertices - low) / max(float((high - low).max()), np.finfo(float).tiny)
     p0, p1, p2 = (scaled[faces[:, k]] for k in range(3))
     weighted = cross(p1 - p0, p2 - p0)
-    total = arrays.summed(np.repeat(weighted, 3, axis=0), faces.ravel(), len(vertices))
-    return arrays.normalised(total)
+    return arrays.normalised(arrays.summed(np.repeat(weighted, 3, axis=0), faces.ravel(), len(vertices)))
 
 
 def unit_normals(normals: Floats) -> Floats:

@@ -256,8 +256,7 @@ def smoothed(
         device: where the kernels run.
     """
     least = partial(least_distortion, iterations=steps, tolerance=SMOOTHING_TOLERANCE, device=device)
-    refined = least(surface, sphere, SMOOTHING_WEIGHT, of_rings=rings).sphere
-    return _turned(surface, refined, sphere, device)
+    return _turned(surface, least(surface, sphere, SMOOTHING_WEIGHT, of_rings=rings).sphere, sphere, device)
 
 
 def _turned(surface: Surface, sphere: Floats, towards: Floats, device: str | None) -> Floats:

@@ -55,8 +55,7 @@ def join(pieces: Iterable[str | float], between: str = "") -> Markup:
 
 def asset(name: str) -> Markup:
     """Read a file of the package that goes into the page unchanged."""
-    text = (files("omtwarp.reporting") / "assets" / name).read_text("utf-8")
-    return Markup(text)  # noqa: S704
+    return Markup((files("omtwarp.reporting") / "assets" / name).read_text("utf-8"))  # noqa: S704
 
 
 def script(name: str) -> Markup:

@@ -181,8 +181,7 @@ class Equirectangular(Atlas):
 
     def uv_directions(self, uv: Floats, chart: NDArray) -> Floats:
         lon = (uv[..., 0] - 0.5) * 2.0 * np.pi + (self.seam - np.pi)
-        lat = (uv[..., 1] - 0.5) * np.pi
-        return direction_from_angles(lon, lat)
+        return direction_from_angles(lon, (uv[..., 1] - 0.5) * np.pi)
 
 
 def angles_from_middle(corners: Floats, chart: NDArray) -> Floats:

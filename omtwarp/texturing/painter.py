@@ -76,7 +76,8 @@ def paint(
             to the material's occlusion; normals of ``detail`` to its normal map, in tangent space; curvature (of the
             mean, 1 / length unit), area (on the sphere over that on the surface) and data become the colour, through a
             colour map, and so do normals without ``detail``, in the mesh's axes. Only one bake may become the colour.
-        detail: vertices and faces of a finer mesh of the same surface in the same place, for ``normal``.
+        detail: vertices and faces of a finer mesh of the same surface in the same place, for ``normal``; one that lies
+            elsewhere is warned of.
         projection: of the image, as in :func:`omtwarp.texture`.
         atlas: which one, as in :func:`omtwarp.texture`, without own coordinates.
         rotate: turns the pattern on the sphere, as in :func:`omtwarp.texture`.
@@ -116,10 +117,7 @@ def paint(
     color = color_among(names, detail is not None, pattern, image, keep)
     if image is None and pattern is None and (keep is not None or not names):
         pattern = "circles"
-    fine = None
-    if detail is not None:
-        points = real_numbers(detail[0], "vertices of the detail", (None, 3))
-        fine = points, as_faces(detail[1], len(points))
+    fine = None if detail is None else _in_place(detail, vertices)
     size = width_of(size)
     stored = result if isinstance(result, MapResult) else None
     origins, structure = (None, None) if stored is None else (stored.origins, stored.report.get("structure"))
@@ -130,6 +128,19 @@ def paint(
         image, pattern, projection, atlas, rotate, size, resolve_device(device),
     )  # fmt: skip
     return painting.on_own_coordinates() if uv == "own" else painting.on_atlas()
+
+
+def _in_place(detail: tuple[ArrayLike, ArrayLike], vertices: Floats) -> tuple[Floats, Ints]:
+    """Return vertices and faces of a detailed mesh; warn where it is elsewhere than a coarser one's vertices."""
+    from scipy.spatial import cKDTree
+
+    points = real_numbers(detail[0], "vertices of the detail", (None, 3))
+    fine = points, as_faces(detail[1], len(points))
+    apart = float(cKDTree(points).query(vertices)[0].mean() / np.ptp(vertices, axis=0).max())
+    if apart > 0.1:
+        text = f"the detail lies elsewhere, {apart:.1f} times the mesh's size away: give both the same units and axes"
+        warnings.warn(text, OmtwarpWarning, stacklevel=3)
+    return fine
 
 
 def check_options(uv: str, keep: str | None, opacity: float | None, atlas: str) -> None:

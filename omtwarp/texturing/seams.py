@@ -182,8 +182,7 @@ class CutMesh:
         def corners(which: NDArray, first: NDArray) -> tuple[NDArray, ...]:
             turn = (first[:, None] + np.arange(3)) % 3
             v = np.take_along_axis(self.faces[which], turn, axis=1)
-            m = np.take_along_axis(middle[which], turn, axis=1)
-            return (*v.T, *m.T)
+            return (*v.T, *np.take_along_axis(middle[which], turn, axis=1).T)
 
         def emit(which: NDArray, *triangles: Sequence[NDArray]) -> None:
             for triangle in triangles:

@@ -2,6 +2,7 @@
 
 import sys
 import time
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -350,6 +351,15 @@ def test_occlusion_of_long_triangles_takes_at_most_five_seconds():
         seconds.append(time.process_time() - start)
     assert seconds[1] < max(5.0, 5.0 * seconds[0])
     assert made.materials[0].occlusion_picture.shape == (512, 512, 3)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1000.0, 0.001])
+def test_a_detail_in_other_units_is_warned_of(scale):
+    vertices, faces, sphere = ball(subdivisions=2)
+    fine, triangles, _ = ball(subdivisions=4)
+    expected = nullcontext() if scale == 1.0 else pytest.warns(OmtwarpWarning, match="the detail lies elsewhere")
+    with expected:
+        paint((vertices, faces, sphere), bake=["normal"], detail=(scale * fine, triangles), uv="atlas", size=64)
 
 
 def test_a_normal_map_gives_the_detailed_normals_back():
