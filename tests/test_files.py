@@ -38,6 +38,13 @@ def test_a_missing_directory_is_one_line(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_link_to_a_folder_that_is_not_there_names_that_folder(tmp_path):
+    link = tmp_path / "link.npz"
+    link.symlink_to(tmp_path / "gone" / "it.npz")
+    with pytest.raises(OmtwarpError, match=r"there is no directory '.*gone'$"), staged(link):
+        pass
+
+
 def test_a_directory_in_the_way_is_one_line(tmp_path):
     (tmp_path / "it.npz").mkdir()
     with pytest.raises(OmtwarpError, match="cannot write"), staged(tmp_path / "it.npz") as file:

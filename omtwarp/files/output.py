@@ -151,7 +151,8 @@ def _destination(path: Path) -> Path:
         mode = os.lstat(target).st_mode
     except (FileNotFoundError, NotADirectoryError):
         if not target.parent.is_dir():
-            raise OmtwarpError(f"cannot write '{path}': there is no directory '{path.parent}'") from None
+            folder = (target if path.is_symlink() else path).parent
+            raise OmtwarpError(f"cannot write '{path}': there is no directory '{folder}'") from None
         return target
     if stat.S_ISDIR(mode):
         raise OmtwarpError(f"cannot write '{path}': it is a directory")

@@ -96,8 +96,7 @@ def towards_coordinates(frame: Floats) -> Floats:
         The rows, of the last and the first of which the largest component is positive; right-handed.
     """
     first, _, last = frame[np.arange(3), np.argmax(np.abs(frame), axis=1)] > 0.0
-    signs = np.where([first, first == last, last], 1.0, -1.0)
-    return frame * signs[:, None]
+    return frame * np.where([first, first == last, last], 1.0, -1.0)[:, None]
 
 
 def rotation_onto_axes(surface: Surface, sphere: Floats, axes: Floats) -> tuple[Floats, bool]:
