@@ -16,8 +16,9 @@ from sphere_truths import ring_rms
 
 import omtwarp
 from omtwarp.conformal.maps import covers_once
+from omtwarp.geometry.sphere_hierarchy import triangle_solid_angles
 from omtwarp.mesh import shapes
-from omtwarp.mesh.surface import SPHERE_AREA, Surface
+from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.topology.closing import fill_holes
 from omtwarp.topology.handles import cut_handles
 from omtwarp.topology.kind import boundary_loops
@@ -149,3 +150,17 @@ def test_maps_are_near_the_optimum(examined):
 
 def test_what_is_not_kept_comes_with_a_warning(examined):
     assert [one["kind"] for one in examined if one["ring"] > 0.05 and not one["warned"]] == []
+
+
+def test_exact_areas_of_a_cap_with_long_limbs():
+    """They are reached where areas of parts weigh more beside the penalty on errors, and not where they weigh 1."""
+    _, whole = ordinary_shape(55)
+    along = int(np.argmax(np.ptp(whole.vertices, axis=0)))
+    level = whole.vertices[:, along]
+    kept = (level[whole.faces] > level.min() + 0.25 * np.ptp(level)).all(axis=1)
+    part = omtwarp.repair(whole.vertices, whole.faces[kept], whole=False)
+    result = omtwarp.map_surface((part.vertices, part.faces), domain="cap", exact=True, optimality=False, device="cpu")
+    image = np.bincount(result.face_origin, triangle_solid_angles(*result.sphere[result.faces].transpose(1, 0, 2)))
+    own = triangle_areas(part.vertices, part.faces)
+    assert np.abs(image / image.sum() / (own / own.sum()) - 1.0).max() < 1e-8
+    assert result.certificate.bijective
