@@ -107,6 +107,12 @@ def test_progress_is_told_with_stage_done_total_and_details(name):
         assert isinstance(details, dict)
 
 
+@pytest.mark.parametrize("name", ["optimal_map", "refine_map"])
+def test_progress_that_is_no_function_is_refused(name):
+    with pytest.raises(OmtwarpError, match="must be a function"):
+        run(name, progress="bar")
+
+
 def test_untangling_tells_of_its_attempts():
     told = []
     sphere = START.copy()

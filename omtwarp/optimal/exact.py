@@ -31,7 +31,7 @@ from omtwarp.optimal.energy import SHAPE_WEIGHT, MapTerms, TransportEnergy
 from omtwarp.optimal.solver import GAIN, OptimalMap, minimise, softness
 from omtwarp.optimal.sphere import Sphere, energy_on_sphere
 from omtwarp.optimal.steps import FlipFreeSteps
-from omtwarp.options import Cost, CostLike, Progress
+from omtwarp.options import Cost, CostLike, Progress, tell
 
 ROUNDS = 30  # largest number of steps
 STIFFNESS = 1e7  # weight of areas relative to cost and shape, which only choose among the steps that correct areas
@@ -147,8 +147,7 @@ def minimise_cells(energy: TransportEnergy, points: Floats, progress: Progress |
     def notify(number: int, terms: MapTerms) -> None:
         errors = {"ring_rms": energy.area_rms(terms), "ring_largest": terms.largest}
         history.append({**history[-1], "cost": energy.cost(terms), **errors})
-        if progress is not None:
-            progress("omt", min(len(history) - 1, ITERATIONS), ITERATIONS, history[-1])
+        tell(progress, "omt", min(len(history) - 1, ITERATIONS), ITERATIONS, history[-1])
 
     restored, right = restore_areas(energy, optimal.points, notify=notify)
     ended = optimal.ended if right else f"{optimal.ended}; areas are not right to {EXACT:g}"

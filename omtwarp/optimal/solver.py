@@ -31,7 +31,7 @@ from omtwarp.optimal.kernels import single_gains
 from omtwarp.optimal.local import local_steps
 from omtwarp.optimal.sphere import Sphere, energy_on_sphere
 from omtwarp.optimal.steps import FlipFreeSteps
-from omtwarp.options import Cost, CostLike, Progress, Record
+from omtwarp.options import Cost, CostLike, Progress, Record, tell
 from omtwarp.solvers.cholesky.saddle import COORDINATES
 from omtwarp.solvers.newton import SUFFICIENT_DECREASE
 from omtwarp.solvers.triangle import AREA_WEIGHT
@@ -272,8 +272,7 @@ class _Newton:
             if energy.has_local_steps and not converged:
                 points, terms, settled = self._settled(points, terms, decrement)
             history.append(self._record(terms, decrement, step.length, step.corrected, settled))
-            if progress is not None:
-                progress(self.stage, number + 1, iterations, history[-1])
+            tell(progress, self.stage, number + 1, iterations, history[-1])
             if converged:
                 ended = "optimal"
                 break
