@@ -111,7 +111,7 @@ def run_cohort(
     from omtwarp.cohort.page import write_page  # loads Warp, which fails before the work where it cannot start
 
     target = Path(folder).absolute()
-    with folder_of_results(target, *RESULTS):  # refused before the work, not after it
+    with _results_in(target):  # refused before the work, not after it
         make_folders(target)
     run, run_file = on | {"group": register == GROUP}, target / "locks" / ".options.json"
     on = _of_last_run(run_file, run) if collect else dict(run)
@@ -137,10 +137,20 @@ def run_cohort(
     rows = [_row(item, read_record(job)) for item, job in zip(items, jobs, strict=True)]
     if in_group:
         _register_all(rows, target, progress, collect)
-    with folder_of_results(target, *RESULTS):
-        table = write_table(rows, target)
-        page = write_page(rows, target)
+    with _results_in(target):
+        table, page = write_table(rows, target), write_page(rows, target)
     return CohortResult(dict(Counter(str(row["status"]) for row in rows)), len(todo), table, page)
+
+
+@contextlib.contextmanager
+def _results_in(folder: Path) -> Generator[None, None, None]:
+    """Replace a cohort's table and page as its results; other shards, which end in the meantime, wait for it.
+
+    What one has moved to its place and not recorded yet would be a stranger's file to another.
+    """
+    place = folder / "locks" / ".results"
+    with locked(place) if place.parent.is_dir() else contextlib.nullcontext(), folder_of_results(folder, *RESULTS):
+        yield
 
 
 def _row(item: Item, record: Row | None) -> Row:
@@ -235,8 +245,7 @@ def _follow(records: Generator[Row, None, None], done: int, total: int, progress
     try:
         with contextlib.closing(records):
             for record in records:
-                done += 1
-                failed += record["status"] != OK
+                done, failed = done + 1, failed + (record["status"] != OK)
                 tell(progress, "cohort", done, total, {"failed": failed})
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"{done} of {total} items done; run again to continue") from None
@@ -256,10 +265,9 @@ def _register_all(rows: list[Row], folder: Path, progress: Progress | None, coll
     def notify(stage: str, step: int, steps: int, info: Record) -> None:
         tell(progress, "register", step, steps, {"failed": len(rows) - len(done)})
 
-    maps = [folder / "maps" / f"{row['id']}.npz" for row in done]
-    place = folder / REGISTERED_MAPS
-    group = finished_group(maps, place) if collect else register_group(maps, place, progress=notify)
-    if group is None:
-        return
-    for row in done:
-        row |= {"registered_to": GROUP, **group.table[str(row["id"])]}
+    maps, place = [folder / "maps" / f"{row['id']}.npz" for row in done], folder / REGISTERED_MAPS
+    with contextlib.nullcontext() if collect else locked(folder / "locks" / ".registered"):
+        group = finished_group(maps, place) if collect else register_group(maps, place, progress=notify)
+    if group is not None:
+        for row in done:
+            row |= {"registered_to": GROUP, **group.table[str(row["id"])]}

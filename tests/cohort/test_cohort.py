@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import omtwarp
-from omtwarp.cohort import read_manifest, run_cohort
+from omtwarp.cohort import read_manifest, run, run_cohort
 from omtwarp.cohort.executors import Host, make_folders
 from omtwarp.cohort.host import run_item
 from omtwarp.cohort.item import Job, complete_journal, forget_failure, key_of, read_journal, read_record, settle
@@ -25,6 +25,7 @@ from omtwarp.cohort.page import outliers
 from omtwarp.cohort.tables import map_of, read_table
 from omtwarp.commands._cli import main
 from omtwarp.errors import OmtwarpError
+from omtwarp.files.output import locked
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.shapes import blob, demo_shape
 from omtwarp.mesh.write import write_mesh
@@ -239,6 +240,19 @@ def test_a_table_without_pyarrow_says_the_same(tmp_path, monkeypatch, items_here
     assert not both.table.exists()
     assert read_table(plain.table) == [{k: v or None if v == "" else v for k, v in row.items()} for row in rows]
     assert run_cohort(items, tmp_path / "out", retry=True, **options).computed == 1  # failures alone
+
+
+def test_shards_that_end_together_write_the_table_one_after_the_other(tmp_path, monkeypatch, items_here):
+    items, write = read_manifest(write_shapes(tmp_path / "in", 2)[0].parent), run.write_table
+
+    def write_alone(rows, folder):
+        with pytest.raises(OmtwarpError, match="taken"), locked(folder / "locks" / ".results", "taken"):
+            pass
+        return write(rows, folder)
+
+    monkeypatch.setattr(run, "write_table", write_alone)
+    for number in (1, 2):
+        run_cohort(items, tmp_path / "out", shard=(number, 2), workers=1, until="conformal", device="cpu")
 
 
 def job_for(folder: Path, faces: int, **limits) -> Job:
