@@ -190,8 +190,8 @@ def check_table(
         if rare is not None:
             raise OmtwarpError(f"too few shapes with '{rare}' in column '{name}': 1, at least 2")
         others = np.column_stack([np.ones(count), *(c for other, (c, _) in columns.items() if other != name)])
-        rank = np.linalg.matrix_rank(_scaled(np.column_stack([others, numbers])))
-        if rank < others.shape[1] + numbers.shape[1]:
+        whole, rest = (np.linalg.matrix_rank(_scaled(part)) for part in (model, others))
+        if whole < rest + numbers.shape[1]:
             raise OmtwarpError(f"column '{name}' follows from the other columns: leave one of them out")
     return columns
 

@@ -109,6 +109,7 @@ def test_the_same_seed_gives_the_same_result_and_a_confounder_is_taken_out():
         ({"age": AGE[1:]}, "23 values for 24 shapes"),
         ({"site": SITE, "again": SITE}, "follows from the other columns"),
         ({"age": AGE, "months": 12.0 * AGE}, "follows from the other columns"),
+        ({"age": AGE, "site": SITE, "again": SITE}, "column 'site' follows from the other columns"),
         ({"site": ["alone", *SITE[1:]]}, "too few shapes with 'alone'"),
         ({f"x{k}": RNG.normal(size=COUNT) for k in range(23)}, "too few shapes for a model"),
     ],
