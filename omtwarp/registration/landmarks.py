@@ -229,7 +229,7 @@ def read_landmarks(path: str | os.PathLike[str]) -> list[Landmark]:
     text = table_text(path, 2**24, "a table of landmarks (.csv, .tsv)")
     delimiter = "\t" if Path(path).suffix.lower() == ".tsv" else ","
     _, rows = table_rows(text, f"'{path}'", delimiter, "label", "side")
-    for line, (_, row) in enumerate(rows, start=2):
+    for line, row in rows:
         label, side = (row["label"] or "").strip(), (row["side"] or "").strip()
         if side not in SIDES:
             raise OmtwarpError(f"'{path}', line {line}: the side is '{side}': use {' or '.join(SIDES)}")
@@ -257,8 +257,7 @@ def _landmark(
         OmtwarpError: a side is missing, or names vertices in some rows and points in others.
     """
     arrays = []
-    for side in SIDES:
-        places = sides[side]
+    for side, places in sides.items():
         if not places:
             raise OmtwarpError(f"'{path}': landmark '{label}' has no row with the side '{side}'")
         if len({len(place) for place in places}) > 1:

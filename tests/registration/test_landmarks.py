@@ -129,6 +129,7 @@ def test_a_table_holds_points_and_curves_of_both_sides(tmp_path):
         ("label,side,vertex\na,left,1\n", "line 2: the side is 'left'"),
         ("label,side,vertex,weight\na,moving,1,2\na,target,1,exact\n", "line 3: landmark 'a' has another weight"),
         ("label,side,vertex\na,moving,one\n", "line 2: give a vertex"),
+        ("label,side,vertex\n\na,moving,1\n\na,right,1\n", "line 5: the side is 'right'"),
         ("label,side,vertex\na,moving,1\n", "no row with the side 'target'"),
         ("label,side,vertex\n", "no landmarks"),
         ("label,side,vertex\na,moving,1\na,target,99999\n", "landmark 'a' on the target"),
