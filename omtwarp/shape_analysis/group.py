@@ -16,7 +16,7 @@ from scipy.stats import false_discovery_control
 from omtwarp.alignment import GroupAlignment, procrustes_mean
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.arrays import Floats, whole_number
+from omtwarp.mesh.arrays import Floats, by_name, listed, real_numbers, whole_number
 from omtwarp.mesh.surface import Surface, vertex_normals
 from omtwarp.options import Progress
 from omtwarp.resampling import as_points
@@ -115,8 +115,8 @@ def linear_effects(
         The effect of each column.
 
     Raises:
-        OmtwarpError: values of another shape, or none at all; a missing value, a column that is constant or that others
-            determine; or too few shapes.
+        OmtwarpError: values that are no real numbers or of another shape, or none at all; a missing value, a column
+            that is constant or that others determine, or factors that are no column; or too few shapes.
 
     Example:
         >>> import numpy as np
@@ -132,7 +132,8 @@ def linear_effects(
     .. [2] T. E. Nichols, A. P. Holmes, "Nonparametric permutation tests for functional neuroimaging", Human Brain
        Mapping 15 (2002).
     """
-    given = np.ma.filled(np.ma.asarray(values, dtype=np.float64), np.nan)
+    numbers = np.ma.filled(values.astype(np.float64), np.nan) if isinstance(values, np.ma.MaskedArray) else values
+    given = real_numbers(numbers, "values", None, finite=False, truths=True)
     if given.ndim not in (2, 3):
         raise OmtwarpError(f"values of shapes have the shape [N, V] or [N, V, D], not {list(given.shape)}")
     given = given[:, :, None] if given.ndim == 2 else given
@@ -141,14 +142,15 @@ def linear_effects(
         raise OmtwarpError("there is no point at which the values of all shapes are known")
     permutations, seed = whole_number(permutations, "permutations", least=1), whole_number(seed, "the seed")
     columns = check_table(table, len(given), factors, given.shape[2])
+    if unknown := [name for name in factors if name not in columns]:
+        raise OmtwarpError(f"the table has no column '{unknown[0]}', which the factors name")
     effects = {}
     for name, (tested, levels) in columns.items():
         others = [numbers for other, (numbers, _) in columns.items() if other != name]
         nuisance = np.column_stack([np.ones(len(given)), *others])
         found, sizes = _tested(given[:, known], tested, nuisance, permutations, seed)
         squares, p_values, fdr = (_at(known, one) for one in found)
-        size = None if sizes is None else _at(known, sizes)
-        shown = None if size is None else size if size.shape[1] > 1 else size[:, 0]
+        shown = None if sizes is None else _at(known, sizes if sizes.shape[1] > 1 else sizes[:, 0])
         signed = shown is not None and shown.ndim == 1
         statistic = np.sign(shown) * np.sqrt(squares) if signed and shown is not None else squares
         effects[name] = Effect(name, levels, shown, statistic, signed, p_values, fdr)
@@ -176,6 +178,7 @@ def check_table(
     Raises:
         OmtwarpError: as :func:`linear_effects`.
     """
+    table = {name: listed(column, f"column '{name}'", "values") for name, column in by_name(table, "the table").items()}
     for name, values in table.items():
         if len(values) != count:
             raise OmtwarpError(f"column '{name}' has {len(values)} values for {count} shapes")
@@ -217,8 +220,7 @@ def _tested(
     added = np.linalg.qr(left)[0]
     residuals = values.reshape(count, -1)
     residuals = residuals - kept @ (kept.T @ residuals)
-    alone = tested.shape[1] == 1
-    size = (left.T @ residuals / (left**2).sum()).reshape(points, width) if alone else None
+    size = (left.T @ residuals / (left**2).sum()).reshape(points, width) if tested.shape[1] == 1 else None
     # Residuals of a point below this part of its values are round-off: there is nothing to be explained.
     sizes = np.linalg.norm(residuals, axis=0)
     residuals = np.where(sizes > 1e-12 * np.linalg.norm(values.reshape(count, -1), axis=0), residuals, 0.0)
@@ -365,7 +367,7 @@ def study_group(
         >>> study.mean, study.components.scores.shape
         (Surface(642 vertices, 1280 faces), (3, 2))
     """
-    components = whole_number(components, "components", least=1)
+    maps, components = listed(maps, "maps", "maps"), whole_number(components, "components", least=1)
     permutations, seed = whole_number(permutations, "permutations", least=1), whole_number(seed, "the seed")
     table = table_of(labels, covariates)
     if table:
@@ -378,9 +380,9 @@ def study_group(
     weights = as_points(grid, "the grid").grid.areas
     moved = mean.surfaces - mean.mean
     shares = weights / weights.sum()
-    normals = vertex_normals(mean.surfaces.mean(axis=0), mean.faces)
-    heights = np.einsum("nvd,vd->nv", mean.surfaces, normals)
-    effects = linear_effects(heights, table, factors=GROUP, permutations=permutations, seed=seed) if table else {}
+    heights = np.einsum("nvd,vd->nv", mean.surfaces, vertex_normals(mean.surfaces.mean(axis=0), mean.faces))
+    factors = table.keys() & GROUP
+    effects = linear_effects(heights, table, factors=factors, permutations=permutations, seed=seed) if table else {}
     whole = [one.closed() for one in maps]
     spheres = [one.sphere @ turn.T for one, turn in zip(whole, mean.rotations, strict=True)]
     return GroupStudy(
@@ -399,13 +401,12 @@ def table_of(
     """Return the columns of a group's linear model: its labels, if any, and the covariates.
 
     Raises:
-        OmtwarpError: a covariate has the name of the labels.
+        OmtwarpError: covariates are no mapping, or one has the name of the labels.
     """
-    table: dict[str, Sequence[object]] = {} if labels is None else {GROUP[0]: labels}
-    twice = next((name for name in covariates or {} if name in table), None)
-    if twice is not None:
-        raise OmtwarpError(f"'{twice}' is the column of groups already: give other covariates")
-    return {**table, **(covariates or {})}
+    given = by_name(covariates, "covariates")
+    if labels is not None and GROUP[0] in given:
+        raise OmtwarpError(f"'{GROUP[0]}' is the column of groups already: give other covariates")
+    return ({} if labels is None else {GROUP[0]: labels}) | given
 
 
 def mirrored_words(alignment: GroupAlignment, names: Sequence[str]) -> str:

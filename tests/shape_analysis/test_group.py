@@ -14,6 +14,7 @@ from trimesh.exchange.ply import load_ply
 import omtwarp
 from omtwarp.cohort.tables import write_table
 from omtwarp.commands._cli import main
+from omtwarp.errors import OmtwarpError
 from omtwarp.measures import TargetDensity
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.shapes import hippocampus, icosphere
@@ -305,3 +306,17 @@ def test_the_transport_distance_of_coarse_shapes_is_near_that_between_their_vert
     masses = [omtwarp.Surface(one.vertices, one.faces).vertex_areas / (4.0 * np.pi) for one in maps]
     best = np.sqrt(ot.emd2(*masses, angles**2, numItermax=10_000_000))
     assert found.transport == min(found.there, found.back) == pytest.approx(best, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"maps": 3}, "maps: must be a list"),
+        ({"labels": 3}, "column 'group': must be a list of values"),
+        ({"covariates": [1, 2]}, "covariates: must be a dictionary"),
+        ({"labels": ["a", "b"], "covariates": {"group": [1, 2]}}, "'group' is the column of groups already"),
+    ],
+)
+def test_groups_that_are_no_lists_are_one_line(given, words):
+    with pytest.raises(OmtwarpError, match=words):
+        study_group(**{"maps": [], **given})

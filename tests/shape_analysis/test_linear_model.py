@@ -120,6 +120,22 @@ def test_tables_that_cannot_be_tested_are_one_line(table, words):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("values", "table", "factors", "words"),
+    [
+        ([["a", "b"]] * COUNT, {"age": AGE}, (), "values: must be real numbers, not text"),
+        (1j * NOISE, {"age": AGE}, (), "values: must be real numbers, not complex numbers"),
+        ([[1.0], [1.0, 2.0]], {"age": AGE}, (), "rows of equal length"),
+        (NOISE, [AGE], (), "the table: must be a dictionary"),
+        (NOISE, {"age": 60.0}, (), "column 'age': must be a list of values"),
+        (NOISE, {"age": AGE}, ["site"], "the table has no column 'site', which the factors name"),
+    ],
+)
+def test_what_is_no_table_of_numbers_is_one_line(values, table, factors, words):
+    with pytest.raises(OmtwarpError, match=words):
+        linear_effects(values, table, factors=factors)
+
+
 @pytest.mark.parametrize("wrong", [{"permutations": 0}, {"permutations": "9"}, {"permutations": True}, {"seed": -1}])
 def test_numbers_that_count_nothing_are_one_line(wrong):
     with pytest.raises(OmtwarpError, match="must be a whole number"):
