@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -80,3 +82,14 @@ def test_a_closed_pipe_is_not_taken_for_a_file(tmp_path):
     with pytest.raises(BrokenPipeError), staged(tmp_path / "it.npz"):
         raise BrokenPipeError
     assert os.listdir(tmp_path) == []
+
+
+def test_files_written_at_once_are_all_recorded(tmp_path):
+    def write(number):
+        with staged(tmp_path / f"{number}.obj") as file:
+            file.write_text("v")
+            file.with_suffix(".mtl").write_text("newmtl")
+
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(write, range(80)))
+    assert json.loads((tmp_path / RECORD).read_text()).keys() == {f"{number}.mtl" for number in range(80)}

@@ -312,23 +312,23 @@ def digest_of(path: Path) -> str:
 
 def _recorded(folder: Path) -> dict[str, object]:
     """Return the record of a folder; empty where there is none, or none that can be read."""
-    try:
+    with contextlib.suppress(OSError, ValueError, RecursionError):
         recorded = json.loads(_content(folder / RECORD))
-    except (OSError, ValueError, RecursionError):
-        return {}
-    return recorded if isinstance(recorded, dict) else {}
+        return recorded if isinstance(recorded, dict) else {}
+    return {}
 
 
 def _record(folder: Path, names: Iterable[str]) -> None:
-    """Add files to the record of their folder, as they are now."""
-    known = _recorded(folder) | {name: digest_of(folder / name) for name in names}
-    there = {name: digest for name, digest in known.items() if os.path.lexists(folder / name)}
+    """Add files to the record of their folder, as they are now; other processes that do the same wait."""
     part = folder / f"{RECORD}.{secrets.token_hex(4)}"
-    try:
-        part.write_text(json.dumps(there, indent=1) + "\n", "utf-8")
-        os.replace(part, folder / RECORD)
-    finally:
-        part.unlink(missing_ok=True)
+    with _held(folder, wait=True):
+        known = _recorded(folder) | {name: digest_of(folder / name) for name in names}
+        there = {name: digest for name, digest in known.items() if os.path.lexists(folder / name)}
+        try:
+            part.write_text(json.dumps(there, indent=1) + "\n", "utf-8")
+            os.replace(part, folder / RECORD)
+        finally:
+            part.unlink(missing_ok=True)
 
 
 def companion(path: Path, suffix: str, keep: Iterable[Path | None] = ()) -> Path:
@@ -473,15 +473,15 @@ def _new_folder(parent: Path) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def _held(folder: Path) -> Iterator[None]:
-    """Hold a lock on a directory that ends with the process, however that ends."""
+def _held(folder: Path, *, wait: bool = False) -> Iterator[None]:
+    """Hold a lock on a directory that ends with the process, however that ends; wait for one that another holds."""
     if fcntl is None:
         yield
         return
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         with contextlib.suppress(OSError):  # not every file system has locks
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
         yield
     finally:
         os.close(descriptor)
