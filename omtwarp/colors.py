@@ -15,8 +15,7 @@ Number = TypeVar("Number", np.float32, np.float64)
 
 def to_linear(color: NDArray[Number]) -> NDArray[Number]:
     """Convert sRGB colours of any shape to linear light, in their own precision (IEC 61966-2-1)."""
-    light = np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)
-    return light.astype(color.dtype)
+    return np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4).astype(color.dtype)
 
 
 def to_srgb(light: NDArray[Number]) -> NDArray[Number]:

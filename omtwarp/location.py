@@ -335,8 +335,7 @@ class Locator:
         count = len(queries)
         triangles = wp.empty(count, dtype=wp.int32, device=self.device)
         coordinates = wp.empty(count, dtype=wp.vec3d, device=self.device)
-        mesh = [self._boxes.id, self._points, self._faces]
-        arguments = [Each(queries), *mesh], each(triangles, coordinates)
+        arguments = [Each(queries), self._boxes.id, self._points, self._faces], each(triangles, coordinates)
         if count:
             launch_parts(find_faces, count, *arguments, self.device)
             if closest:

@@ -146,7 +146,6 @@ def _reporting(quiet: bool, verbose: bool = False) -> Iterator[Progress | None]:
             last = now
             left = (now - begun_at) / (done - before) * (total - done)
             what = "steps of registration" if stage == "register" else "done"
-            words = f"{done} of {total} {what}, {info['failed']} failed, about {left:.0f} s left"
-            say(words)
+            say(f"{done} of {total} {what}, {info['failed']} failed, about {left:.0f} s left")
 
     yield report

@@ -192,8 +192,7 @@ class _Work:
     def keep_largest_component(self) -> None:
         pieces, labels = Topology(self.faces, len(self.points)).components
         if pieces > 1:
-            largest = np.argmax(np.bincount(labels))
-            self.keep(labels == largest, f"in {number(pieces - 1, 'smaller component')}")
+            self.keep(labels == np.argmax(np.bincount(labels)), f"in {number(pieces - 1, 'smaller component')}")
 
     def drop_fins(self) -> None:
         """Drop faces that only an edge of more than two faces connects to the surface; or else all at the edge."""

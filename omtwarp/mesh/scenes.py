@@ -376,7 +376,7 @@ def placed_meshes(scene: trimesh.Scene) -> list[tuple[str, trimesh.Trimesh, Floa
 
     Returns:
         For every mesh its name, itself, its points there, shape [V, 3], and its faces, shape [F, 3], which a mirror
-        image turns.
+        image turns. Of several meshes, vertices in no face are left out.
     """
     order = list(scene.geometry)
     placed = [(*scene.graph[node], str(node)) for node in scene.graph.nodes_geometry]
@@ -385,6 +385,8 @@ def placed_meshes(scene: trimesh.Scene) -> list[tuple[str, trimesh.Trimesh, Floa
     for matrix, name, _ in placed:
         mesh = scene.geometry[name]
         if hasattr(mesh, "faces"):
+            if len(placed) > 1:  # primitives of glTF may name the vertices of several, and use some of them
+                mesh.remove_unreferenced_vertices()
             points, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces)
             if not np.array_equal(matrix, np.eye(4)):
                 points = points @ matrix[:3, :3].T + matrix[:3, 3]

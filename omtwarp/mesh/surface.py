@@ -117,8 +117,7 @@ class Surface:
     def scaled_vertices(self) -> Floats:
         """Vertices moved to their bounding box's centre and scaled so that the surface's area is 4π, shape [V, 3]."""
         unit = unit_coordinates(self.vertices)  # whose squares are in range at any scale of the input
-        area = triangle_areas(unit, self.faces).sum()
-        return unit * np.sqrt(SPHERE_AREA / area)
+        return unit * np.sqrt(SPHERE_AREA / triangle_areas(unit, self.faces).sum())
 
     @cached_property
     def own_areas(self) -> Floats:

@@ -179,8 +179,7 @@ def _ray_degree(faces: Ints, sphere: Floats, signs: NDArray[np.int8], device: st
     rng = np.random.default_rng(seed)
     wanted, counted = RAYS, []
     for _ in range(8):
-        rays = normalised(rng.normal(size=(wanted, 3)))
-        directions = wp.array(rays, dtype=wp.vec3d, device=where)
+        directions = wp.array(normalised(rng.normal(size=(wanted, 3))), dtype=wp.vec3d, device=where)
         crossings = wp.zeros(wanted, dtype=wp.int32, device=where)
         doubtful = wp.zeros(wanted, dtype=wp.int32, device=where)
         # Rays that pass an edge this closely (as a triple product of unit vectors) are drawn again.

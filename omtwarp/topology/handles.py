@@ -311,9 +311,8 @@ def cut_open(
     """
     cut = cut_handles(vertices, faces, genus)
     around = [cut.vertex_origin[one] for one, _ in cut.sides]
-    kinds: list[str] = [CutAlong.HANDLES] * genus
     if genus == 0 or along == CutAlong.HANDLES:
-        return cut, kinds
+        return cut, [CutAlong.HANDLES] * genus
     thinness = _thinness(cut) if along == CutAlong.AUTO else np.inf
     through = loops_through_holes(cut)
     taken, known = np.zeros(genus, dtype=bool), np.array([each is not None for each in through])

@@ -11,7 +11,7 @@ import pytest
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh import shapes
-from omtwarp.mesh.read import read_mesh
+from omtwarp.mesh.read import read_joined_mesh, read_mesh
 from omtwarp.mesh.validate import check
 from omtwarp.render.subject import as_surface_view as drawn_mesh
 from omtwarp.texturing import read_painted_mesh
@@ -170,6 +170,24 @@ def test_whole_numbers_that_are_not_normalised_are_as_they_are(tmp_path):
     file.mesh(file.accessor(np.rint(100 * BALL.vertices), "i1"))
     vertices, _ = read_everywhere(file.write(tmp_path / "a.glb"))
     np.testing.assert_array_equal(vertices, np.rint(100 * BALL.vertices))
+
+
+def test_primitives_that_share_their_vertices_are_one_surface(tmp_path):
+    """As writers of several materials on one geometry have it: every primitive names all vertices, and uses some."""
+    file, half = File(), BALL.face_count // 2
+    shared = {"POSITION": file.accessor(BALL.vertices, "f4"), "TEXCOORD_0": file.accessor(BALL.vertices[:, :2], "f4")}
+    parts = [file.accessor(part.ravel(), "u2") for part in (BALL.faces[:half], BALL.faces[half:])]
+    file.document["materials"] = [{"name": "one"}, {"name": "other"}]
+    file.document["meshes"][0]["primitives"] = [
+        {"attributes": shared, "indices": part, "material": number} for number, part in enumerate(parts)
+    ]
+    path = file.write(tmp_path / "a.glb")
+    joined, painted = read_joined_mesh(path), read_painted_mesh(path)
+    for mesh in (joined, painted):
+        assert len(mesh.vertices) == BALL.vertex_count and check(mesh.vertices, mesh.faces) == []
+        np.testing.assert_array_equal(mesh.vertices[mesh.faces], BALL.vertices.astype("f4")[BALL.faces])
+    np.testing.assert_allclose(painted.uv, [0, 1] + [1, -1] * painted.vertices[painted.faces][..., :2], atol=1e-6)
+    assert np.bincount(painted.face_material).tolist() == [half, BALL.face_count - half]
 
 
 @pytest.mark.parametrize("node", [{"scale": [-1, 2, 1]}, {"scale": [-1, -1, -1]}, {"scale": [-1, -1, 1]}])
