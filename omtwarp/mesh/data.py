@@ -288,11 +288,11 @@ def write_data(path: Path, data: VertexData, mesh: tuple[Floats, Ints] | None = 
         mesh: vertices and faces, for ``.ply``.
 
     Raises:
-        OmtwarpError: a format that cannot hold these data, data without a table of labels, or a file that cannot be written.
+        OmtwarpError: a format that cannot hold these data, a missing table of names, or a file not to be written.
     """
     name = path.name.lower()
     if name.endswith((".label.gii", ".annot")) and data.table is None:
-        raise OmtwarpError(f"cannot write '{path}': these are data without a table of labels; use .shape.gii or .npy")
+        raise OmtwarpError(f"cannot write '{path}': the data are without a table of names; use .shape.gii or .npy")
     if name.endswith((".annot", *CURV_SUFFIXES)) and data.values.shape[1] != 1:
         raise OmtwarpError(f"cannot write '{path}': the format holds one number per vertex, not {data.values.shape[1]}")
     with staged(path) as file:
