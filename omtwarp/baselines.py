@@ -190,8 +190,7 @@ class _Springs:
     def sweep(self, points: Floats) -> _State:
         sums = self.matrix @ points
         tension = dots(sums, points)
-        size = norms(sums)
-        deviation = norms(points - sums / np.maximum(size, TINY)[:, None])
+        deviation = norms(points - sums / np.maximum(norms(sums), TINY)[:, None])
         # E = ½ Σ_ij w_ij (1 - x_i·x_j); the difference is taken per vertex, before anything large is summed.
         energy = 0.5 * float((self.degree - tension).sum())
         return _State(tangential_parts(points, sums), tension, float(deviation.max()), energy)

@@ -133,8 +133,7 @@ def best_rotations(a: Complex, b: Complex) -> list[Best]:
     norm = float(np.linalg.norm(a) * np.linalg.norm(b))
     if norm == 0.0:
         return [Best(np.eye(3), 0.0, -1.0, 0)]
-    grid = correlation_grid(a, b, size)
-    climbed = [_climb(a, b, start) for start in _starts(grid, size)]
+    climbed = [_climb(a, b, start) for start in _starts(correlation_grid(a, b, size), size)]
     climbed.sort(key=lambda entry: -entry[1])
     distinct: list[tuple[Floats, float, int]] = []
     for entry in climbed:

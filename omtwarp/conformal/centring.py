@@ -144,5 +144,4 @@ def centre_points(
 def ball_inversion(points: Floats, centre: Floats) -> Floats:
     """Apply the Möbius transformation of the unit ball of Baden, Crane and Kazhdan (2018) to unit vectors."""
     shifted = points + centre
-    scale = (1.0 - centre @ centre) / squared_norms(shifted)[:, None]
-    return normalised(scale * shifted + centre)
+    return normalised((1.0 - centre @ centre) / squared_norms(shifted)[:, None] * shifted + centre)

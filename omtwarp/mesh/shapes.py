@@ -442,8 +442,7 @@ def _onto_surface(value: Callable[[Floats], Floats], points: Floats, cell: float
         slope = np.stack([value(points + step * axis) - here for axis in np.eye(3)], axis=1) / step
         # Least slope, squared, of a signed distance, whose slope is 1: where it has none a point stays
         move = -here[:, None] * slope / np.maximum((slope**2).sum(axis=1), 1e-12)[:, None]
-        far = norms(move)
-        points = points + move * np.minimum(1.0, 0.5 * cell / np.maximum(far, TINY))[:, None]
+        points = points + move * np.minimum(1.0, 0.5 * cell / np.maximum(norms(move), TINY))[:, None]
     return points
 
 

@@ -425,8 +425,7 @@ def spanning_forest(count: int, links: NDArray) -> NDArray[np.bool_]:
     # The weight of a link is its own number, so that the tree's entries say which links were taken.
     number = np.arange(1, len(links) + 1, dtype=np.float64)
     graph = sparse.csr_array((number, (links[:, 0], links[:, 1])), shape=(count, count))
-    taken = csgraph.minimum_spanning_tree(graph).data
-    return marked(len(links), np.round(taken).astype(np.int64) - 1)
+    return marked(len(links), np.round(csgraph.minimum_spanning_tree(graph).data).astype(np.int64) - 1)
 
 
 def signed_volume(points: Floats, faces: NDArray[np.integer]) -> float:

@@ -120,7 +120,7 @@ def shortest_handle_loop(vertices: Floats, faces: NDArray, *, thorough: bool = T
     first = np.unique(roots[:: max(1, len(roots) // 6)])
     graph.search(first)
     if thorough or graph.loop is None:
-        graph.search(np.setdiff1d(roots, first))
+        graph.search(roots[~np.isin(roots, first)])
     return graph.loop
 
 
@@ -141,7 +141,7 @@ def _shortest_paths(
     return paths
 
 
-def _path_to(end: int, before: NDArray) -> list[int]:
+def _path_to(end: int, before: NDArray | dict[int, int]) -> list[int]:
     """Return the vertices of the shortest path to one, from there back to the root, which has none before it."""
     path = [end]
     while before[path[-1]] >= 0:
@@ -175,31 +175,39 @@ class _LoopGraph:
         self._crossed = self._crossings(cotree)
 
     def roots(self) -> NDArray[np.int64]:
-        """Return the vertices, none on the boundary, of which every loop that does not separate passes through one."""
-        on_paths = np.zeros(self.count, dtype=bool)
-        for end in self.edges[self._left].ravel().tolist():
-            on_paths[_path_to(end, self._before)] = True
-        return np.flatnonzero(on_paths & ~self.forbidden)
+        """Return the vertices, none on the boundary, of which every loop that does not separate passes through one.
+
+        They follow paths, so that those that are searched from together lie near each other.
+        """
+        ends = self.edges[self._left].ravel().tolist()
+        on_paths = list(dict.fromkeys(vertex for end in ends for vertex in _path_to(end, self._before)))
+        return np.array(on_paths, dtype=np.int64)[~self.forbidden[on_paths]]
 
     def search(self, roots: NDArray[np.int64]) -> None:
         """Take the shortest loop through each of the roots, where it is shorter than the one found so far."""
         free = np.flatnonzero(~self.forbidden[self.edges].any(axis=1))
-        a, b = self.edges[free].T
+        graph = sparse.csr_array((self.lengths[free], self.edges[free].T), shape=(self.count, self.count))
         # Chunk: edges times roots at once, which bounds the memory
         size = max(1, 4_000_000 // max(len(free), 1))
         for start in range(0, len(roots), size):
             group = roots[start : start + size]
-            # A loop through a root lies within half its length of it.
-            steps, before = _shortest_paths(self.edges[free], self.lengths[free], self.count, group, 0.5 * self.length)
-            place, parity = self._parities(steps, before)
-            through = steps[:, a] + steps[:, b] + self.lengths[free]
+            # A loop through a root lies within half its length of it: only vertices so near to one are numbered.
+            far = csgraph.dijkstra(graph, directed=False, indices=group, limit=0.5 * self.length, min_only=True)
+            near, number = np.flatnonzero(np.isfinite(far)), np.cumsum(np.isfinite(far)) - 1
+            kept = free[np.isfinite(far[self.edges[free]]).all(axis=1)]
+            ends = number[self.edges[kept]]
+            steps, before = _shortest_paths(ends, self.lengths[kept], len(near), number[group], 0.5 * self.length)
+            place, parity = self._parities(steps, before, near)
+            through = steps[:, ends[:, 0]] + steps[:, ends[:, 1]] + self.lengths[kept]
             # Shorter, of a length: a difference above rounding
             row, edge = np.nonzero(through < (1.0 - 1e-12) * self.length)
-            turned = parity[place[row, a[edge]]] ^ parity[place[row, b[edge]]] ^ self._crossed[free[edge]]
+            one, other = (parity[place[row, ends[edge, k]]] for k in (0, 1))
+            turned = one ^ other ^ self._crossed[kept[edge]]
             around = np.flatnonzero(turned.any(axis=1))
             if len(around):
                 best = around[np.argmin(through[row[around], edge[around]])]
-                self._take(free[edge[best]], before[row[best]])
+                last = np.append(near, -1)[np.maximum(before[row[best]], -1)]
+                self._take(kept[edge[best]], dict(zip(near.tolist(), last.tolist(), strict=True)))
 
     def _number(self, tail: NDArray, head: NDArray) -> NDArray[np.int64]:
         """Return the numbers of the edges with these ends."""
@@ -244,11 +252,17 @@ class _LoopGraph:
                 crossed[upwards[_path_to(face, before)[:-1]], word] ^= bit
         return crossed
 
-    def _parities(self, steps: Floats, before: NDArray) -> tuple[NDArray[np.int64], NDArray[np.uint64]]:
+    def _parities(
+        self, steps: Floats, before: NDArray, near: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.uint64]]:
         """Return which loops of triangles are crossed an odd number of times by the path from each root to each vertex.
 
+        Args:
+            steps, before: of paths from the roots to some vertices, shape [R, K].
+            near: the vertices, shape [K].
+
         Returns:
-            A number for each root and vertex, -1 where there is no path, shape [R, V]; and bits by that number.
+            A number for each root and vertex, -1 where there is no path, shape [R, K]; and bits by that number.
         """
         row, vertex = np.nonzero(np.isfinite(steps))
         place = np.full(steps.shape, -1, dtype=np.int64)
@@ -256,14 +270,14 @@ class _LoopGraph:
         last = before[row, vertex]
         begin = last < 0
         parent = np.where(begin, np.arange(len(row)), place[row, np.maximum(last, 0)])
-        parity = self._crossed[self._number(vertex, np.where(begin, vertex, last)) % len(self.edges)]
+        parity = self._crossed[self._number(near[vertex], near[np.where(begin, vertex, last)]) % len(self.edges)]
         parity[begin] = 0
         while not begin[parent].all():  # every round doubles the stretch of the path that is added up
             parity ^= parity[parent]
             parent = parent[parent]
         return place, parity
 
-    def _take(self, edge: int, before: NDArray) -> None:
+    def _take(self, edge: int, before: dict[int, int]) -> None:
         """Keep the loop of an edge and the paths to its ends, from where these part."""
         paths = [_path_to(end, before) for end in self.edges[edge].tolist()]
         while len(paths[0]) > 1 and len(paths[1]) > 1 and paths[0][-2] == paths[1][-2]:
