@@ -103,10 +103,8 @@ class Mass:
     target_floor: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.weights is None and self.weights_at is not WeightsAt.AUTO:
-            raise OmtwarpError("--weights-at is of --weights: leave it out")
-        if self.target_picture is None and self.target_floor:
-            raise OmtwarpError("--target-floor is of --target: leave it out")
+        _work.refuse({"--weights-at is of --weights": self.weights is None and self.weights_at is not WeightsAt.AUTO})
+        _work.refuse({"--target-floor is of --target": self.target_picture is None and self.target_floor})
 
     def target(self) -> omtwarp.TargetDensity | None:
         """Return the density that is to be reached, None for the uniform one.

@@ -146,14 +146,15 @@ def run_align(
     import numpy as np
     from scipy.spatial.transform import Rotation
 
-    from omtwarp.resampling import as_points, file_points
+    from omtwarp.resampling import file_points
     from omtwarp.spheres import is_named
 
     other = None if to == "axes" or is_named(to) else Path(to)
     pair.check(other)
+    refuse({"--to-surface is of a sphere without a surface": to == "axes" and pair.to_surface})
     with step_times(printing.verbose) as done:
         moving = file_points(pair.source, pair.surface)
-        fixed = "axes" if to == "axes" else as_points(to) if other is None else file_points(other, pair.to_surface)
+        fixed = "axes" if to == "axes" else file_points(other or to, pair.to_surface)
         mine, others = pair.features(other)
         done("read")
         with warnings_as_lines():
@@ -194,8 +195,7 @@ class Several:
     def __post_init__(self) -> None:
         if self.group and self.sequence:
             raise OmtwarpError("--group and --sequence exclude each other")
-        if self.rounds is not None and not self.group:
-            raise OmtwarpError("--rounds is of --group: leave it out")
+        refuse({"--rounds is of --group": self.rounds is not None and not self.group})
 
     @property
     def mode(self) -> str:
@@ -320,16 +320,18 @@ def run_register(
     if to is None or several.more:
         raise OmtwarpError("give one map and --to TARGET, or several maps and --group or --sequence")
     extras.check(pair)
-    if hemisphere is not None and (is_average(to) or with_side(to, hemisphere) == to):
-        raise OmtwarpError("--hemisphere is of targets that have two: leave it out")
+    has_one = is_average(to) or with_side(to, hemisphere) == to
+    refuse({"--hemisphere is of targets that have two": hemisphere and has_one})
     if not (pair.feature and is_named(to)):
         own = structure_of(pair.source) or structure_of(pair.surface)
         to = with_side(with_side(to, hemisphere or own), own)
     other = None if is_named(to) or is_average(to) else Path(to)
     pair.check(other)
+    whole = is_average(to) or is_template(to)
+    refuse({"--to-surface is of a sphere without a surface": whole and pair.to_surface})
     with progress_bar(printing.quiet, printing.verbose) as progress:
         moving = file_points(pair.source, pair.surface)
-        fixed = to if is_average(to) or is_template(to) else file_points(to, pair.to_surface)
+        fixed = to if whole else file_points(to, pair.to_surface)
         mine, others = pair.features(other)
         weights = None if feature_weight is None else _named_weights(list(mine or ["sulc", "curv"]), feature_weight)
         warp: Callable[..., Registration] = omtwarp.register  # whose options are read from groups

@@ -176,6 +176,12 @@ def test_resample_writes_data_surface_sphere_and_matrix(desk, capsys):
     assert len(surface.vertices) == 642
 
 
+def test_a_grid_with_its_surface_is_aligned_to(desk, capsys):
+    assert run("resample", "lh.npz", "--to", "ico3", "-o", "there.ply") == 0
+    assert run("align", "template.npz", "--to", "ico3", "--to-surface", "there.ply", "-o", "turned.ply") == 0
+    assert np.abs(read_mesh("turned.ply").vertices - MapResult.load("lh.npz").sphere).max() < 0.05
+
+
 def test_resample_in_a_pipe(desk, monkeypatch, capsysbinary):
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO((desk / "thickness.npy").read_bytes())))
     words = ["--data", "-", "-o", "-", "--method", "conservative"]

@@ -44,6 +44,11 @@ def run(capsys, *arguments) -> tuple[int, str]:
         ("preview ball.ply -o a.png --transparent --background red", "--background is not seen with --transparent"),
         ("map ball.ply -o a.npz --radius 3", "--radius is for spheres as meshes, not for .npz"),
         ("align ball.npz -o a.npz --radius 3", "--radius is for spheres as meshes, not for .npz"),
+        ("align ball.npz --to-surface ball.ply -o a.npz", "--to-surface is of a sphere without a surface"),
+        (
+            "register ball.npz --to fsaverage5-left --to-surface ball.ply -o a.npz",
+            "--to-surface is of a sphere without a surface",
+        ),
         (
             "transfer ball.glb ball.ply -o a.glb --aligned --mirror",
             "--mirror is for maps that are to be aligned, without --aligned",
