@@ -8,7 +8,10 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
+import omtwarp
+from omtwarp.cohort import tables
 from omtwarp.errors import OmtwarpError
+from omtwarp.files import output
 from omtwarp.files.output import RECORD, check_output, staged
 
 
@@ -93,3 +96,20 @@ def test_files_written_at_once_are_all_recorded(tmp_path):
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(write, range(80)))
     assert json.loads((tmp_path / RECORD).read_text()).keys() == {f"{number}.mtl" for number in range(80)}
+
+
+@pytest.mark.skipif(os.name == "nt", reason="names of files are text there")
+def test_names_that_are_no_utf8(tmp_path):
+    """Pages and tables of such files are written, and an OBJ finds its library and picture by the very bytes."""
+    name = os.fsdecode(b"gr\xf6n")
+    result = omtwarp.map_to_sphere(omtwarp.shapes.icosphere(4), until="conformal", device="cpu")
+    made = tmp_path / f"{name}.obj"
+    omtwarp.texture(result, pattern="checker", size=96, device="cpu").export(made)
+    assert b"mtllib gr\xf6n.mtl\n" in made.read_bytes()
+    assert omtwarp.texturing.read_painted_mesh(made).materials[0].picture is not None
+    omtwarp.write_report(result, tmp_path / "page.html", title=name)
+    assert r"<h1>gr\udcf6n</h1>" in (tmp_path / "page.html").read_text("utf-8")
+    output.write_table(tmp_path / "table.csv", ["id"], [[name]])
+    assert (tmp_path / "table.csv").read_text("utf-8").split() == ["id", r"gr\udcf6n"]
+    table = tables.write_table([{"id": "a", "path": f"{name}.obj", "status": "ok"}], tmp_path)
+    assert tables.read_table(table)[0]["path"] == r"gr\udcf6n.obj"

@@ -4,7 +4,7 @@ import csv
 import glob
 import re
 import warnings
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -174,14 +174,17 @@ def write_table(rows: Sequence[Row], folder: Path) -> Path:
         target = folder / "table.csv"
         output.write_table(target, names, [[row.get(name) for name in names] for row in rows])
     else:
-        target = folder / "table.parquet"
-        kinds = {name: arrow.int64() for name in WHOLE} | {name: arrow.float64() for name in REAL}
-        columns = [arrow.array([row.get(name) for row in rows], kinds.get(name, arrow.string())) for name in names]
-        with output.staged(target) as file:
+        kinds = defaultdict(arrow.string, dict.fromkeys(WHOLE, arrow.int64()) | dict.fromkeys(REAL, arrow.float64()))
+        columns = [arrow.array([_valid(row.get(name)) for row in rows], kinds[name]) for name in names]
+        with output.staged(target := folder / "table.parquet") as file:
             parquet.write_table(arrow.table(columns, names=names), file)
-    other = folder / ("table.csv" if target.suffix == ".parquet" else "table.parquet")
-    other.unlink(missing_ok=True)
+    (folder / ("table.csv" if target.suffix == ".parquet" else "table.parquet")).unlink(missing_ok=True)
     return target
+
+
+def _valid(value: object) -> object:
+    """Return a value as UTF-8 can hold it: bytes of a file's name that are none are backslashed."""
+    return value.encode(errors="backslashreplace").decode() if isinstance(value, str) else value
 
 
 def read_table(path: Path) -> list[Row]:
@@ -189,8 +192,7 @@ def read_table(path: Path) -> list[Row]:
     if path.suffix == ".parquet":
         import pyarrow.parquet as parquet
 
-        rows: list[Row] = parquet.read_table(path).to_pylist()
-        return rows
+        return list(parquet.read_table(path).to_pylist())
     with open(path, encoding="utf-8", newline="") as stream:
         return [
             {

@@ -410,14 +410,14 @@ def staged(path: str | os.PathLike[str], *, keep: Iterable[Path | None] = ()) ->
 
 
 def write_text(path: str | os.PathLike[str], text: str, encoding: str = "utf-8") -> None:
-    """Write a file of text, whole or not at all."""
+    """Write a file of text, whole or not at all; bytes of a file's name that are no UTF-8 are backslashed in it."""
     with staged(path) as file:
-        file.write_text(text, encoding)
+        file.write_text(text, encoding, "backslashreplace")
 
 
 def write_table(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Write a table of comma-separated values (.csv), empty where there is None."""
-    with staged(path) as file, open(file, "w", encoding="utf-8", newline="") as stream:
+    """Write a table of comma-separated values (.csv), empty where there is None; names as :func:`write_text` does."""
+    with staged(path) as file, open(file, "w", encoding="utf-8", errors="backslashreplace", newline="") as stream:
         csv.writer(stream).writerows([columns, *rows])
 
 

@@ -381,7 +381,8 @@ def obj_files(model: Model, place: Path, kept: tuple[Path | None, ...]) -> list[
     text.append(_lines("vn", model.normals, "%.5f"))
     text += (_lines("vt", part.uv, "%.9g") for part in parts if part.uv is not None)
     text += _obj_faces(parts, names, model.objects or [("surface", "")])
-    return [*written.values(), (beside, "\n".join(library).encode()), (place, "".join(text).encode())]
+    contents = ("\n".join(library), beside), ("".join(text), place)
+    return [*written.values(), *((file, words.encode(errors="surrogateescape")) for words, file in contents)]
 
 
 def _obj_faces(parts: Sequence[Part], names: Sequence[str], objects: Sequence[tuple[str, str]]) -> Iterator[str]:

@@ -73,7 +73,7 @@ def read_mtl(text: str, picture: Callable[..., Bytes | None]) -> dict[str, Mater
     """Read the materials of a library by name.
 
     Args:
-        text: the library.
+        text: the library; bytes that are no UTF-8 as :func:`os.fsdecode` has them, so that names of files hold.
         picture: reads a picture by its name, None where there is none.
     """
     materials: dict[str, Material] = {}
@@ -84,7 +84,7 @@ def read_mtl(text: str, picture: Callable[..., Bytes | None]) -> dict[str, Mater
             continue
         key, values = words[0].lower(), words[1:]
         if key == "newmtl":
-            name = " ".join(values)
+            name = " ".join(values).encode(errors="surrogateescape").decode(errors="replace")
             materials[name] = Material(name=name)
         elif name in materials:
             materials[name] = _with(materials[name], key, values, picture)
@@ -216,7 +216,7 @@ def _from_obj(data: bytes, file: Path) -> PaintedMesh:
     which = np.where(which < 0, which + ahead[1], which - 1)
     uv = _coordinates_at(which, given, words[b"vt"])[rows] if given.any() and words[b"vt"] else None
     named: list[Path] = []
-    libraries = [rests[row].decode("utf-8", "replace").strip() for row in np.flatnonzero(kinds == b"mtllib")]
+    libraries = [rests[row].decode("utf-8", "surrogateescape").strip() for row in np.flatnonzero(kinds == b"mtllib")]
     known = _materials_beside(file, libraries, named, notes)
     names, used = _named(kinds, rests, b"usemtl")
     materials = tuple(known.get(name, Material(name or "material")) for (name,) in names)
@@ -254,7 +254,7 @@ def _materials_beside(file: Path, libraries: list[str], named: list[Path], notes
             notes.append(f"the material library '{library}' is not there")
         else:
             named.append(there)
-            known |= read_mtl(read_bytes(there, LARGEST_MESH_FILE).decode("utf-8", "replace"), picture)
+            known |= read_mtl(read_bytes(there, LARGEST_MESH_FILE).decode("utf-8", "surrogateescape"), picture)
     return known
 
 
