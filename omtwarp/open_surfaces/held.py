@@ -7,7 +7,7 @@ from, and the polygon of the boundary's vertices lacks the segments up to its ci
 moved, with its boundary fixed, until each original triangle has its share of that polygon. The polygon's area does not
 change on the way. The remaining errors of areas are corrected as on the sphere (:mod:`omtwarp.optimal.exact`). Where
 that takes more than a few steps it leaves slivers: then distortion is minimised among the maps with exact areas. Where
-it fails, distortion, with much weight on areas of parts, is minimised with a penalty on the errors first.
+it fails, distortion is minimised with a penalty on the errors first, and if need be with more weight on areas of parts.
 """
 
 from __future__ import annotations
