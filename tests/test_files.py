@@ -113,3 +113,10 @@ def test_names_that_are_no_utf8(tmp_path):
     assert (tmp_path / "table.csv").read_text("utf-8").split() == ["id", r"gr\udcf6n"]
     table = tables.write_table([{"id": "a", "path": f"{name}.obj", "status": "ok"}], tmp_path)
     assert tables.read_table(table)[0]["path"] == r"gr\udcf6n.obj"
+
+
+def test_results_in_a_folder_that_is_held_do_not_wait_for_it():
+    """Directories of the package's own, as for standard output, are locked while files are recorded in them."""
+    with output.scratch() as folder, output.folder_of_results(folder, "a.txt"):
+        output.write_text(folder / "a.txt", "x")
+        assert json.loads((folder / RECORD).read_text("utf-8")).keys() == {"a.txt"}

@@ -321,7 +321,7 @@ def _recorded(folder: Path) -> dict[str, object]:
 def _record(folder: Path, names: Iterable[str]) -> None:
     """Add files to the record of their folder, as they are now; other processes that do the same wait."""
     part = folder / f"{RECORD}.{secrets.token_hex(4)}"
-    with _held(folder, wait=True):
+    with _held(folder, wait=not folder.name.startswith(PREFIX)):  # folders of its own are held already
         known = _recorded(folder) | {name: digest_of(folder / name) for name in names}
         there = {name: digest for name, digest in known.items() if os.path.lexists(folder / name)}
         try:
