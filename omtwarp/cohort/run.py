@@ -245,7 +245,8 @@ def _follow(records: Generator[Row, None, None], done: int, total: int, progress
     try:
         with contextlib.closing(records):
             for record in records:
-                done, failed = done + 1, failed + (record["status"] != OK)
+                done += 1
+                failed += record["status"] != OK
                 tell(progress, "cohort", done, total, {"failed": failed})
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"{done} of {total} items done; run again to continue") from None

@@ -339,12 +339,12 @@ def _exact(energy: HeldEnergy, given: Floats, scale: float = 1.0) -> tuple[Float
         moved, right = restore_areas(energy, points, rounds=FEW)
         if not right:
             moved, right = restore_areas(energy, points)
-            for weight in () if right else PENALISED_AREAS:
-                even = copy(energy)
-                even.area_weight = weight
-                moved, right = restore_areas(even, _less_distorted(even, points, PENALTY))
+            for weight in PENALISED_AREAS:
                 if right:
                     break
+                weighted = copy(energy)
+                weighted.area_weight = weight
+                moved, right = restore_areas(weighted, _less_distorted(weighted, points, PENALTY))
             if right:
                 least, still = restore_areas(energy, _less_distorted(energy, moved))
                 moved = least if still else moved

@@ -141,7 +141,7 @@ def _shortest_paths(
     return paths
 
 
-def _path_to(end: int, before: NDArray | dict[int, int]) -> list[int]:
+def _path_to(end: int, before: NDArray) -> list[int]:
     """Return the vertices of the shortest path to one, from there back to the root, which has none before it."""
     path = [end]
     while before[path[-1]] >= 0:
@@ -193,8 +193,9 @@ class _LoopGraph:
             group = roots[start : start + size]
             # A loop through a root lies within half its length of it: only vertices so near to one are numbered.
             far = csgraph.dijkstra(graph, directed=False, indices=group, limit=0.5 * self.length, min_only=True)
-            near, number = np.flatnonzero(np.isfinite(far)), np.cumsum(np.isfinite(far)) - 1
-            kept = free[np.isfinite(far[self.edges[free]]).all(axis=1)]
+            reached = np.isfinite(far)
+            near, number = np.flatnonzero(reached), np.cumsum(reached) - 1
+            kept = free[reached[self.edges[free]].all(axis=1)]
             ends = number[self.edges[kept]]
             steps, before = _shortest_paths(ends, self.lengths[kept], len(near), number[group], 0.5 * self.length)
             place, parity = self._parities(steps, before, near)
@@ -206,8 +207,7 @@ class _LoopGraph:
             around = np.flatnonzero(turned.any(axis=1))
             if len(around):
                 best = around[np.argmin(through[row[around], edge[around]])]
-                last = np.append(near, -1)[np.maximum(before[row[best]], -1)]
-                self._take(kept[edge[best]], dict(zip(near.tolist(), last.tolist(), strict=True)))
+                self._take([near[_path_to(end, before[row[best]])].tolist() for end in ends[edge[best]].tolist()])
 
     def _number(self, tail: NDArray, head: NDArray) -> NDArray[np.int64]:
         """Return the numbers of the edges with these ends."""
@@ -277,9 +277,8 @@ class _LoopGraph:
             parent = parent[parent]
         return place, parity
 
-    def _take(self, edge: int, before: dict[int, int]) -> None:
-        """Keep the loop of an edge and the paths to its ends, from where these part."""
-        paths = [_path_to(end, before) for end in self.edges[edge].tolist()]
+    def _take(self, paths: list[list[int]]) -> None:
+        """Keep the loop of an edge and the paths from its ends to one root, from where these part."""
         while len(paths[0]) > 1 and len(paths[1]) > 1 and paths[0][-2] == paths[1][-2]:
             for path in paths:
                 path.pop()
@@ -337,7 +336,7 @@ def cut_open(
         pairs = zip(around, through, crossing, strict=True)
         loops = [other if across and other is not None else own for own, other, across in pairs]
         candidate = cut_handles(vertices, faces, genus, loops)
-        thin = _thinness(candidate) if along == CutAlong.AUTO else 0.0
+        thin = _thinness(candidate)
         if thin < thinness:
             cut, taken, thinness = candidate, crossing, thin
     return cut, [CutAlong.HOLES if each else CutAlong.HANDLES for each in taken]
