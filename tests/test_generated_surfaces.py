@@ -25,6 +25,7 @@ from omtwarp.topology.kind import boundary_loops
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
 
+from cut_by_planes import above
 from random_shapes import creature, random_shape
 
 FIRST, COUNT, MOST_VERTICES = 100, 60, 3000
@@ -155,12 +156,9 @@ def test_what_is_not_kept_comes_with_a_warning(examined):
 def test_exact_areas_of_a_cap_with_long_limbs():
     """They are reached where areas of parts weigh more beside the penalty on errors, and not where they weigh 1."""
     _, whole = ordinary_shape(55)
-    along = int(np.argmax(np.ptp(whole.vertices, axis=0)))
-    level = whole.vertices[:, along]
-    kept = (level[whole.faces] > level.min() + 0.25 * np.ptp(level)).all(axis=1)
-    part = omtwarp.repair(whole.vertices, whole.faces[kept], whole=False)
-    result = omtwarp.map_surface((part.vertices, part.faces), domain="cap", exact=True, optimality=False, device="cpu")
+    part = above(whole.vertices, whole.faces, 0.25)
+    result = omtwarp.map_surface(part, domain="cap", exact=True, optimality=False, device="cpu")
     image = np.bincount(result.face_origin, triangle_solid_angles(*result.sphere[result.faces].transpose(1, 0, 2)))
-    own = triangle_areas(part.vertices, part.faces)
+    own = triangle_areas(*part)
     assert np.abs(image / image.sum() / (own / own.sum()) - 1.0).max() < 1e-8
     assert result.certificate.bijective
