@@ -21,7 +21,7 @@ from omtwarp.mesh.shapes import blob, demo_shape, icosphere, random_sphere, tube
 from omtwarp.mesh.surface import Surface, as_surface
 from omtwarp.metrics.certificate import certify_triangles
 from omtwarp.metrics.optimality import map_optimality
-from omtwarp.optimal.nested import smoothed
+from omtwarp.optimal.exact import smoothed
 from omtwarp.options import Stage, parse_refinement
 from omtwarp.transport.cost import transport_cost
 

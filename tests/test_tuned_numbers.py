@@ -21,7 +21,7 @@ ELSEWHERE = (
 
 # A tuned number changes the map, and was chosen by what comes out: more of one thing for less of another.
 TUNED = {
-    "optimal/nested.py": "SHAPE_SHARE AREA_FACTOR VERTICES_PER_COARSE SMOOTHING_WEIGHT",
+    "optimal/nested.py": "SHAPE_SHARE AREA_FACTOR VERTICES_PER_COARSE PENALTIES",
     "optimal/solver.py": "PENALTY",
     "optimal/steps.py": "MOST_HELD",
     "optimal/local.py": "GAIN_SHARE MAX_GAIN_SHARE MAX_CHOSEN_SHARE FREED_RINGS",
@@ -38,7 +38,7 @@ OTHERS = {
         "conformal/maps.py": "GAIN",
         "optimal/cells.py": "MAX_RING_RMS MAX_RING_ERROR MAX_CELL_RMS MAX_CELL_ERROR",
         "optimal/energy.py": "exact_tolerance",
-        "optimal/nested.py": "SMOOTHING_TOLERANCE",
+        "optimal/nested.py": "PENALISED_GAIN",
         "optimal/solver.py": "GAIN LOCAL_GAIN_SHARE LEAST_AREA_GAIN",
         "optimal/turns.py": "LEAST_TURNED",
         "untangling/untangle.py": "LARGEST_EPSILON SMALLEST_EPSILON SETTLED_GAIN",
@@ -51,7 +51,7 @@ OTHERS = {
         "conformal/maps.py": "STEPS",
         "optimal/local.py": "MAX_OPERATIONS MAX_STEPS",
         "optimal/patch_kernels.py": "MAX_HALVINGS",
-        "optimal/nested.py": "STEPS SMOOTHING_STEPS",
+        "optimal/nested.py": "STEPS PENALISED_STEPS",
         "optimal/solver.py": "MAX_HALVINGS",
         "solvers/cholesky/multifrontal.py": "REFINEMENTS",
         "moser.py": "SHORTEST_STEP MAX_STEPS",

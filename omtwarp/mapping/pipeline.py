@@ -36,7 +36,7 @@ from omtwarp.open_surfaces.hemisphere import is_symmetric, mirror_frame, symmetr
 from omtwarp.open_surfaces.symmetric import MirroredSphere
 from omtwarp.optimal import OptimalMap, nested, optimal_map
 from omtwarp.optimal.density import map_to_density
-from omtwarp.optimal.exact import exact_map, largest_error
+from omtwarp.optimal.exact import exact_map, largest_error, smoothed
 from omtwarp.optimal.refinement import refine_map, refinement_weight
 from omtwarp.options import (
     AreaMatch,
@@ -554,12 +554,7 @@ class MapComputation:
         # Cutting along great circles keeps a map one to one, except for rounding.
         self.maps = {name: quartered.on_sphere(sphere) for name, sphere in self.maps.items()}
         before, crowded = self.untangle(self.sphere, self.sphere)
-        # Triangles whose areas are far off stop the minimisation: without smoothing the areas of 4 of 30 made surfaces
-        # are not reached, with it all are, and long limbs take 34 steps for 193, 25 for 160, 10 for 200. The areas
-        # around vertices count in it, as most are right already: of 8 surfaces with long limbs 2, 0, 0 and 1 fail with
-        # a weight of 0, 100, 300 and 1000, and the second takes the fewest steps.
-        smooth = nested.smoothed(self.surface, before, rings=100.0, steps=10, device=self.device)
-        smooth = self.symmetric(smooth, repair=True)
+        smooth = self.symmetric(smoothed(self.surface, before, device=self.device), repair=True)
         # A mesh whose triangles are cut in four bears more of the shape term: more trades optimality for smoothness.
         weight = 2.0 * nested.shape_term(self.surface, before, self.source, self.device).weight
         exact = exact_map(

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,9 +26,11 @@ from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh.arrays import Floats, real_number
 from omtwarp.mesh.quarter import QuarteredSurface
-from omtwarp.mesh.surface import as_unit_vectors
+from omtwarp.mesh.surface import Surface, as_unit_vectors
 from omtwarp.optimal.cells import TriangleCells
 from omtwarp.optimal.energy import SHAPE_WEIGHT, MapTerms, TransportEnergy
+from omtwarp.optimal.nested import turned_onto
+from omtwarp.optimal.refinement import least_distortion
 from omtwarp.optimal.solver import GAIN, OptimalMap, minimise, softness
 from omtwarp.optimal.sphere import Sphere, energy_on_sphere
 from omtwarp.optimal.steps import FlipFreeSteps
@@ -97,6 +100,28 @@ def _step(
 def _right(energy: TransportEnergy, terms: MapTerms) -> bool:
     """Return whether all areas are within the tolerance."""
     return max(energy.area_rms(terms), terms.largest) <= energy.exact_tolerance
+
+
+# Weights of areas against angle, of triangles and around vertices, and tolerance and most steps, of smoothing.
+SMOOTHING_WEIGHT, SMOOTHING_RINGS, SMOOTHING_TOLERANCE, SMOOTHING_STEPS = 30.0, 100.0, 0.02, 10
+
+
+def smoothed(surface: Surface, sphere: Floats, *, device: str | None = "auto") -> Floats:
+    """Return a map without its slivers, turned onto the one given; as found where turning flips.
+
+    Triangles whose areas are far off stop the minimisation of exact maps: without smoothing the areas of 4 of 30 made
+    surfaces are not reached, with it all are, and long limbs take 34 steps for 193, 25 for 160, 10 for 200. The areas
+    around vertices count in it, as most are right already: of 8 surfaces with long limbs 2, 0, 0 and 1 fail with a
+    weight of 0, 100, 300 and 1000, and the second takes the fewest steps.
+
+    Args:
+        surface: V vertices.
+        sphere: the map, no triangle flipped, shape [V, 3].
+        device: where the kernels run.
+    """
+    least = partial(least_distortion, iterations=SMOOTHING_STEPS, tolerance=SMOOTHING_TOLERANCE, device=device)
+    smooth = least(surface, sphere, SMOOTHING_WEIGHT, of_rings=SMOOTHING_RINGS).sphere
+    return turned_onto(surface, smooth, sphere, device)
 
 
 ITERATIONS = 200  # largest number of steps; a map that needs more reports that it has not converged

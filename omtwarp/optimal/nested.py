@@ -16,6 +16,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from omtwarp.device.policy import resolve_device
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import is_bijective
 from omtwarp.geometry.axes import principal_axes, turned_towards
@@ -24,8 +25,8 @@ from omtwarp.mesh.arrays import Floats, Ints, normalised, squared_norms
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, sums_around, triangle_areas
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.moser import moser_map
-from omtwarp.optimal.refinement import least_distortion
-from omtwarp.optimal.solver import optimal_map
+from omtwarp.optimal.solver import minimise, optimal_map
+from omtwarp.optimal.sphere import energy_on_sphere
 from omtwarp.optimal.turns import turned_back
 from omtwarp.transport.cost import transport_cost
 from omtwarp.untangling.untangle import untangled
@@ -47,10 +48,10 @@ APART = 0.01
 # Most of a minimisation: more trade time for areas. Of sixty made surfaces one, a needle, takes more, and with 24 none
 # takes ten times as long as is usual for its size.
 STEPS = 24
-# Weight of area against angle, and tolerance and most steps, of smoothing an embedding: its slivers stop the
-# minimisation; more smoothing costs time and gains nothing. With a weight of 10 four more of 120 made surfaces end with
-# a warning.
-SMOOTHING_WEIGHT, SMOOTHING_TOLERANCE, SMOOTHING_STEPS = 30.0, 0.02, 6
+# Penalties on errors of areas, one after the other, in place of constraints where a map is far from the optimum, and
+# the gain in radians² and the steps that end each. More of them take longer; without, or with constraints on smoothed
+# slivers, one of ten long-limbed surfaces stops where no step lowers the cost.
+PENALTIES, PENALISED_GAIN, PENALISED_STEPS = (1.0, 10.0, 100.0), 0.01, 6
 
 
 @dataclass(frozen=True)
@@ -203,8 +204,8 @@ def embedded_start(
     """Return a map near the optimal one, made from a coarse-to-fine embedding of even areas.
 
     The embedding, turned towards the points x, is triangulated coarsely, and so is the triangulation, down to a few
-    hundred vertices. The optimal map of each is carried to the next and turned back limb by limb. Slivers are smoothed
-    away on the mesh itself.
+    hundred vertices. The optimal map of each is carried to the next and turned back limb by limb; penalties that grow
+    bring its areas near those wanted.
 
     Args:
         surface: closed, V vertices.
@@ -219,12 +220,12 @@ def embedded_start(
     from omtwarp.start.hierarchical import hierarchical_embedding  # its kernels are read for few surfaces
 
     sphere = hierarchical_embedding(surface, device=device).sphere if embedding is None else embedding
-    return smoothed(surface, _from_embedding(surface, sphere, start, double, device), device=device)
+    return _from_embedding(surface, sphere, start, double, device)
 
 
 def _from_embedding(surface: Surface, sphere: Floats, start: Floats, double: bool, device: str | None) -> Floats:
-    """Return the map that an embedding leads to, with slivers; arguments are as of :func:`embedded_start`."""
-    sphere = _turned(surface, sphere, start, device)
+    """Return the map that an embedding leads to; arguments are as of :func:`embedded_start`."""
+    sphere = turned_onto(surface, sphere, start, device)
     if surface.vertex_count >= VERTICES_PER_COARSE * LEAST_COARSE and not double:
         try:
             coarse = coarse_surface(surface, sphere, places=surface.scaled_vertices + APART * sphere)
@@ -233,7 +234,13 @@ def _from_embedding(surface: Surface, sphere: Floats, start: Floats, double: boo
             sphere = untangled(surface, _carried(coarse, first, points, device), device=device)
         except OmtwarpError:
             pass  # the carried map has flips that cannot be repaired: steps begin on the mesh itself
-    return turned_back(surface, sphere, start, device=device)
+    sphere = turned_back(surface, sphere, start, device=device)
+    term = shape_term(surface, sphere, start, device)
+    energy = energy_on_sphere(surface, start, resolve_device(device), term.weight, area_weight=term.area)
+    least = partial(minimise, energy, gain=PENALISED_GAIN, iterations=PENALISED_STEPS, progress=None)
+    for penalty in PENALTIES:
+        sphere = least(sphere, penalty=penalty).points
+    return sphere
 
 
 def _carried(coarse: Coarse, first: Floats, start: Floats, device: str | None) -> Floats:
@@ -243,23 +250,7 @@ def _carried(coarse: Coarse, first: Floats, start: Floats, device: str | None) -
     return coarse.carried(solve(coarse.surface, first, start=start).sphere)
 
 
-def smoothed(
-    surface: Surface, sphere: Floats, *, rings: float = 0.0, steps: int = SMOOTHING_STEPS, device: str | None = "auto"
-) -> Floats:
-    """Return a map without its slivers, turned onto the one given; as found where turning flips.
-
-    Args:
-        surface: V vertices.
-        sphere: the map, no triangle flipped, shape [V, 3].
-        rings: the weight of the areas around vertices beside those of triangles.
-        steps: largest number of them.
-        device: where the kernels run.
-    """
-    least = partial(least_distortion, iterations=steps, tolerance=SMOOTHING_TOLERANCE, device=device)
-    return _turned(surface, least(surface, sphere, SMOOTHING_WEIGHT, of_rings=rings).sphere, sphere, device)
-
-
-def _turned(surface: Surface, sphere: Floats, towards: Floats, device: str | None) -> Floats:
+def turned_onto(surface: Surface, sphere: Floats, towards: Floats, device: str | None) -> Floats:
     """Return a map turned onto other points, or as it is where turning flips a triangle."""
     turned = normalised(turned_towards(sphere, towards, surface.vertex_areas))
     return turned if is_bijective(turned, surface.faces, device=device) else sphere

@@ -25,8 +25,7 @@ class FlipFreeSteps:
 
     def __init__(self, energy: TransportEnergy):
         self._energy, self._domain, self._device = energy, energy.domain, energy.device
-        mesh = energy.surface.on(energy.device)
-        self._count, self._triangles = energy.surface.vertex_count, [*mesh.vertex_corners, mesh.faces]
+        self._count, self._faces = energy.surface.vertex_count, energy.surface.on(energy.device).faces
         self._whole = wp.full(self._count, 1.0, dtype=wp.float64, device=self._device)
 
     def tried(
@@ -74,9 +73,9 @@ class FlipFreeSteps:
         holds = 29  # halvings of the shares of corners of triangles in trouble
         share = self._whole
         for _ in range(holds):
-            inputs = [*self._triangles, marks, share]
-            share = wp.empty_like(share)
-            wp.launch(hold_back, dim=self._count, inputs=inputs, outputs=[share], device=self._device)
+            inputs = [self._faces, marks, share]
+            share = wp.clone(share)
+            wp.launch(hold_back, dim=len(marks), inputs=inputs, outputs=[share], device=self._device)
             held = int(np.count_nonzero(share.numpy() < 1.0))  # never less than the last time
             if held > MOST_HELD * self._count:
                 return None

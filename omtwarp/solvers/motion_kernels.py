@@ -58,30 +58,24 @@ def triangle_trouble(
 
 @wp.kernel
 def hold_back(
-    offsets: wp.array[wp.int32],
-    corners: wp.array[wp.int32],
     faces: wp.array[wp.vec3i],
     trouble: wp.array[wp.float64],
     share: wp.array[wp.float64],
-    # Data out:
+    # Data in and out:
     held: wp.array[wp.float64],
 ):
-    """Halve the share of every vertex of a triangle in trouble, and let neighbours follow; small shares become zero."""
-    i = wp.tid()
-    any_trouble = ZERO
-    least = ONE
-    for k in range(offsets[i], offsets[i + 1]):
-        t = corners[k] // 3
-        any_trouble = wp.max(any_trouble, trouble[t])
-        for j in range(3):
-            least = wp.min(least, share[faces[t][j]])
-    own = share[i]
-    if any_trouble > ZERO:
-        own = HALF * own
-    own = wp.min(own, NEXT_SHARE * wp.max(least, LEAST_SHARE))
-    if own < LEAST_SHARE:
-        own = ZERO
-    held[i] = own
+    """Halve the shares of every triangle's corners in trouble, and let the others follow; small shares become zero.
+
+    ``held`` is a copy of the shares.
+    """
+    t = wp.tid()
+    face = faces[t]
+    least = wp.min(wp.min(share[face[0]], share[face[1]]), share[face[2]])
+    if trouble[t] > ZERO or least < ONE:
+        for k in range(3):
+            own = wp.where(trouble[t] > ZERO, HALF, ONE) * share[face[k]]
+            own = wp.min(own, NEXT_SHARE * wp.max(least, LEAST_SHARE))
+            wp.atomic_min(held, face[k], wp.where(own < LEAST_SHARE, ZERO, own))
 
 
 @wp.kernel
