@@ -25,6 +25,7 @@ from omtwarp.mesh.arrays import Floats, Ints, normalised, squared_norms
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, sums_around, triangle_areas
 from omtwarp.metrics.distortion import measure_triangles
 from omtwarp.moser import moser_map
+from omtwarp.optimal.energy import TransportEnergy
 from omtwarp.optimal.solver import minimise, optimal_map
 from omtwarp.optimal.sphere import energy_on_sphere
 from omtwarp.optimal.turns import turned_back
@@ -236,11 +237,22 @@ def _from_embedding(surface: Surface, sphere: Floats, start: Floats, double: boo
             pass  # the carried map has flips that cannot be repaired: steps begin on the mesh itself
     sphere = turned_back(surface, sphere, start, device=device)
     term = shape_term(surface, sphere, start, device)
-    energy = energy_on_sphere(surface, start, resolve_device(device), term.weight, area_weight=term.area)
+    return approached(
+        energy_on_sphere(surface, start, resolve_device(device), term.weight, area_weight=term.area), sphere
+    )
+
+
+def approached(energy: TransportEnergy, points: Floats) -> Floats:
+    """Return a map nearer to the optimal one, by penalties on errors of areas that grow.
+
+    Args:
+        energy: what is minimised.
+        points: a map without flips, shape [V, 3], or [V, 2] in the plane.
+    """
     least = partial(minimise, energy, gain=PENALISED_GAIN, iterations=PENALISED_STEPS, progress=None)
     for penalty in PENALTIES:
-        sphere = least(sphere, penalty=penalty).points
-    return sphere
+        points = least(points, penalty=penalty).points
+    return points
 
 
 def _carried(coarse: Coarse, first: Floats, start: Floats, device: str | None) -> Floats:

@@ -70,7 +70,7 @@ class _TorusComputation:
 
     def optimal(self) -> None:
         """Find the discrete optimal map."""
-        optimum, self.shape_weight = self.maps.optimal(self.maps.eased(self.torus))
+        optimum, self.shape_weight = self.maps.optimal(self.maps.near(self.torus))
         wrong = optimum.history[-1]["ring_largest"]
         self.take("omt", optimum, {"largest_ring_error": wrong})
         if wrong > WRONG_AREA:

@@ -13,7 +13,7 @@ from omtwarp.mesh.surface import SPHERE_AREA, Surface
 from omtwarp.optimal.cells import Cells, MeasuredRings
 from omtwarp.optimal.energy import TransportEnergy
 from omtwarp.optimal.exact import restore_areas
-from omtwarp.optimal.nested import shape_term_by_law
+from omtwarp.optimal.nested import approached, shape_term_by_law
 from omtwarp.optimal.plane import Plane, PlaneCost, PlaneShape
 from omtwarp.optimal.refinement import MOST_WEIGHT, match_area, refinement_weight
 from omtwarp.optimal.solver import GAIN, OptimalMap, minimise
@@ -23,8 +23,6 @@ from omtwarp.torus.harmonic import FlatTorus
 
 STEPS = 100  # largest number of steps; a map that needs more reports that it has not converged
 REFINED = 1e-4  # least expected gain of a step of a refinement
-# Weights of areas relative to angles, one after the other, where areas are wrong by more than UNEVEN, rms.
-EASING_WEIGHTS, UNEVEN = (1.0, 100.0), 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,38 +71,27 @@ class TorusMaps:
         Raises:
             OmtwarpError: a triangle of the start is turned over.
         """
-        y = self.conformal.points if start is None else start.points
-        y = y - self.surface.vertex_areas / SPHERE_AREA @ (y - self.conformal.points)
-        energy = self.energy(1.0)
-        terms = energy.terms(energy.domain.sent(y))
-        term = shape_term_by_law(energy.cost(terms) / SPHERE_AREA, terms.shape.angle + 2.0)
-        energy.shape_weight, energy.area_weight = term.weight, term.area
+        energy, y = self._weighed(self.conformal if start is None else start)
         optimal = minimise(energy, y, gain=GAIN, iterations=STEPS, progress=self.progress)
         points, _ = restore_areas(energy, optimal.points)
         after = energy.terms(energy.domain.sent(points))
         last = {**optimal.history[-1], "cost": energy.cost(after)}
         last |= {"ring_rms": energy.area_rms(after), "ring_largest": after.largest}
         last |= {"area": after.shape.area + 2.0, "angle": after.shape.angle + 2.0}
-        return replace(optimal, points=points, history=(*optimal.history, last)), term.weight
+        return replace(optimal, points=points, history=(*optimal.history, last)), energy.shape_weight
 
-    def eased(self, start: FlatTorus) -> FlatTorus:
-        """Move an embedding whose areas are wrong to one of well-shaped triangles, where the optimal map is near.
+    def near(self, start: FlatTorus) -> FlatTorus:
+        """Return a map near the optimal one, from one without flips whose areas may be wrong."""
+        return start.at(approached(*self._weighed(start)))
 
-        Limbs that the conformal map shrinks to nothing have long thin triangles of wrong areas in the embedding. From
-        these, steps of the transport are short and depend on the last bit. Angles and areas alone have a minimum that
-        is found from anywhere near: with little weight on areas first, then with much.
-
-        Args:
-            start: a map without flips.
-
-        Returns:
-            The map; that of the start where its areas are nearly right.
-        """
-        points, energy = start.points, self.energy(1.0)
-        if energy.area_rms(energy.terms(energy.domain.sent(points))) > UNEVEN:
-            for weight in EASING_WEIGHTS:
-                points = replace(self, progress=None).refined(points, weight)[0].points
-        return start.at(points)
+    def _weighed(self, start: FlatTorus) -> tuple[TransportEnergy, Floats]:
+        """Return the energy, its shape term weighed by the law at a map, and this moved to least cost, shape [V, 2]."""
+        energy = self.energy(1.0)
+        points = start.points - self.surface.vertex_areas / SPHERE_AREA @ (start.points - self.conformal.points)
+        terms = energy.terms(energy.domain.sent(points))
+        term = shape_term_by_law(energy.cost(terms) / SPHERE_AREA, terms.shape.angle + 2.0)
+        energy.shape_weight, energy.area_weight = term.weight, term.area
+        return energy, points
 
     def refined(self, points: Floats, weight: Refinement | AreaMatch | float) -> tuple[OptimalMap, float]:
         """Move a map to a minimum of angle plus λ times area distortion: see :mod:`omtwarp.optimal.refinement`.
