@@ -190,7 +190,7 @@ def test_ring_torus_goes_to_its_closed_form():
 @pytest.mark.parametrize("seed", [35, 39])
 def test_a_slender_knot_ends_at_its_optimum(seed):
     """Its embedding is far from the optimum: with constraints at once steps end 0.2 % above the bound."""
-    result = map_to_torus(surface_with_handles(seed, 6000), MapOptions())
+    result = omtwarp.map_surface(surface_with_handles(seed, 6000), domain="torus")
     stage = result.report["stages"][-1]
     assert stage["ended"] == "optimal" and result.report["optimality"]["gap"] < 1e-3
 
