@@ -12,6 +12,7 @@ from omtwarp.errors import OmtwarpError, choose
 # Launches of fewer threads are not divided on the CPU: waking another core takes as long as it saves. Maps of scans and
 # registrations take a tenth less of all cores' time than with 4,096.
 SMALLEST_SHARED_LAUNCH = 16_384
+HEAVY_LAUNCH = 2_048  # the same of kernels whose threads take a tenth of a microsecond or more
 
 
 def resolve_device(device: str | None = "auto") -> wp.Device:

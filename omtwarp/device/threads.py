@@ -129,15 +129,17 @@ def launch_parts(
     run_all(launch, parts)
 
 
-def computed(kernel: wp.Kernel, inputs: Sequence[object], out: wp.array) -> wp.array:
+def computed(
+    kernel: wp.Kernel, inputs: Sequence[object], out: wp.array, least: int = SMALLEST_SHARED_LAUNCH
+) -> wp.array:
     """Launch a kernel in parts whose every thread writes one element, or row, of an array, and return the array.
 
     Args:
-        kernel, inputs: as of :func:`launch_parts`.
+        kernel, inputs, least: as of :func:`launch_parts`.
         out: as many elements or rows as threads; a part gets its own, or with :data:`FIRST_THREAD` all.
     """
     whole = any(given is FIRST_THREAD for given in inputs)
-    launch_parts(kernel, len(out), inputs, [out] if whole else each(out), out.device)
+    launch_parts(kernel, len(out), inputs, [out] if whole else each(out), out.device, least)
     return out
 
 

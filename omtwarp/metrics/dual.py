@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.arrays import sent, vectors
-from omtwarp.device.policy import resolve_device
+from omtwarp.device.policy import HEAVY_LAUNCH, resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import FIRST_THREAD, each, launch_parts
 from omtwarp.mesh.arrays import TINY, Floats, cross, dots, norms, squared_norms
@@ -232,7 +232,7 @@ class MapDual:
         """Return the lower bound on the cost that a potential ψ gives, with its c-transform φ at every x_i."""
         tree, device, own = self._tree, self.device, self.cost - potential
         tree.nodal = sent(potential, wp.float64, device)
-        wp.launch(kernels.sample_triangles, dim=len(tree.triangles), outputs=[tree], device=device)
+        launch_parts(kernels.sample_triangles, len(tree.triangles), [FIRST_THREAD], [tree], device, HEAVY_LAUNCH)
         if not self._fitted:
             launch_parts(kernels.fit_nodes, len(tree.models) - 1, [FIRST_THREAD], [tree], device)
             self._fitted = True

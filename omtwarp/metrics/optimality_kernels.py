@@ -98,6 +98,7 @@ def sample_weights(s: int) -> wp.vec3d:
 
 @wp.kernel
 def sample_triangles(
+    begin: int,
     # Data in and out:
     tree: Tree,
 ):
@@ -105,7 +106,7 @@ def sample_triangles(
 
     A quarter along an edge a cubic is within 3 % as far from the quadratic through its ends and middle as anywhere.
     """
-    leaf = wp.tid()
+    leaf = begin + wp.tid()
     face = tree.triangles[leaf]
     part = tree.corners[leaf]
     sampled = vec6d()

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from omtwarp.device.arrays import Workspace, empty, sent
-from omtwarp.device.policy import shares_host_memory
+from omtwarp.device.policy import HEAVY_LAUNCH, shares_host_memory
 from omtwarp.device.start import wp
 from omtwarp.device.sums import Reading
 from omtwarp.device.threads import FIRST_THREAD, Each, computed, each, launch_parts
@@ -123,7 +123,7 @@ class DistortionEnergy:
         assert isinstance(terms, Terms)
         corners = self._scratch(3 * self._count, 3).view(wp.vec3d)
         inputs = [points, *each(*self._mesh), self.pressures(terms, weight)]
-        launch_parts(kernels.triangle_gradient, self._count, inputs, [Each(corners, 3)], self.device)
+        launch_parts(kernels.triangle_gradient, self._count, inputs, [Each(corners, 3)], self.device, HEAVY_LAUNCH)
         inputs = [points, *self._rows, corners, wp.float64(SPHERE_AREA), FIRST_THREAD]
         return computed(kernels.gather_tangent, inputs, empty(self.surface.vertex_count, wp.vec3d, self.device))
 
@@ -134,7 +134,7 @@ class DistortionEnergy:
         """
         assert isinstance(terms, Terms)
         inputs = [points, *each(*self._mesh), self.pressures(terms, weight), wp.float64(SPHERE_AREA), False]
-        return computed(kernels.triangle_hessian, inputs, self._scratch(self._count, 21))
+        return computed(kernels.triangle_hessian, inputs, self._scratch(self._count, 21), HEAVY_LAUNCH)
 
     def pressures(self, terms: Terms, weight: float) -> wp.vec3d:
         """Return the factors of D, 1 / D and the needle barrier in the energy linearised by the image's total area."""

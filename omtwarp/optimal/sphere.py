@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.arrays import empty, vectors
-from omtwarp.device.policy import resolve_device
+from omtwarp.device.policy import HEAVY_LAUNCH, resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import FIRST_THREAD, Each, computed, each
 from omtwarp.flips.exact import flipped_faces
@@ -52,7 +52,7 @@ class Sphere(Domain):
     def area_slopes(self, points: wp.array) -> wp.array:
         """Return the derivatives of every solid angle by its corners, in their frames, vec2d, shape [F, 3]."""
         slopes = wp.empty((self.surface.face_count, 3), dtype=wp.vec2d, device=self.device)
-        return computed(area_slopes, [points, Each(self._faces)], slopes)
+        return computed(area_slopes, [points, Each(self._faces)], slopes, HEAVY_LAUNCH)
 
     def coordinates(self, points: wp.array, vectors: wp.array) -> wp.array:
         """Return vectors, vec3d, shape [V], in the tangent bases at ``points``, float64, shape [V, 2]."""
@@ -111,14 +111,14 @@ class GeodesicCost:
         """Return the gradient of Σ masses_v cost_v + Σ potential_f area_f and a further one, vec3d, shape [V]."""
         mesh = [self.start, points, self._mesh.faces, masses, potential, *self._mesh.vertex_corners]
         inputs = [*mesh, self.softness, further, wp.float64(weight), FIRST_THREAD]
-        return computed(transport_gradient, inputs, empty(self._count, wp.vec3d, self._device))
+        return computed(transport_gradient, inputs, empty(self._count, wp.vec3d, self._device), HEAVY_LAUNCH)
 
     def hessian(self, points: wp.array, masses: wp.array, least: float) -> wp.array:
         """Return the second derivative at the optimum, with raised eigenvalues, float64, shape [V, 4]."""
         mesh = [self.start, points, self._mesh.faces, masses, *self._mesh.vertex_corners]
         inputs = [*mesh, wp.float64(least), self.softness, FIRST_THREAD]
         metric = wp.empty(self._count, dtype=wp.vec4d, device=self._device)
-        return computed(cost_metric, inputs, metric).view(wp.float64)
+        return computed(cost_metric, inputs, metric, HEAVY_LAUNCH).view(wp.float64)
 
 
 class NoCost(GeodesicCost):
