@@ -309,8 +309,7 @@ def torus_optimality(surface: Surface, x: Floats, y: Floats, shift: Floats, latt
     cost = float(surface.vertex_areas @ squared_norms(moved))
     curl = _curl(surface, y[surface.faces] + shift, moved).relative
     dual = MapDual(surface, x, y, surface.vertex_areas, "cpu", shift, lattice)
-    fitted, _ = dual.initial_potential()
-    best, taken = ascend(dual, dual.bound(fitted), ASCENT_STEPS, _excess_at(cost, GOOD_ENOUGH))
+    best, taken = ascend(dual, dual.bound(dual.initial_potential()[0]), ASCENT_STEPS, _excess_at(cost, GOOD_ENOUGH))
     lower = max(cost - 2.0 * best.excess, 0.0)
     steps = np.array([(i, j) for i in range(-2, 3) for j in range(-2, 3) if (i, j) != (0, 0)]) @ lattice
     other = squared_norms(moved[:, None] + steps).min(axis=1)

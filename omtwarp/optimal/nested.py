@@ -218,28 +218,23 @@ def embedded_start(
     Raises:
         OmtwarpError: there is no embedding.
     """
-    from omtwarp.start.hierarchical import hierarchical_embedding  # its kernels are read for few surfaces
+    if embedding is None:
+        from omtwarp.start.hierarchical import hierarchical_embedding  # its kernels are read for few surfaces
 
-    sphere = hierarchical_embedding(surface, device=device).sphere if embedding is None else embedding
-    return _from_embedding(surface, sphere, start, double, device)
-
-
-def _from_embedding(surface: Surface, sphere: Floats, start: Floats, double: bool, device: str | None) -> Floats:
-    """Return the map that an embedding leads to; arguments are as of :func:`embedded_start`."""
-    sphere = turned_onto(surface, sphere, start, device)
+        embedding = hierarchical_embedding(surface, device=device).sphere
+    sphere = turned_onto(surface, embedding, start, device)
     if surface.vertex_count >= VERTICES_PER_COARSE * LEAST_COARSE and not double:
         try:
             coarse = coarse_surface(surface, sphere, places=surface.scaled_vertices + APART * sphere)
             points = start[coarse.vertices]
-            first = _from_embedding(coarse.surface, sphere[coarse.vertices], points, double, device)
+            first = embedded_start(coarse.surface, points, sphere[coarse.vertices], device=device)
             sphere = untangled(surface, _carried(coarse, first, points, device), device=device)
         except OmtwarpError:
             pass  # the carried map has flips that cannot be repaired: steps begin on the mesh itself
     sphere = turned_back(surface, sphere, start, device=device)
     term = shape_term(surface, sphere, start, device)
-    return approached(
-        energy_on_sphere(surface, start, resolve_device(device), term.weight, area_weight=term.area), sphere
-    )
+    energy = energy_on_sphere(surface, start, resolve_device(device), term.weight, area_weight=term.area)
+    return approached(energy, sphere)
 
 
 def approached(energy: TransportEnergy, points: Floats) -> Floats:

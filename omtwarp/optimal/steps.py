@@ -73,9 +73,8 @@ class FlipFreeSteps:
         holds = 29  # halvings of the shares of corners of triangles in trouble
         share = self._whole
         for _ in range(holds):
-            inputs = [self._faces, marks, share]
-            share = wp.clone(share)
-            wp.launch(hold_back, dim=len(marks), inputs=inputs, outputs=[share], device=self._device)
+            last, share = share, wp.clone(share)
+            wp.launch(hold_back, len(marks), [self._faces, marks, last], [share], device=self._device)
             held = int(np.count_nonzero(share.numpy() < 1.0))  # never less than the last time
             if held > MOST_HELD * self._count:
                 return None
