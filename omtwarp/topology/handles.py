@@ -336,7 +336,7 @@ def cut_open(
         pairs = zip(around, through, crossing, strict=True)
         loops = [other if across and other is not None else own for own, other, across in pairs]
         candidate = cut_handles(vertices, faces, genus, loops)
-        thin = _thinness(candidate)
+        thin = _thinness(candidate) if along == CutAlong.AUTO else 0.0
         if thin < thinness:
             cut, taken, thinness = candidate, crossing, thin
     return cut, [CutAlong.HOLES if each else CutAlong.HANDLES for each in taken]
