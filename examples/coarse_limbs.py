@@ -78,4 +78,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except omtwarp.OmtwarpError as error:
+        raise SystemExit(f"error: {error}") from None

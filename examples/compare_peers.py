@@ -456,4 +456,7 @@ def write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except (OSError, omtwarp.OmtwarpError) as error:
+        raise SystemExit(f"error: {error}") from None

@@ -209,4 +209,7 @@ def draw(path: Path, runs: list[dict[str, Any]]) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except omtwarp.OmtwarpError as error:
+        raise SystemExit(f"error: {error}") from None

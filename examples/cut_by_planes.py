@@ -98,4 +98,7 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    try:
+        sys.exit(main())
+    except omtwarp.OmtwarpError as error:
+        raise SystemExit(f"error: {error}") from None

@@ -410,4 +410,7 @@ DRAW = {
 }
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except omtwarp.OmtwarpError as error:
+        raise SystemExit(f"error: {error}") from None

@@ -70,6 +70,18 @@ def test_example_runs(script, tmp_path, monkeypatch, smallest_pictures):
         assert not list(tmp_path.iterdir()), "an example of the gallery writes files"
 
 
+@pytest.mark.parametrize(
+    "name", ["compare_disks", "compare_registrations", "convergence", "cut_by_planes", "least_area"]
+)
+def test_a_script_says_which_mesh_is_missing(name, tmp_path, monkeypatch):
+    script = ROOT / "examples" / f"{name}.py"
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(script.parent)
+    monkeypatch.setattr(sys, "argv", [str(script), "missing.ply"])
+    with pytest.raises(SystemExit, match=r"missing\.ply: no such file"):
+        runpy.run_path(str(script), run_name="__main__")
+
+
 @pytest.mark.parametrize("script", [s for s in SCRIPTS if s.name.startswith("plot_")], ids=lambda script: script.stem)
 def test_gallery_pages_have_a_title_and_a_picture(script):
     tree = ast.parse(script.read_text("utf-8"))
