@@ -51,6 +51,44 @@ def taken_together(meshes: Sequence[Mesh]) -> Mesh:
     return np.concatenate([points for points, _ in meshes]), np.concatenate(triangles)
 
 
+def cut_at_middles(
+    faces: NDArray[np.integer], middles: NDArray[np.integer], points: NDArray[np.float64] | None = None
+) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Cut triangles along the lines between new vertices on their edges.
+
+    Args:
+        faces: triangles, shape [F, 3].
+        middles: the new vertex of the edge from corner k to corner k + 1, or -1, shape [F, 3].
+        points: the vertices and new ones, float64, shape [V, 3]: of a triangle with two new vertices they decide
+            which diagonal of the quadrilateral is cut along, the shorter one; without them always the one that goes
+            from a corner.
+
+    Returns:
+        The parts, int32, shape [G, 3], those of triangles with fewer new vertices first, and of which triangle each
+        is, shape [G].
+    """
+    new = middles >= 0
+    count = new.sum(axis=1)
+    # Turned so that the first edge is the lone one with a new vertex, or the one after the lone one without.
+    first = np.where(count == 2, new.argmin(axis=1) + 1, np.where(count == 1, new.argmax(axis=1), 0))
+    corners = (np.arange(3) + first[:, None]) % 3
+    (a, b, c), (p, q, r) = (np.take_along_axis(rows, corners, axis=1).T for rows in (faces, middles))
+    start, end = a, q
+    if points is not None:
+        short = np.linalg.norm(points[a] - points[q], axis=1) <= np.linalg.norm(points[p] - points[c], axis=1)
+        start, end = np.where(short, a, p), np.where(short, q, c)
+    pieces = [
+        [(a, b, c)],
+        [(a, p, c), (p, b, c)],
+        [(p, b, q), (a, p, end), (start, q, c)],
+        [(a, p, r), (p, b, q), (r, q, c), (p, q, r)],
+    ]
+    of_count = [np.flatnonzero(count == k) for k in range(len(pieces))]
+    cut = [np.stack(piece, axis=1)[of_count[k]] for k, several in enumerate(pieces) for piece in several]
+    origin = [of_count[k] for k, several in enumerate(pieces) for _ in several]
+    return np.concatenate(cut).astype(np.int32), np.concatenate(origin)
+
+
 def triangles_of_strips(flat: NDArray[np.generic], lengths: NDArray[np.int64]) -> NDArray[np.generic]:
     """Return the triangles of strips: three corners in a row each, every second one turned.
 

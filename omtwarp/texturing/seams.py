@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from omtwarp.location import combined
 from omtwarp.mesh.arrays import ROUND_OFF, Floats, Ints, cross, edge_keys, marked, normalised, norms
+from omtwarp.mesh.polygons import cut_at_middles
 from omtwarp.texturing.atlas import ON_CUT, Arc, Atlas
 
 # Corners, edge midpoints and the centroid, where the linear coordinates are compared with the exact ones.
@@ -167,43 +168,13 @@ class CutMesh:
         met = np.flatnonzero(marked(len(self.points), ends)[self.faces] @ np.ones(3, dtype=np.int8) >= 2)
         wanted = edge_keys(self.faces[met][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), count).reshape(-1, 3)
         position = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-        middle = np.full(self.faces.shape, -1, dtype=np.int32)
-        middle[met] = np.where(keys[position] == wanted, start + position, -1)
-        return self._replace(middle)
-
-    def _replace(self, middle: Ints) -> NDArray[np.bool_]:
-        """Cut every face along its split edges; ``middle`` [M, 3] is the new vertex of edge (k, k+1), or -1."""
-        marks = middle >= 0
-        number = marks @ np.ones(3, dtype=np.int8)
-        keep = number == 0
-        pieces = [self.faces[keep]]
-        sources = [self.source_face[keep]]
-
-        def corners(which: NDArray, first: NDArray) -> tuple[NDArray, ...]:
-            turn = (first[:, None] + np.arange(3)) % 3
-            v = np.take_along_axis(self.faces[which], turn, axis=1)
-            return (*v.T, *np.take_along_axis(middle[which], turn, axis=1).T)
-
-        def emit(which: NDArray, *triangles: Sequence[NDArray]) -> None:
-            for triangle in triangles:
-                pieces.append(np.stack(list(triangle), axis=1))
-                sources.append(self.source_face[which])
-
-        one = np.flatnonzero(number == 1)
-        v0, v1, v2, a, _, _ = corners(one, np.argmax(marks[one], axis=1))
-        emit(one, (v0, a, v2), (a, v1, v2))
-        two = np.flatnonzero(number == 2)  # turned so that the edge left whole is the last one
-        v0, v1, v2, a, b, _ = corners(two, (np.argmin(marks[two], axis=1) + 1) % 3)
-        p = self.points
-        short = np.linalg.norm(p[v0] - p[b], axis=1) <= np.linalg.norm(p[a] - p[v2], axis=1)
-        emit(two, (a, v1, b), (v0, a, np.where(short, b, v2)), (np.where(short, v0, a), b, v2))
-        three = np.flatnonzero(number == 3)
-        v0, v1, v2, a, b, c = corners(three, np.zeros(len(three), dtype=np.int64))
-        emit(three, (v0, a, c), (a, v1, b), (c, b, v2), (a, b, c))
-
-        fresh = np.ones(sum(map(len, pieces)), dtype=bool)
-        fresh[: len(pieces[0])] = False
-        return self._set_faces(np.concatenate(pieces), np.concatenate(sources), fresh)
+        middle = np.where(keys[position] == wanted, start + position, -1)
+        split = (middle >= 0).any(axis=1)
+        cut, whole = met[split], ~marked(len(self.faces), met[split])
+        parts, origin = cut_at_middles(self.faces[cut], middle[split], self.points)
+        faces = np.concatenate([self.faces[whole], parts])
+        source = np.concatenate([self.source_face[whole], self.source_face[cut[origin]]])
+        return self._set_faces(faces, source, np.arange(len(faces)) >= np.count_nonzero(whole))
 
     def _set_faces(self, faces: NDArray, source: NDArray, fresh: NDArray[np.bool_]) -> NDArray[np.bool_]:
         order = np.argsort(source, kind="stable")  # parts of a face stay where the face was

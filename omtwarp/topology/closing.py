@@ -25,8 +25,9 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import spsolve
 
 from omtwarp.geometry.operators import cotangent_laplacian
-from omtwarp.mesh.arrays import Floats, Ints, edge_keys, marked, norms
+from omtwarp.mesh.arrays import Floats, edge_keys, marked, norms
 from omtwarp.mesh.origins import Derived
+from omtwarp.mesh.polygons import cut_at_middles
 from omtwarp.mesh.quarter import QuarteredSurface
 from omtwarp.mesh.surface import Surface
 from omtwarp.topology.kind import on_boundary
@@ -48,37 +49,16 @@ def split_chords(vertices: Floats, faces: NDArray, loop: NDArray[np.int64] | Non
     midpoint = np.full(surface.faces.size, -1)
     # A corner lies opposite to the edge that begins at the next one.
     midpoint[opposite // 3 * 3 + (opposite + 1) % 3] = count + np.arange(len(ends))[:, None]
-    cut, face_origin = _subdivided(surface.faces, midpoint.reshape(-1, 3))
+    parts, face_origin = cut_at_middles(surface.faces, midpoint.reshape(-1, 3))
+    order = np.argsort(face_origin, kind="stable")  # parts of a face stay where the face was
     return Derived(
         np.r_[np.arange(count), np.full(len(ends), -1)],
-        face_origin,
+        face_origin[order],
         np.concatenate([vertices, 0.5 * vertices[ends[:, 0]] + 0.5 * vertices[ends[:, 1]]]),
-        cut,
+        parts[order],
         split_edges=ends,
         given=count,
     )
-
-
-def _subdivided(faces: Ints, midpoint: NDArray[np.int64]) -> tuple[Ints, NDArray[np.int64]]:
-    """Return the faces cut through midpoints of edges (k, k+1), -1 where one stays whole, and the face each is of."""
-    split = midpoint >= 0
-    count = split.sum(axis=1)
-    # Rotated so that the split edges come first; an edge that stays whole is the last of two, or of three.
-    first = np.where(count == 2, split.argmin(axis=1) + 1, np.where(count == 1, split.argmax(axis=1), 0))
-    corners = (np.arange(3) + first[:, None]) % 3
-    (a, b, c), (p, q, r) = (np.take_along_axis(rows, corners, axis=1).T for rows in (faces, midpoint))
-    pieces = [
-        [(a, b, c)],
-        [(a, p, c), (p, b, c)],
-        [(p, b, q), (a, p, q), (a, q, c)],
-        [(a, p, r), (p, b, q), (r, q, c), (p, q, r)],
-    ]
-    origins = [np.flatnonzero(count == k) for k, several in enumerate(pieces) for _ in several]
-    parts = [np.stack(piece, axis=1) for several in pieces for piece in several]
-    origin = np.concatenate(origins)
-    order = np.argsort(origin, kind="stable")
-    cut = np.concatenate([part[here] for part, here in zip(parts, origins, strict=True)])
-    return cut[order].astype(np.int32), origin[order]
 
 
 @dataclass(frozen=True, eq=False)
