@@ -1,7 +1,5 @@
 """Steps that cannot flip: a motion shortened only where it would turn a triangle over."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from omtwarp.device.arrays import vectors

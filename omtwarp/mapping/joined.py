@@ -1,7 +1,5 @@
 """Maps put into the input's order: those of surfaces numbered in space, and those of parts, joined to one."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import cast
 

@@ -1,7 +1,5 @@
 """Warnings about a map or a mesh: measures, their limits, the worst place, and what would help, in one line each."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Flat tori: the certificate of a map to one, and the ring torus that shows it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -11,8 +11,6 @@ share of the sphere that all caps cover is bisected. Two caps can cover the sphe
 91 % of it (Fejes Tóth 1943).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.optimize import minimize
 

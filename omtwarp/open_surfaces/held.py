@@ -10,8 +10,6 @@ that takes more than a few steps it leaves slivers: then distortion is minimised
 it fails, distortion is minimised with a penalty on the errors first, and if need be with more weight on areas of parts.
 """
 
-from __future__ import annotations
-
 from copy import copy
 from functools import cached_property
 

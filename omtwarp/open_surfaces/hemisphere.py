@@ -1,7 +1,5 @@
 """Mirror-symmetric maps of the double of a surface, half of which is a map of the surface to the hemisphere."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from omtwarp.errors import OmtwarpError

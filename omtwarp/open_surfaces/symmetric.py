@@ -6,8 +6,6 @@ half in which vertices of the boundary slide along the equator: the natural cond
 motion across it; the other half moves as the mirror image, and the boundary has z = 0 to the last bit.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

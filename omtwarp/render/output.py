@@ -1,7 +1,5 @@
 """Writing of pictures and films; a file is written completely or not at all."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import os

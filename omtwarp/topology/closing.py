@@ -14,8 +14,6 @@ the loop, its weights renewed from its own shape a few times.
 .. [1] U. Pinkall, K. Polthier, "Computing discrete minimal surfaces and their conjugates", Exp. Math. 2 (1993).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise

@@ -16,8 +16,6 @@ and the shortest one through a vertex follows two shortest paths from it and one
 .. [2] J. Erickson, S. Har-Peled, "Optimally cutting a surface into a disk", Discrete Comput. Geom. 31 (2004).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The stages of a map to a flat torus: conformal, optimal, then exact areas or refinement where they are asked for."""
 
-from __future__ import annotations
-
 import time
 import warnings
 from dataclasses import replace

@@ -3,8 +3,6 @@
 The minimisation is that of the sphere (:mod:`omtwarp.optimal.solver`), in the plane (:mod:`omtwarp.optimal.plane`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from omtwarp.device.policy import resolve_device
