@@ -17,8 +17,8 @@ I(j, k) = I(j + 1, k) + sum over m of h(k, m) I(j + 1, m).
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import TypeAlias
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -34,23 +34,8 @@ from omtwarp.geometry.sphere_hierarchy import SphereHierarchy
 from omtwarp.mesh.arrays import Floats, real_numbers, whole_number
 from omtwarp.wavelets import kernels
 
-
-@dataclass(frozen=True)
-class _Level:
-    """The steps between a level and the next: products between the nodes of the one and those that the other adds.
-
-    Attributes:
-        coarse, fine: number of nodes of the level, and of the next.
-        predict, update: see the module's text; the first is to be subtracted.
-        predict_adjoint, update_adjoint: their transposes.
-    """
-
-    coarse: int
-    fine: int
-    predict: SparseProduct
-    update: SparseProduct
-    predict_adjoint: SparseProduct
-    update_adjoint: SparseProduct
+# A step of lifting: values at some nodes, multiplied by a matrix and a factor, are added to those at others.
+Step: TypeAlias = tuple[SparseProduct, slice, slice, float]
 
 
 class SphericalWavelets:
@@ -82,13 +67,16 @@ class SphericalWavelets:
             integrals.insert(0, hierarchy.refinement_matrix(j, butterfly=butterfly).T @ integrals[0])
         self.level_integrals = tuple(integrals)
 
-        self._levels: list[_Level] = []
-        for j in range(hierarchy.level):
+        self._analysis: list[Step] = []
+        self._adjoint_synthesis: list[Step] = []
+        for j in reversed(range(hierarchy.level)):
             coarse, fine = hierarchy.node_counts[j : j + 2]
+            nodes, added = slice(coarse), slice(coarse, fine)
             predict, update = hierarchy.refinement_matrix(j, butterfly=butterfly)[coarse:], self.lift(j)
-            matrices = predict, update, predict.T, update.T
-            products = [SparseProduct(matrix, self.device) for matrix in matrices]
-            self._levels.append(_Level(coarse, fine, *products))
+            lifting = ((predict, nodes, added, -1.0), (update, added, nodes, 1.0))
+            for matrix, source, target, factor in lifting:
+                self._analysis.append((SparseProduct(matrix, self.device), source, target, factor))
+                self._adjoint_synthesis.append((SparseProduct(matrix.T, self.device), target, source, -factor))
 
     def lift(self, level: int) -> sparse.csr_matrix:
         """Return the matrix of the s(j, m, k), shape [|K(j)|, |M(j)|]; of zeros where wavelets are not lifted."""
@@ -99,50 +87,33 @@ class SphericalWavelets:
         share = self.level_integrals[level + 1][coarse:, None] / (2 * self.level_integrals[level][parents])
         return sparse.csr_matrix((share.ravel(), (parents.ravel(), np.repeat(np.arange(len(parents)), 2))), shape=shape)
 
-    @staticmethod
-    def _parts(level: _Level, values: wp.array) -> tuple[wp.array, wp.array]:
-        """Return the values of the nodes of a level, and of those that the next adds."""
-        return values[: level.coarse], values[level.coarse : level.fine]
-
     def analyse(self, values: wp.array) -> None:
         """Transform values at nodes to coefficients in place: SWfwd of Algorithm 1."""
         self._run(self._analyse, values)
 
     def _analyse(self, values: wp.array) -> None:
-        for level in reversed(self._levels):
-            nodes, added = self._parts(level, values)
-            level.predict.add(nodes, added, -1.0)
-            level.update.add(added, nodes)
+        _take(self._analysis, values)
 
     def synthesise(self, values: wp.array) -> None:
         """Transform coefficients to values at nodes in place: SWbak of Algorithm 1."""
         self._run(self._synthesise, values)
 
     def _synthesise(self, values: wp.array) -> None:
-        for level in self._levels:
-            nodes, added = self._parts(level, values)
-            level.update.add(added, nodes, -1.0)
-            level.predict.add(nodes, added)
+        _take(_taken_back(self._analysis), values)
 
     def synthesise_adjoint(self, values: wp.array) -> None:
         """Apply the transpose of :meth:`synthesise` in place: entry (j, m) becomes Σ values times psi(j, m)."""
         self._run(self._synthesise_adjoint, values)
 
     def _synthesise_adjoint(self, values: wp.array) -> None:
-        for level in reversed(self._levels):
-            nodes, added = self._parts(level, values)
-            level.predict_adjoint.add(added, nodes)
-            level.update_adjoint.add(nodes, added, -1.0)
+        _take(self._adjoint_synthesis, values)
 
     def analyse_adjoint(self, values: wp.array) -> None:
         """Apply the transpose of :meth:`analyse` in place."""
         self._run(self._analyse_adjoint, values)
 
     def _analyse_adjoint(self, values: wp.array) -> None:
-        for level in self._levels:
-            nodes, added = self._parts(level, values)
-            level.update_adjoint.add(nodes, added)
-            level.predict_adjoint.add(added, nodes, -1.0)
+        _take(_taken_back(self._adjoint_synthesis), values)
 
     def truncate(self, coefficients: wp.array, resolution: int) -> None:
         """Clear the coefficients of levels j > ``resolution``, in place (Algorithm 1, lines 11 to 13).
@@ -186,6 +157,16 @@ class SphericalWavelets:
         for j in range(level, self.hierarchy.level):
             values = self.hierarchy.refinement_matrix(j, butterfly=self.butterfly) @ values
         return values
+
+
+def _take(steps: Iterable[Step], values: wp.array) -> None:
+    for product, source, target, factor in steps:
+        product.add(values[source], values[target], factor)
+
+
+def _taken_back(steps: Sequence[Step]) -> Iterator[Step]:
+    """Return the steps that undo others: the last one first, each with the opposite factor."""
+    return ((product, source, target, -factor) for product, source, target, factor in reversed(steps))
 
 
 class WaveletFilter:
