@@ -34,7 +34,7 @@ from omtwarp.options import Backend, BackendLike, PatternLike, Progress, tell
 from omtwarp.render import annotate, output
 from omtwarp.render.camera import Camera, Shot, as_light, as_view, camera_axes, frame
 from omtwarp.render.pictures import View, checked_rate, checked_size, render
-from omtwarp.render.scene import Appearance, Part, RenderJob, SurfaceView, normalisation, smooth_parts, welded_normals
+from omtwarp.render.scene import Appearance, Part, RenderJob, SurfaceView, centred, smooth_parts, welded_normals
 from omtwarp.render.subject import Picture, map_view, posed, torus_view
 from omtwarp.texturing.adaptive import rasterize
 from omtwarp.texturing.image import PictureLike
@@ -390,7 +390,7 @@ def _on_domains(
 ) -> tuple[Story, SurfaceView]:
     """Return the course of a film of a map to spheres, disks and parts of spheres."""
     shown = posed(map_view(result, image), up, front)
-    surface = _centred(shown)
+    surface = centred(shown)
     faces = np.asarray(result.faces, dtype=np.int32)
     first, last = as_unit_vectors(np.asarray(result.conformal)), as_unit_vectors(result.sphere)
     parts, weights = faces, None
@@ -414,12 +414,6 @@ def _on_domains(
     return Story(surface, domain, ends, first, last, faces, parts, weights, picture, name), shown
 
 
-def _centred(shown: SurfaceView) -> Floats:
-    """Return the vertices of a view around the origin, the farthest that is drawn at distance 1."""
-    centre, radius = normalisation(shown)
-    return (np.asarray(shown.vertices, dtype=np.float64) - centre) / radius
-
-
 def _on_torus(
     result: MapResult, pattern: str, image: Picture | None, texels: int, up: str | None, front: str | None
 ) -> tuple[Story, SurfaceView]:
@@ -429,7 +423,7 @@ def _on_torus(
     cut = texture_torus(result, image, None if image is not None else pattern, size=texels)
     shown = posed(torus_view(result, cut.image), up, front)
     corners, vertex, last = cut.split()
-    surface = _centred(shown)[vertex]
+    surface = centred(shown)[vertex]
     weights = vertex_areas(surface, corners)
     middle = np.average(surface, axis=0, weights=weights)
     tube = int(np.argmin(norms(result.lattice)))  # the vector that goes around the tube

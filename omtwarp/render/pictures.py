@@ -359,7 +359,7 @@ def _draw(subject: Subject, options: PreviewOptions, cameras: list[Camera], clea
     field = None if view.arrows is None else scene.arrow_part(view, view.arrows)
     arrows = [] if field is None else [field]
     parts += arrows
-    points = np.concatenate([scene.normalised_points(view), *(part.positions.astype(np.float64) for part in arrows)])
+    points = np.concatenate([scene.drawn_points(view), *(part.positions.astype(np.float64) for part in arrows)])
     centred = options["frames"] is not None
     shots = frame(points, cameras, drawn_width / height, view.up, view.front, centred)
     light = as_light(options["light"] or ("studio" if view.scalar is None else "soft"))

@@ -11,19 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.colors import colormap_table, parse_color
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import (
-    Bytes,
-    Floats,
-    Ints,
-    cross,
-    marked,
-    normalised,
-    norms,
-    real_numbers,
-    require_unit_length,
-    summed,
-    whole_numbers,
-)
+from omtwarp.mesh import arrays
+from omtwarp.mesh.arrays import Bytes, Floats, Ints, cross, marked, normalised, norms, real_numbers, whole_numbers
 from omtwarp.render.camera import Light, Shot
 from omtwarp.texturing.image import PictureLike, as_bytes, read_image
 
@@ -193,7 +182,7 @@ class SurfaceView:
             self.face_material = which
         if self.sphere is not None:
             self.sphere = _checked("sphere", self.sphere, [(count, 3)])
-            require_unit_length(self.sphere, "the sphere")
+            arrays.require_unit_length(self.sphere, "the sphere")
         if self.uv is not None:
             self.uv = _checked("uv", self.uv, [(count, 2), (triangles, 3, 2)])
         if self.colors is not None:
@@ -310,7 +299,7 @@ def welded_normals(vertices: Floats, faces: Ints) -> Floats:
     normal = cross(sides[:, 0], ends[:, 2] - ends[:, 0])
     squares = np.einsum("fkj,fkj->fk", sides, sides)
     weighted = normal[:, None] / np.maximum(squares * np.roll(squares, 1, axis=1), np.finfo(float).tiny)[..., None]
-    normals = normalised(summed(weighted.reshape(-1, 3), group[faces].ravel(), len(members)))
+    normals = normalised(arrays.summed(weighted.reshape(-1, 3), group[faces].ravel(), len(members)))
     normals[~normals.any(axis=1)] = (0.0, 0.0, 1.0)
     return normals[group]
 
@@ -326,20 +315,25 @@ def weld(vertices: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return group, order[new]
 
 
-def normalisation(view: SurfaceView) -> tuple[Floats, float]:
-    """Return the centre of the bounding box of the drawn vertices, and the distance of the farthest of them from it."""
-    used = _used(view)
+def centred(view: SurfaceView, whole: SurfaceView | None = None) -> Floats:
+    """Return the vertices around the origin, the farthest that is drawn at distance 1, shape [V, 3].
+
+    Args:
+        view: the surface.
+        whole: what it is a part of, whose drawn vertices count; itself by default.
+    """
+    every, faces = _arrays(whole or view)
+    used = every[marked(len(every), faces)]
     low, high = used.min(axis=0), used.max(axis=0)
     centre = low / 2 + high / 2
     extent = max(float((high / 2 - low / 2).max()), np.finfo(float).tiny)
     radius = extent * float(norms((used - centre) / extent).max())
-    return centre, radius if radius > 0 else 1.0
+    return (_arrays(view)[0] - centre) / (radius if radius > 0 else 1.0)
 
 
-def normalised_points(view: SurfaceView) -> Floats:
-    """Return the drawn vertices in normalised coordinates, for framing."""
-    centre, radius = normalisation(view)
-    return (_used(view) - centre) / radius
+def drawn_points(view: SurfaceView) -> Floats:
+    """Return the drawn vertices, centred, for framing."""
+    return centred(view)[marked(len(_arrays(view)[0]), _arrays(view)[1])]
 
 
 def build_parts(view: SurfaceView, edges: bool = False) -> list[Part]:
@@ -375,8 +369,7 @@ def _build_part(view: SurfaceView, edges: bool = False, whole: SurfaceView | Non
     per-corner coordinates, flat shading, or edges.
     """
     vertices, faces = _arrays(view)
-    centre, radius = normalisation(view if whole is None else whole)
-    positions = (vertices - centre) / radius
+    positions = centred(view, whole)
     look = _look_of(view)
     value = look.value
     normals = welded_normals(positions, _arrays(whole or view)[1]) if view.smooth else None
@@ -428,11 +421,6 @@ def _arrays(view: SurfaceView) -> tuple[Floats, Ints]:
     return view.vertices, view.faces  # type: ignore[return-value]
 
 
-def _used(view: SurfaceView) -> Floats:
-    vertices, faces = _arrays(view)
-    return vertices[marked(len(vertices), faces)]
-
-
 def _checked(name: str, values: ArrayLike, shapes: list[tuple[int, ...]]) -> Floats:
     array = numbers_of(values, name)
     if array.shape not in shapes:
@@ -460,8 +448,7 @@ def arrow_part(view: SurfaceView, arrows: Arrows) -> Part | None:
     """
     vertices, faces = np.asarray(view.vertices), np.asarray(view.faces)
     vectors = _checked("arrows", arrows.vectors, [(len(vertices), 3), (len(faces), 3)])  # per vertex, or per face
-    centre, radius = normalisation(view)
-    positions = (vertices - centre) / radius
+    positions = centred(view)
     normals = welded_normals(positions, faces)
     if len(vectors) != len(vertices):
         positions = positions[faces].mean(axis=1)
