@@ -13,18 +13,8 @@ from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import (
-    TINY,
-    Floats,
-    cross,
-    mean_edge_lengths,
-    normalised,
-    norms,
-    real_number,
-    real_numbers,
-    summed,
-    whole_number,
-)
+from omtwarp.mesh import arrays
+from omtwarp.mesh.arrays import TINY, Floats, cross, normalised, norms, real_number, real_numbers, whole_number
 from omtwarp.mesh.polygons import grid_shares, grid_triangles
 from omtwarp.mesh.surface import Surface, as_triangles
 
@@ -431,7 +421,7 @@ def _average_of_neighbours(surface: Surface, points: Floats) -> Floats:
     following = points[np.roll(surface.faces, -1, axis=1).ravel()]
     degree = np.bincount(flat, minlength=surface.vertex_count)
     # In a closed oriented mesh every neighbour follows a vertex in exactly one face.
-    return summed(following, flat, surface.vertex_count) / degree[:, None]
+    return arrays.summed(following, flat, surface.vertex_count) / degree[:, None]
 
 
 def _onto_surface(value: Callable[[Floats], Floats], points: Floats, cell: float, steps: int) -> Floats:
@@ -505,7 +495,7 @@ def demo_shape(face_count: int = 20000) -> Surface:
 def noisy(surface: Surface, amount: float = 0.2, seed: int = 0) -> Surface:
     """Move every coordinate by a normal random number times ``amount`` times the mean length of the edges there."""
     rng, surface = _random(seed), Surface(*as_triangles(surface))
-    mean = mean_edge_lengths(surface.vertices, surface.edges)
+    mean = arrays.mean_edge_lengths(surface.vertices, surface.edges)
     amount = real_number(amount, "amount", least=0.0)
     return Surface(surface.vertices + amount * mean[:, None] * rng.normal(size=surface.vertices.shape), surface.faces)
 
