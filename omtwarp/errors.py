@@ -94,6 +94,22 @@ def installed(lacks: str, extra: str) -> Iterator[None]:
         raise OmtwarpError(f"{lacks}: pip install 'omtwarp[{extra}]'") from None
 
 
+@contextlib.contextmanager
+def naming(what: str) -> Iterator[None]:
+    """Say first what an error of this context is about.
+
+    Args:
+        what: a file, a map or another object, as messages call it.
+
+    Raises:
+        OmtwarpError: the same error, with these words and a colon before it.
+    """
+    try:
+        yield
+    except OmtwarpError as error:
+        raise OmtwarpError(f"{what}: {error}") from None
+
+
 def out_of_memory(error: Exception) -> bool:
     """Return whether an error says that memory is used up: Python's own, or Warp's, which is a RuntimeError."""
     return isinstance(error, MemoryError) or str(error).startswith("Failed to allocate")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, TypeVar
 import omtwarp
 from omtwarp.commands._options import Printing, Source
 from omtwarp.commands._streams import is_standard_output, progress_bar, say, warnings_as_lines
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, naming
 from omtwarp.files.output import check_output, guard_results, make_folder
 from omtwarp.options import Domain, MapOptions, Method, parse_device
 
@@ -345,10 +345,8 @@ def require_whole(result: MapResult, name: object) -> MapResult:
     Raises:
         OmtwarpError: the map covers a torus, a hemisphere, a disk or a cap, or is of several parts.
     """
-    try:
+    with naming(f"'{name}'"):
         result.closed()
-    except OmtwarpError as error:
-        raise OmtwarpError(f"'{name}': {error}") from None
     return result
 
 

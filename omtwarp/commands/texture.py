@@ -11,7 +11,7 @@ from omtwarp import options
 from omtwarp.commands import _work
 from omtwarp.commands._options import Argument, Only, Printing, RouteOptions, Source, Typed, output_option
 from omtwarp.commands._streams import input_file, step_times, warnings_as_lines
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, naming
 from omtwarp.files.output import check_output
 from omtwarp.options import Coordinates, Device, Domain, MapOptions
 
@@ -68,10 +68,8 @@ def painted_with_map(
     mesh = omtwarp.read_painted_mesh(path)
     if repair and len(mesh.faces) != len(result.faces):
         mesh, _ = read_sound_painted(path, repair)
-    try:
+    with naming(f"{of_map} and {path}"):
         mesh.on(result.vertices, result.faces, origins=result.origins)
-    except OmtwarpError as error:
-        raise OmtwarpError(f"{of_map} and {path}: {error}") from None
     return mesh, result
 
 

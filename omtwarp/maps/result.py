@@ -14,7 +14,7 @@ from typing import Generic, Self, TypedDict, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.errors import LacksArray, OmtwarpError
+from omtwarp.errors import LacksArray, OmtwarpError, naming
 from omtwarp.files.inputs import holds_array, open_input, read_arrays, write_arrays
 from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.files.output import as_path
@@ -390,10 +390,8 @@ class MapResult(Displayable):
         domain = Domain.TORUS if on_torus else str(known.get("domain", Domain.SPHERE))
         arrays = {name: known[name] for name in layout_on(domain) if name in known}
         make: Callable[..., Self] = cls
-        try:
+        with naming(f"'{path}' is not a map{' to a torus' * on_torus}"):
             result = make(arrays=arrays, domain=domain, history=history, report=report)
-        except OmtwarpError as error:
-            raise OmtwarpError(f"'{path}' is not a map{' to a torus' * on_torus}: {error}") from None
         result.report["certificate"] = result.certificate.to_dict()  # anew: a file's statements are not trusted
         return result
 

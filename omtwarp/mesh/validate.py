@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, naming
 from omtwarp.mesh.arrays import ROUND_OFF, Floats, HasTriangles, Ints, cross, marked, norms, real_numbers, whole_numbers
 
 REPAIR = "omtwarp.repair"
@@ -152,15 +152,13 @@ def as_arrays(vertices: ArrayLike, faces: ArrayLike) -> tuple[Floats, NDArray[np
     Raises:
         OmtwarpError: other shapes, faces with more than three corners, or indices that are not whole numbers.
     """
-    try:
+    with naming("not a triangle mesh"):
         points = real_numbers(vertices, "vertices", (None, 3), finite=False)
         triangles = whole_numbers(faces, "faces", (None, None))
         if triangles.size and triangles.shape[1] != 3:
             advice = ", triangulate them" if triangles.shape[1] > 3 else ""
             raise OmtwarpError(f"{len(triangles)} faces with {triangles.shape[1]} corners{advice}")
-        return points, triangles.reshape(-1, 3)
-    except OmtwarpError as error:
-        raise OmtwarpError(f"not a triangle mesh: {error}") from None
+    return points, triangles.reshape(-1, 3)
 
 
 def unit_coordinates(points: Floats) -> Floats:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, naming
 from omtwarp.files.inputs import holds_array, open_input, read_arrays, write_arrays
 from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.mesh.arrays import Floats, real_numbers, whole_numbers
@@ -69,18 +69,15 @@ class Template:
         Raises:
             OmtwarpError: the file is missing, or is no template.
         """
-        with open_input(path, LARGEST_MESH_FILE, "template") as stream:
-            try:
-                arrays = read_arrays(stream, (*ARRAYS, "origin"))
-                missing = next((name for name in ARRAYS if name not in arrays), None)
-                if missing is not None:
-                    raise OmtwarpError(f"it has no '{missing}'")
-                points = real_numbers(arrays[ARRAYS[0]], "its points", (None, 3))
-                faces = whole_numbers(arrays[ARRAYS[1]], "its faces", (None, 3), below=len(points))
-                names = tuple(str(name) for name in np.atleast_1d(arrays[ARRAYS[3]]))
-                features = real_numbers(arrays[ARRAYS[2]], "its features", (len(points), len(names)))
-            except OmtwarpError as error:
-                raise OmtwarpError(f"'{path}' is not a template: {error}") from None
+        with open_input(path, LARGEST_MESH_FILE, "template") as stream, naming(f"'{path}' is not a template"):
+            arrays = read_arrays(stream, (*ARRAYS, "origin"))
+            missing = next((name for name in ARRAYS if name not in arrays), None)
+            if missing is not None:
+                raise OmtwarpError(f"it has no '{missing}'")
+            points = real_numbers(arrays[ARRAYS[0]], "its points", (None, 3))
+            faces = whole_numbers(arrays[ARRAYS[1]], "its faces", (None, 3), below=len(points))
+            names = tuple(str(name) for name in np.atleast_1d(arrays[ARRAYS[3]]))
+            features = real_numbers(arrays[ARRAYS[2]], "its features", (len(points), len(names)))
         return cls(points, faces.astype(np.int32), features, names, str(arrays.get("origin", "")))
 
 

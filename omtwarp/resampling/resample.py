@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import Each, each, launch_parts
-from omtwarp.errors import OmtwarpError, choose
+from omtwarp.errors import OmtwarpError, choose, naming
 from omtwarp.files.inputs import read_bytes
 from omtwarp.files.limits import LARGEST_MESH_FILE
 from omtwarp.files.output import as_path, staged
@@ -248,10 +248,8 @@ def as_points(given: PointsLike, name: str = "the sphere") -> SpherePoints:
 
 def _points_of_map(result: MapResult, name: str) -> SpherePoints:
     """Return the points of a map, with what fills holes, which is marked."""
-    try:
+    with naming(name):
         closed = result.closed()
-    except OmtwarpError as error:
-        raise OmtwarpError(f"{name}: {error}") from None
     if closed is result:
         return SpherePoints(mesh_grid(result.sphere, result.faces, name), result.vertices, result.origins)
     own = len(result.vertices), len(result.faces)

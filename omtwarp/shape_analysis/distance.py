@@ -8,7 +8,7 @@ import numpy as np
 
 from omtwarp.alignment import align
 from omtwarp.alignment.align import own_features
-from omtwarp.errors import OmtwarpError, OmtwarpWarning
+from omtwarp.errors import OmtwarpWarning, naming
 from omtwarp.geometry.axes import fitted_rotation
 from omtwarp.geometry.harmonics import check_degree
 from omtwarp.maps.result import MapResult
@@ -193,10 +193,8 @@ def distance_matrix(spheres: list[Floats], maps: Sequence[HasTriangles], degree:
     """
     coefficients = []
     for k, (sphere, one) in enumerate(zip(spheres, maps, strict=True)):
-        try:
+        with naming(f"map {k + 1}"):
             coefficients.append(_coefficients(sphere, one, degree, scale))
-        except OmtwarpError as error:
-            raise OmtwarpError(f"map {k + 1}: {error}") from None
     out = np.zeros((len(maps), len(maps)))
     for i, numbers in enumerate(coefficients):
         for j in range(i):
@@ -222,10 +220,8 @@ def transport_matrix(
     out = np.zeros((len(maps), len(maps)))
     pairs = [(i, j) for i in range(len(maps)) for j in range(i)]
     for done, (i, j) in enumerate(pairs, 1):
-        try:
+        with naming(f"maps {j + 1} and {i + 1}"):
             ways = (transport_distance(maps[a], maps[b], device=device) for a, b in ((j, i), (i, j)))
             out[i, j] = out[j, i] = min(ways)
-        except OmtwarpError as error:
-            raise OmtwarpError(f"maps {j + 1} and {i + 1}: {error}") from None
         tell(progress, "transport", done, len(pairs), {})
     return out
