@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 from scipy.spatial.transform import Rotation
 
-from omtwarp.geometry.harmonics import degree_of
+from omtwarp.geometry.harmonics import degree_of, orders
 from omtwarp.mesh.arrays import ROUND_OFF, TINY, Floats
 
 Complex = NDArray[np.complex128]
@@ -45,15 +45,10 @@ class Best:
 
 def complex_coefficients(real: Floats) -> Complex:
     """Convert real coefficients to those of complex harmonics with the Condon-Shortley phase, shape [(L + 1)², K]."""
-    out = np.zeros(real.shape, dtype=np.complex128)
-    for degree in range(degree_of(len(real)) + 1):
-        middle = degree * degree + degree
-        out[middle] = real[middle]
-        for m in range(1, degree + 1):
-            cosine, sine = real[middle + m], real[middle - m]
-            out[middle + m] = (-1) ** m * (cosine - 1j * sine) / np.sqrt(2.0)
-            out[middle - m] = (cosine + 1j * sine) / np.sqrt(2.0)
-    return out
+    m = orders(degree_of(len(real)))
+    opposite, m = real[np.arange(len(m)) - 2 * m], m[:, None]  # of order -m
+    positive, negative = (-1.0) ** m * (real - 1j * opposite), opposite + 1j * real
+    return np.where(m == 0, real, np.where(m > 0, positive, negative) / np.sqrt(2.0))
 
 
 @lru_cache(maxsize=64)

@@ -14,7 +14,7 @@ from omtwarp.commands._options import Argument, Only, Printing, Source, Typed, o
 from omtwarp.commands._streams import STREAM, input_file, input_table, progress_bar, say, step_times
 from omtwarp.commands._work import load_whole_map, map_from, require_whole, show_facts, start_device
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
-from omtwarp.files.output import check_folder, check_outputs, folder_of_results, staged
+from omtwarp.files.output import check_folder, check_outputs, folder_of_results, write_text
 from omtwarp.options import Device, MapOptions
 
 if TYPE_CHECKING:
@@ -88,26 +88,22 @@ def run_spharm(
 
 def _save_expansion(path: Path, expansion: Expansion) -> None:
     """Write coefficients in the format of the file's suffix."""
-    import numpy as np
-
     from omtwarp.files.inputs import write_arrays
-    from omtwarp.geometry.harmonics import degrees
+    from omtwarp.geometry.harmonics import degrees, orders
     from omtwarp.shape_analysis.expansion import write_coef
 
     suffix = path.suffix.lower()
     if suffix == ".coef":
         write_coef(path, expansion)
         return
-    degree = degrees(expansion.degree)
-    order = np.arange(len(degree)) - degree * (degree + 1)
+    degree, order = degrees(expansion.degree), orders(expansion.degree)
     if suffix == ".npz":
         power = expansion.power()
         write_arrays(path, {"coefficients": expansion.coefficients, "degree": degree, "order": order, "power": power})
         return
-    with staged(path) as file:
-        rows = zip(degree.tolist(), order.tolist(), expansion.coefficients.tolist(), strict=True)
-        lines = [f"{n},{m}," + ",".join(map(repr, row)) for n, m, row in rows]
-        file.write_text("degree,order,x,y,z\n" + "\n".join(lines) + "\n", "utf-8")
+    rows = zip(degree.tolist(), order.tolist(), expansion.coefficients.tolist(), strict=True)
+    lines = [f"{n},{m}," + ",".join(map(repr, row)) for n, m, row in rows]
+    write_text(path, "\n".join(["degree,order,x,y,z", *lines, ""]))
 
 
 def run_distance(

@@ -88,6 +88,12 @@ def degrees(degree: int) -> NDArray[np.int64]:
     return np.repeat(np.arange(degree + 1), 2 * np.arange(degree + 1) + 1)
 
 
+def orders(degree: int) -> NDArray[np.int64]:
+    """Return the order m of every harmonic up to a degree L, from -l to l, shape [(L + 1)²]."""
+    middle = degrees(degree) * (degrees(degree) + 1)
+    return np.arange(len(middle)) - middle
+
+
 def degree_of(count: int) -> int:
     """Return the highest degree L of an expansion with that many coefficients, (L + 1)².
 

@@ -15,7 +15,7 @@ from omtwarp.device.threads import blas_threads
 from omtwarp.errors import OmtwarpError, check_word
 from omtwarp.files.inputs import read_bytes
 from omtwarp.files.output import write_text
-from omtwarp.geometry.harmonics import check_degree, degree_of, harmonics_in_parts, power_per_degree
+from omtwarp.geometry.harmonics import check_degree, degree_of, degrees, harmonics_in_parts, orders, power_per_degree
 from omtwarp.mesh.arrays import Floats, cross, norms, real_numbers, whole_number, whole_numbers
 from omtwarp.mesh.shapes import icosphere
 from omtwarp.mesh.surface import Surface, sums_around, triangle_areas
@@ -225,11 +225,6 @@ def read_coef(path: str | os.PathLike[str]) -> Expansion:
 
 def _order(degree: int) -> tuple[NDArray[np.int64], Floats]:
     """Return, for each row of the file, the package's row and the factor between the two."""
-    rows, factors = [], []
-    for n in range(degree + 1):
-        rows.append(n * n + n)
-        factors.append(1.0)
-        for m in range(1, n + 1):
-            rows += [n * n + n + m, n * n + n - m]
-            factors += [np.sqrt(2.0) * (-1.0) ** m] * 2
-    return np.array(rows), np.array(factors)
+    m = orders(degree)
+    rows = np.lexsort((m < 0, np.abs(m), degrees(degree)))
+    return rows, np.where(m == 0, 1.0, np.sqrt(2.0) * (-1.0) ** m)[rows]
