@@ -189,7 +189,7 @@ def _read_off(data: bytes) -> Triangles:
     short = [k for k, polygon in enumerate(polygons) if len(polygon) != int(rows[k][0])]
     if short:
         raise OmtwarpError(f"cut short: face {short[0]} has fewer corners than it announces")
-    return vertices, *_from_polygons(polygons)
+    return vertices, *fans(numbers_of(polygons, "face", int), np.array(list(map(len, polygons)), dtype=np.int64))
 
 
 def _read_obj(data: bytes) -> Triangles:
@@ -201,7 +201,8 @@ def _read_obj(data: bytes) -> Triangles:
     vertices = coordinates([rest.split() for kind, rest in lines if kind == b"v"])
     polygons = [[word.partition(b"/")[0] for word in rest.split()] for kind, rest in lines if kind == b"f"]
     vertices_before = np.cumsum([kind == b"v" for kind, _ in lines])[[kind == b"f" for kind, _ in lines]]
-    return vertices, *_from_polygons(polygons, vertices_before)
+    sizes = np.array(list(map(len, polygons)), dtype=np.int64)
+    return vertices, *fans(obj_corners(polygons, np.repeat(vertices_before, sizes)), sizes)
 
 
 def obj_text(data: bytes) -> bytes:
@@ -209,19 +210,20 @@ def obj_text(data: bytes) -> bytes:
     return utf8(data).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").replace(b"\r", b"\n")
 
 
-def _from_polygons(
-    polygons: list[list[bytes]], vertices_before: NDArray | None = None
-) -> tuple[NDArray[np.generic], list[str]]:
-    """Convert the polygons of a text file, lists of corners, to triangles.
+def obj_corners(polygons: list[list[bytes]], vertices_before: NDArray[np.integer]) -> NDArray[np.int64]:
+    """Return the vertices, counted from 0, that the corners of a Wavefront OBJ's faces refer to.
 
-    ``vertices_before`` says that corners count from 1, or if negative back from the last vertex before their face.
+    Args:
+        polygons: the numbers of each face, which count from 1, or if negative back from the last vertex before it.
+        vertices_before: how many vertices there are before the face of each corner, shape [C].
+
+    Raises:
+        OmtwarpError: a word is no whole number, or a face refers to vertex 0.
     """
-    corners = np.array([len(polygon) for polygon in polygons], dtype=np.int64)
     flat = numbers_of(polygons, "face", int)
-    if vertices_before is not None:
-        require_counted_from_one(flat)
-        flat = np.where(flat < 0, flat + np.repeat(vertices_before, corners), flat - 1)
-    return fans(flat, corners)
+    if (flat == 0).any():
+        raise OmtwarpError("a face refers to vertex 0, and OBJ counts vertices from 1: the file counts from 0")
+    return np.where(flat < 0, flat + vertices_before, flat - 1)
 
 
 def coordinates(rows: list[list[bytes]]) -> NDArray[np.float64]:
@@ -256,16 +258,6 @@ def numbers_of(rows: list[list[bytes]], what: str, kind: type[float] | type[int]
             wanted = "whole numbers" if kind is int else "numbers"
             raise OmtwarpError(f"damaged: {what} {number} has '{said}', not {wanted} alone") from None
     return np.array(numbers, dtype=np.int64 if kind is int else np.float64)
-
-
-def require_counted_from_one(corners: NDArray[np.int64]) -> None:
-    """Refuse a Wavefront OBJ whose faces refer to vertex 0.
-
-    Raises:
-        OmtwarpError: there is such a face.
-    """
-    if (corners == 0).any():
-        raise OmtwarpError("a face refers to vertex 0, and OBJ counts vertices from 1: the file counts from 0")
 
 
 def _read_stl(data: bytes) -> Triangles:

@@ -22,7 +22,7 @@ from omtwarp.files.limits import LARGEST_MESH_FILE, MOST_FACES
 from omtwarp.mesh.arrays import TINY, Bytes, Floats, Ints, marked, whole_numbers
 from omtwarp.mesh.ply import Column, ply_columns, polygons_of
 from omtwarp.mesh.polygons import fans, taken_together
-from omtwarp.mesh.read import coordinates, mesh_content, numbers_of, obj_text, read_mesh, require_counted_from_one, utf8
+from omtwarp.mesh.read import coordinates, mesh_content, obj_corners, obj_text, read_mesh, utf8
 from omtwarp.mesh.scenes import BRIGHTER, Document, gltf_pictures, load_scene, placed_meshes, scene_formats
 from omtwarp.texturing.export import SLOTS, Material
 from omtwarp.texturing.image import as_bytes, decoded, read_image, with_opacity, without_full_opacity
@@ -206,9 +206,7 @@ def _from_obj(data: bytes, file: Path) -> PaintedMesh:
     counts = np.array([len(face) for face in words[b"f"]], dtype=np.int64)
     # How many points and coordinates stand before each corner, from which negative numbers count.
     ahead = [np.repeat(np.cumsum(kinds == kind)[kinds == b"f"], counts) for kind in (b"v", b"vt")]
-    vertex = numbers_of([[word.partition(b"/")[0] for word in face] for face in words[b"f"]], "face", int)
-    require_counted_from_one(vertex)
-    vertex = np.where(vertex < 0, vertex + ahead[0], vertex - 1)
+    vertex = obj_corners([[word.partition(b"/")[0] for word in face] for face in words[b"f"]], ahead[0])
     rows, notes = fans(np.arange(len(vertex)), counts)
     face = np.repeat(np.arange(len(counts)), counts)[rows[:, 0]]
     which = np.array([int(parts[1]) if len(parts) > 1 and parts[1] else 0 for parts in split], dtype=np.int64)
