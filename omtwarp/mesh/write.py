@@ -61,33 +61,26 @@ def write_mesh(
             write_freesurfer_surface(place, points, triangles, like)
         elif suffix == ".vtk":
             write_vtk(place, points, triangles, beside)
-        else:
-            _write(place, suffix, points, triangles, beside)
-
-
-def _write(file: Path, suffix: str, points: Floats, triangles: Ints, beside: Mapping[str, NDArray] | None) -> None:
-    """Write a mesh in a general format, not one of neuroimaging."""
-    if suffix == ".ply":
-        file.write_bytes(ply_bytes(points, triangles, (beside or {}).items()))
-    elif suffix == ".obj":
-        rows = [f"v {x!r} {y!r} {z!r}\n" for x, y, z in points.tolist()]
-        rows += [f"f {a} {b} {c}\n" for a, b, c in (triangles + 1).tolist()]
-        file.write_text("".join(rows), "ascii")
-    elif suffix == ".off":
-        rows = [f"OFF\n{len(points)} {len(triangles)} 0\n"]
-        rows += [f"{x!r} {y!r} {z!r}\n" for x, y, z in points.tolist()]
-        rows += [f"3 {a} {b} {c}\n" for a, b, c in triangles.tolist()]
-        file.write_text("".join(rows), "ascii")
-    else:
-        positions = in_single_precision(points, triangles, "vertices")  # which both formats have
-        if suffix == ".glb":
+        elif suffix == ".ply":
+            place.write_bytes(ply_bytes(points, triangles, (beside or {}).items()))
+        elif suffix == ".obj":
+            rows = [f"v {x!r} {y!r} {z!r}\n" for x, y, z in points.tolist()]
+            rows += [f"f {a} {b} {c}\n" for a, b, c in (triangles + 1).tolist()]
+            place.write_text("".join(rows), "ascii")
+        elif suffix == ".off":
+            rows = [f"OFF\n{len(points)} {len(triangles)} 0\n"]
+            rows += [f"{x!r} {y!r} {z!r}\n" for x, y, z in points.tolist()]
+            rows += [f"3 {a} {b} {c}\n" for a, b, c in triangles.tolist()]
+            place.write_text("".join(rows), "ascii")
+        elif suffix == ".glb":
             content = GltfFile()
-            content.add_triangles(triangles, {"POSITION": positions})
-            file.write_bytes(content.encoded())
+            content.add_triangles(triangles, {"POSITION": in_single_precision(points, triangles, "vertices")})
+            place.write_bytes(content.encoded())
         else:
             import trimesh
 
-            trimesh.Trimesh(points, triangles, process=False).export(file)
+            in_single_precision(points, triangles, "vertices")  # which STL has, too
+            trimesh.Trimesh(points, triangles, process=False).export(place)
 
 
 def in_single_precision(points: Floats, faces: NDArray[np.integer], name: str) -> NDArray[np.float32]:
