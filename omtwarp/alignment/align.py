@@ -380,9 +380,8 @@ def _leave_out(options: Mapping[str, object], of: str, given: str) -> None:
     Raises:
         OmtwarpError: one of them is given.
     """
-    name = next((name for name, value in options.items() if value), None)
-    if name is not None:
-        raise OmtwarpError(f"'{name}' is of alignments {of}: leave it out with {given}")
+    if wrong := [name for name, value in options.items() if value]:
+        raise OmtwarpError(f"'{wrong[0]}' is of alignments {of}: leave it out with {given}")
 
 
 def _same_faces(one: SpherePoints, other: SpherePoints) -> bool:

@@ -195,8 +195,7 @@ def _of_last_run(file: Path, given: dict[str, object]) -> dict[str, object]:
     except (OSError, ValueError, TypeError):
         return given
     usual = _options_of_jobs({}, False, None, None)[1] | {"group": False}
-    other = [name for name, value in given.items() if value not in (usual.get(name), known.get(name))]
-    if other:
+    if other := [name for name, value in given.items() if value not in (usual.get(name), known.get(name))]:
         names = ", ".join("register" if name in ("group", "target") else name for name in other)
         raise OmtwarpError(f"the results in '{file.parents[1]}' are not of this {names}: leave options out to collect")
     return known

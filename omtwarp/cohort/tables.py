@@ -81,8 +81,7 @@ def _meshes_of(folder: Path) -> list[Path]:
     except OSError as error:
         raise OmtwarpError(f"{folder}: cannot be read: {error.strerror or error}") from None
     meshes = [path for path in files if Path(path.name.lower().removesuffix(".gz")).suffix in MESH_SUFFIXES]
-    others = [path.name for path in files if path not in meshes and not path.is_dir()]
-    if others:
+    if others := [path.name for path in files if path not in meshes and not path.is_dir()]:
         names = ", ".join(others[:most_named]) + (", ..." if len(others) > most_named else "")
         text = f"'{folder}': left out {len(others)} files, which are no meshes by their names: {names}"
         warnings.warn(f"{text}; a table or a pattern takes any", OmtwarpWarning, stacklevel=3)
@@ -93,8 +92,7 @@ def _checked(items: list[Item], source: str) -> list[Item]:
     """Refuse an empty list of items, and two items of one name; return the others unchanged."""
     if not items:
         raise OmtwarpError(f"{source} names no surface")
-    twice = [name for name, count in Counter(item.id.casefold() for item in items).items() if count > 1]
-    if twice:
+    if twice := [name for name, count in Counter(item.id.casefold() for item in items).items() if count > 1]:
         raise OmtwarpError(f"{len(twice)} items of {source} have the name of another, the first is '{twice[0]}'")
     return items
 

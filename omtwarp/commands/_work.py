@@ -220,9 +220,8 @@ def outputs_of(meshes: Sequence[Path], output: Output, suffix: str) -> list[Outp
     if is_standard_output(output):
         raise OmtwarpError(f"{len(meshes)} files cannot go to standard output: name a directory with -o")
     targets: list[Output] = [output / f"{mesh.stem}{suffix}" for mesh in meshes]
-    twice = next((target for k, target in enumerate(targets) if target in targets[:k]), None)
-    if twice is not None:
-        raise OmtwarpError(f"two meshes would both be written as '{twice}': rename one, or map them by themselves")
+    if twice := [target for k, target in enumerate(targets) if target in targets[:k]]:
+        raise OmtwarpError(f"two meshes would both be written as '{twice[0]}': rename one, or map them by themselves")
     if not output.exists():
         _made.append(output)
     make_folder(output)

@@ -242,8 +242,7 @@ def weights_of(mass: Mass, sound: Input, structure: str | None) -> tuple[NDArray
     if origins is None:
         return weights, belong
     origin = origins.vertex_origin if belong is WeightsAt.VERTICES else origins.face_origin
-    added = int((origin < 0).sum())
-    if added:
+    if added := int((origin < 0).sum()):
         raise OmtwarpError(f"'{mass.weights}' has no weights for the {added} parts that --repair added to the mesh")
     return weights[origin], belong
 

@@ -196,9 +196,8 @@ def run_group(
 
     check_folder(output)
     names, paths, rows = _listed(sources)
-    folder = next((path for path in paths if path.is_dir()), None)
-    if folder is not None:
-        raise OmtwarpError(f"'{folder}' is no cohort's folder: give the maps in it, without a template")
+    if folders := [path for path in paths if path.is_dir()]:
+        raise OmtwarpError(f"'{folders[0]}' is no cohort's folder: give the maps in it, without a template")
     labels, covariates = _columns(rows, covariate or [], sources[0])
     if len(paths) < 2:
         raise OmtwarpError(f"{len(paths)} map in all: a group needs at least two")
@@ -215,8 +214,7 @@ def run_group(
         with folder_of_results(output):
             like = paths[0] if len(set(map(structure_of, paths))) == 1 else None  # of one part of the brain
             files = write_group_report(result, output, names, labels, covariates, like)
-    mirrored = mirrored_words(result.alignment, names)
-    if mirrored:
+    if mirrored := mirrored_words(result.alignment, names):
         say(f"warning: {mirrored}")
     facts = {"output": str(output), "files": [file.name for file in files], "shapes": len(paths)}
     show_facts(facts | _findings(result, names), _group_line(result, output), printing)
@@ -271,9 +269,8 @@ def _columns(
     Raises:
         OmtwarpError: a covariate that is no column, or some members have a group and others none.
     """
-    missing = next((name for name in wanted if not any(name in row for row in rows)), None)
-    if missing is not None:
-        raise OmtwarpError(f"there is no column '{missing}': covariates are columns of the table of maps")
+    if missing := [name for name in wanted if not any(name in row for row in rows)]:
+        raise OmtwarpError(f"there is no column '{missing[0]}': covariates are columns of the table of maps")
     groups = [str(row["group"]) for row in rows if row.get("group") is not None]
     if groups and len(groups) < len(rows):
         raise OmtwarpError(f"{len(rows) - len(groups)} of {len(rows)} maps in '{table}' have no group")

@@ -350,9 +350,8 @@ def _require_many(mode: str, pair: Pair, others: Mapping[str, object]) -> None:
     """
     of_pair: dict[str, object] = {"--surface": pair.surface, "--to-surface": pair.to_surface}
     of_pair |= {"--to-feature": pair.to_feature, "--radius": pair.radius != Pair.radius}
-    given = next((name for name, value in {**of_pair, **others}.items() if value), None)
-    if given is not None:
-        raise OmtwarpError(f"{given} is of one map: leave it out with {mode}")
+    if given := [name for name, value in {**of_pair, **others}.items() if value]:
+        raise OmtwarpError(f"{given[0]} is of one map: leave it out with {mode}")
     if is_standard_output(pair.output):
         raise OmtwarpError(f"{mode} writes a folder, not standard output: name one with -o")
     check_folder(pair.output)

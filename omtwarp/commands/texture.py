@@ -241,9 +241,8 @@ def _width_for(targets: list[Path], look: Look, painting: Painting, picture: Pic
         return None
     if isinstance(sides, tuple) or picture.size == "auto":
         raise OmtwarpError(f"--size {picture.size} is for an atlas, without --uv own, --keep-materials and --bake")
-    ply = next((target for target in targets if target.suffix.lower() == ".ply"), None)
-    if ply is not None:
-        raise OmtwarpError(f"{ply}: PLY holds no materials: use .glb or .obj, or leave out {painting.by_materials}")
+    if ply := [target for target in targets if target.suffix.lower() == ".ply"]:
+        raise OmtwarpError(f"{ply[0]}: PLY holds no materials: use .glb or .obj, or leave out {painting.by_materials}")
     color_among(painting.bake or (), bool(painting.detail), look.pattern, picture.image, painting.keep_materials)
     return sides
 

@@ -160,10 +160,9 @@ def table_rows(
         names, listed = rows.fieldnames or [], [(rows.line_num, row) for row in rows]
     except csv.Error as error:
         raise OmtwarpError(f"{name}, line {max(rows.line_num, 1)}: {error}") from None
-    missing = next((column for column in needed if column not in names), None)
-    if missing is not None:
+    if missing := [column for column in needed if column not in names]:
         first = text.partition("\n")[0][:80]
-        raise OmtwarpError(f"{name} has no column '{missing}': its first line is '{first}'")
+        raise OmtwarpError(f"{name} has no column '{missing[0]}': its first line is '{first}'")
     return names, listed
 
 
@@ -383,8 +382,7 @@ def read_stack(stream: BinaryIO) -> tuple[NDArray[np.generic], tuple[float, floa
     with open_picture(stream, ("TIFF",)) as opened:
         text = str(opened.tag_v2.get(described, ""))  # type: ignore[attr-defined]
         per_unit = [float(opened.tag_v2.get(tag, 1.0)) for tag in (across, down)]  # type: ignore[attr-defined]
-        more = re.search(r"^(channels|frames)=([2-9]|\d{2,})", text, re.M)
-        if more:
+        if more := re.search(r"^(channels|frames)=([2-9]|\d{2,})", text, re.M):
             raise OmtwarpError(f"a volume of several {more.group(1)}: save one of them by itself")
         for image in ImageSequence.Iterator(opened):
             if image.mode not in ("1", "L", "P", "I", "F", "I;16", "I;16L", "I;16B"):

@@ -283,8 +283,7 @@ class MapResult(Displayable):
         if not isinstance(domain, str) or domain not in (*Domain, SEVERAL):
             raise OmtwarpError(f"there is no domain {str(domain)[:20]!r}")
         layout = layout_on(domain)
-        missing = [name for name in layout if name not in given and isinstance(ARRAYS[name], Needed)]
-        if missing:
+        if missing := [name for name in layout if name not in given and isinstance(ARRAYS[name], Needed)]:
             raise OmtwarpError(f"it has no '{missing[0]}'")
         if others := given.keys() - layout.keys():
             raise OmtwarpError(f"a map whose domain is '{domain}' has no '{min(others)}'")

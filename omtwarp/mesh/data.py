@@ -375,7 +375,6 @@ def _write_annot(file: Path, data: VertexData) -> None:
         raise OmtwarpError("two labels have the same colour, by which the .annot format identifies them: change one")
     # Black stands for no label too, unless a label has it
     none = (-1, 0) if colors[:, :3].any(axis=1).all() else ()
-    lost = set(np.unique(data.values).tolist()) - {*none, *keys}
-    if lost:
+    if lost := set(np.unique(data.values).tolist()) - {*none, *keys}:
         raise OmtwarpError(f"the .annot format cannot hold the label {min(lost)}: it is negative, or has no name")
     nibabel_module().freesurfer.write_annot(file, places, colors, [data.table[key][0] for key in keys])

@@ -186,8 +186,7 @@ def _read_off(data: bytes) -> Triangles:
     vertices = coordinates(lines[1 : 1 + vertex_count])
     rows = lines[1 + vertex_count : 1 + vertex_count + face_count]
     polygons = [line[1 : 1 + int(line[0])] for line in rows]
-    short = [k for k, polygon in enumerate(polygons) if len(polygon) != int(rows[k][0])]
-    if short:
+    if short := [k for k, polygon in enumerate(polygons) if len(polygon) != int(rows[k][0])]:
         raise OmtwarpError(f"cut short: face {short[0]} has fewer corners than it announces")
     return vertices, *fans(numbers_of(polygons, "face", int), np.array(list(map(len, polygons)), dtype=np.int64))
 
@@ -232,9 +231,8 @@ def coordinates(rows: list[list[bytes]]) -> NDArray[np.float64]:
     Raises:
         OmtwarpError: a vertex has fewer, or a word that is no number.
     """
-    short = next((number for number, row in enumerate(rows) if len(row) < 3), None)
-    if short is not None:
-        raise OmtwarpError(f"cut short: vertex {short} has {len(rows[short])} of its three coordinates")
+    if short := [number for number, row in enumerate(rows) if len(row) < 3]:
+        raise OmtwarpError(f"cut short: vertex {short[0]} has {len(rows[short[0]])} of its three coordinates")
     return numbers_of([row[:3] for row in rows], "vertex", float).reshape(-1, 3)
 
 

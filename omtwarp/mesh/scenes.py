@@ -324,8 +324,7 @@ def load_scene(data: bytes, file: Path, suffix: str, *, pictures: bool = True) -
         gltf = GltfInput(data, suffix, file)
         read = (*_READ, *(() if pictures else _OF_PICTURES))
         required = gltf.document.get("extensionsRequired", [])
-        unknown = [str(name) for name in required if not str(name).startswith(read)]
-        if unknown:
+        if unknown := [str(name) for name in required if not str(name).startswith(read)]:
             raise OmtwarpError(f"needs {unknown[0]}, which is not read: save it without compression and extensions")
         gltf.write_out_arrays()
         if pictures:

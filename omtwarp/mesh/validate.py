@@ -133,8 +133,7 @@ def require_valid(vertices: ArrayLike, faces: ArrayLike, name: str = "") -> tupl
     Raises:
         OmtwarpError: the first defect, how many, where the first is, how to repair it, and the other kinds of defect.
     """
-    defects = check(vertices, faces)
-    if defects:
+    if defects := check(vertices, faces):
         raise OmtwarpError(describe(defects, name))
     points, triangles = as_arrays(vertices, faces)
     return points, triangles.astype(np.int32)

@@ -109,12 +109,10 @@ def members(
         if word in files:
             raise OmtwarpError(f"'{files[word]}' has the name of a result: rename it")
     real = os.path.realpath
-    replaced = next((one for name, one in files.items() if real(one) == real(Path(folder) / f"{name}.npz")), None)
-    if replaced is not None:
-        raise OmtwarpError(f"'{replaced}' is a map and would be replaced as a result: choose another folder")
-    missing = next((path for path in files.values() if not path.is_file()), None)
-    if missing is not None:
-        raise OmtwarpError(f"'{missing}' is no file: give maps (.npz)")
+    if replaced := [one for name, one in files.items() if real(one) == real(Path(folder) / f"{name}.npz")]:
+        raise OmtwarpError(f"'{replaced[0]}' is a map and would be replaced as a result: choose another folder")
+    if missing := [path for path in files.values() if not path.is_file()]:
+        raise OmtwarpError(f"'{missing[0]}' is no file: give maps (.npz)")
     return {
         stem: Member(path, tuple((name, Path(given[k])) for name, given in wanted.items()))
         for k, (stem, path) in enumerate(files.items())

@@ -71,9 +71,8 @@ class Template:
         """
         with open_input(path, LARGEST_MESH_FILE, "template") as stream, naming(f"'{path}' is not a template"):
             arrays = read_arrays(stream, (*ARRAYS, "origin"))
-            missing = next((name for name in ARRAYS if name not in arrays), None)
-            if missing is not None:
-                raise OmtwarpError(f"it has no '{missing}'")
+            if missing := [name for name in ARRAYS if name not in arrays]:
+                raise OmtwarpError(f"it has no '{missing[0]}'")
             points = real_numbers(arrays[ARRAYS[0]], "its points", (None, 3))
             faces = whole_numbers(arrays[ARRAYS[1]], "its faces", (None, 3), below=len(points))
             names = tuple(str(name) for name in np.atleast_1d(arrays[ARRAYS[3]]))

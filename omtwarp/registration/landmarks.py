@@ -93,9 +93,8 @@ def pairs_of(landmarks: LandmarksLike, moving: Floats, target: Floats, counts: t
     if not given:
         raise OmtwarpError("there are no landmarks: give at least one, or none at all")
     labels = tuple(str(one.label) for one in given)
-    twice = next((label for label in labels if labels.count(label) > 1), None)
-    if twice is not None:
-        raise OmtwarpError(f"two landmarks are called '{twice}'")
+    if twice := [label for label in labels if labels.count(label) > 1]:
+        raise OmtwarpError(f"two landmarks are called '{twice[0]}'")
     points, places, weights, owners = [], [], [], []
     for k, one in enumerate(given):
         ours = _on_sphere(one.moving, moving, counts[0], f"landmark '{one.label}' on the map")

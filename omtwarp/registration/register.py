@@ -298,8 +298,7 @@ def _warn_of_distant(marks: Pairs, distances: dict[str, dict[str, float]], max_s
     """Warn of exact landmarks that are not at their places."""
     apart = 0.1  # degrees that exact landmarks may be from their places, a tenth of an edge of 160,000 vertices
     exact = [marks.labels[k] for k in np.unique(marks.owners[marks.exact])]
-    away = [label for label in exact if distances[label]["after"] > apart]
-    if away:
+    if away := [label for label in exact if distances[label]["after"] > apart]:
         farthest = distances[away[0]]["after"]
         text = f"exact landmarks stayed away from their places, '{away[0]}' by {farthest:.2f} degrees"
         warnings.warn(f"{text}: the strain that they need is over {max_strain:g}", OmtwarpWarning, stacklevel=3)
@@ -307,8 +306,7 @@ def _warn_of_distant(marks: Pairs, distances: dict[str, dict[str, float]], max_s
 
 def _warn_of_strain(strain: Floats, max_strain: float, exact: bool) -> None:
     """Warn of triangles that are strained more than they may be; triangles around exact landmarks are not relaxed."""
-    over = int((strain > max_strain).sum())
-    if over:
+    if over := int((strain > max_strain).sum()):
         reason = "exact landmarks need it, or " if exact else ""
         text = f"{over} triangles are strained beyond {max_strain:g}: {reason}the mesh has slivers there"
         warnings.warn(f"{text}, or too few triangles", OmtwarpWarning, stacklevel=3)

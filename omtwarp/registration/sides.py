@@ -189,8 +189,7 @@ def feature_weights_of(features: Mapping[str, Floats], given: Mapping[str, float
     Raises:
         OmtwarpError: a name that is no feature's, or a weight that is no number from 0 on.
     """
-    unknown = [name for name in given if name not in features]
-    if unknown:
+    if unknown := [name for name in given if name not in features]:
         raise OmtwarpError(f"there is no feature '{unknown[0]}' to weight: use {', '.join(features)}")
     weights = [real_number(given.get(name, 1.0), f"the weight of '{name}'", least=0.0) for name in features]
     if not any(weights):

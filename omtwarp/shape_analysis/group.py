@@ -189,9 +189,8 @@ def check_table(
     if count < fewest:
         raise OmtwarpError(f"too few shapes for a model of {model.shape[1]} columns: {count}, at least {fewest}")
     for name, (numbers, levels) in columns.items():
-        rare = next((one for one in levels if [str(value).strip() for value in table[name]].count(one) < 2), None)
-        if rare is not None:
-            raise OmtwarpError(f"too few shapes with '{rare}' in column '{name}': 1, at least 2")
+        if rare := [one for one in levels if [str(value).strip() for value in table[name]].count(one) < 2]:
+            raise OmtwarpError(f"too few shapes with '{rare[0]}' in column '{name}': 1, at least 2")
         others = np.column_stack([np.ones(count), *(c for other, (c, _) in columns.items() if other != name)])
         whole, rest = (np.linalg.matrix_rank(_scaled(part)) for part in (model, others))
         if whole < rest + numbers.shape[1]:

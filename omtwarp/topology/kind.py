@@ -112,8 +112,7 @@ def parts_of(vertices: ArrayLike, faces: ArrayLike, name: str = "") -> list[Part
         OmtwarpError: the mesh has defects other than holes, handles and several parts.
     """
     points, triangles = as_arrays(vertices, faces)
-    defects = [d for d in check(points, triangles) if d.kind not in (*MAPPABLE, "inward-orientation")]
-    if defects:
+    if defects := [d for d in check(points, triangles) if d.kind not in (*MAPPABLE, "inward-orientation")]:
         raise OmtwarpError(describe(defects, name))
     _, labels = Topology(triangles, len(points)).components
     _, first = np.unique(labels, return_index=True)
