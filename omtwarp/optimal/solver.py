@@ -8,7 +8,8 @@ whose last block makes it a step of the augmented Lagrangian method with penalty
 Optimization", chapter 17): q is added to the multipliers, and u lowers L + μ / 24π Σ (a_v - 3m_v)² / 3m_v. A step that
 does not is corrected where areas alone keep it from that, or else halved; areas that a whole step leaves in error are
 corrected too. After each step the few vertices that have the most to gain take steps of their own
-(:mod:`omtwarp.optimal.local`). The minimisation ends with the step that was expected to gain next to nothing.
+(:mod:`omtwarp.optimal.local`). The minimisation ends where a step is expected to gain next to nothing, or would, by how
+much less than the one before it the last one gained.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ from omtwarp.solvers.triangle import AREA_WEIGHT
 PENALTY = 1000.0
 LEAST_PENALTY = 1e-12  # in place of 0, by which saddle-point systems divide
 MIN_COST = 1e-6  # radians²: gains are compared with the cost, or with this where the cost is smaller
-MAX_HALVINGS = 6  # of a step: smaller ones lower the merit of drawn parts, and tear their triangles
+LEAST_LENGTH = 1.0 / 64.0  # of a step: smaller ones lower the merit of drawn parts, and tear their triangles
+LONGER = 4.0  # than the last step a step is at most: with 2 one surface of twelve takes other steps, with more none
 CORRECTED = 0.1  # share of the squared errors of areas that a correction may leave: after one that leaves more, none
 # Share of the squared errors of areas that a step has to take away to be worth taking for that alone.
 LEAST_AREA_GAIN = 0.1
@@ -50,8 +52,8 @@ LOCAL_GAIN_SHARE = 0.1
 # δ of the soft distance relative to the root mean squared distance: with 0.3, 0.1 and 0.03 the mean distance of a
 # gargoyle's map is 0.4144, 0.4137 and 0.4135 radians, in 3 steps each.
 SOFTNESS = 0.03
-# A map is optimal after a step that was expected to gain less than this share of the cost, where its areas are within
-# the energy's tolerances. Cost and shape have long flat valleys: less takes more steps for the same map.
+# A map is optimal where a step is expected to gain less than this share of the cost, and its areas are within the
+# energy's tolerances. Cost and shape have long flat valleys: less takes more steps for the same map.
 GAIN = 1e-4
 
 
@@ -245,6 +247,7 @@ class _Newton:
         self.compliance = wp.array(energy.wanted / self.stiffness, dtype=wp.float64, device=self.device)
         self.multipliers = wp.zeros(len(energy.wanted), dtype=wp.float64, device=self.device)
         self.max_rms, self.max_error = energy.cells.tolerances
+        self.longest = 1.0  # share of the direction that is tried first
 
     def run(self, given: Floats, multipliers: Floats | None, iterations: int, progress: Progress | None) -> OptimalMap:
         """Take Newton steps until one was expected to gain next to nothing, or none lowers the energy."""
@@ -268,9 +271,12 @@ class _Newton:
                 ended = "optimal" if converged else "no step lowers the cost"
                 break
             points, terms, self.multipliers, settled = step.points, step.terms, step.multipliers, 0
-            converged = self._reached(terms, decrement)
+            before, converged = history[-1]["decrement"], self._reached(terms, decrement)
+            # What the next step is expected to gain: less by as much as a whole step gains less than the one before it.
+            ahead = decrement * min(decrement / before, 1.0) if before and step.length == 1.0 else decrement
             if energy.has_local_steps and not converged:
-                points, terms, settled = self._settled(points, terms, decrement)
+                points, terms, settled = self._settled(points, terms, max(ahead, self._enough(terms)))
+                converged = self._reached(terms, ahead)
             history.append(self._record(terms, decrement, step.length, step.corrected, settled))
             tell(progress, self.stage, number + 1, iterations, history[-1])
             if converged:
@@ -290,7 +296,7 @@ class _Newton:
     def _settled(self, points: wp.array, terms: MapTerms, expected: float) -> tuple[wp.array, MapTerms, int]:
         """Move the few vertices that have the most to gain; return the map, its terms, and the number of them.
 
-        The gain that was ``expected`` of the last step limits that of single vertices.
+        The gain that is ``expected`` of the next step limits that of single vertices.
         """
         energy, matrix, count = self.energy, self.energy.matrix, self.surface.vertex_count
         gradient = self.domain.coordinates(matrix.points, energy.gradient(points, terms, self.multipliers))
@@ -356,10 +362,10 @@ class _Newton:
         direction, q = energy.direction(solution), solution[-self.multipliers.size :]
         # The slope of the penalty along u is that of B u = C q - missing.
         slope, pressed = reading.dot(right, solution), reading.dot(self.multipliers, terms.missing)
-        volume, length, decrement, merit = terms.shape.d_volume, 1.0, 0.0, 0.0
-        for halvings in range(MAX_HALVINGS + 1):
+        volume, length, decrement, merit = terms.shape.d_volume, self.longest, 0.0, 0.0
+        while length >= LEAST_LENGTH:
             numbers, taken = self.steps.tried(points, direction, volume, length, self.multipliers)
-            if halvings == 0:
+            if length == self.longest:
                 decrement = float(numbers[slope]) + self.stiffness * terms.squares
                 merit = self._merit(replace(terms, pressed=float(numbers[pressed])))
                 if not decrement > 0.0:
@@ -370,6 +376,7 @@ class _Newton:
                 step = _Step(*reached, length, self._changed(self.multipliers, length, q))
                 corrected = self._corrected(terms, step, enough)
                 if corrected is not None:
+                    self.longest = min(1.0, LONGER * length)
                     return corrected, q, decrement
             length *= 0.5
         return None, q, decrement
