@@ -272,8 +272,10 @@ class _Newton:
                 break
             points, terms, self.multipliers, settled = step.points, step.terms, step.multipliers, 0
             before, converged = history[-1]["decrement"], self._reached(terms, decrement)
-            # What the next step is expected to gain: less by as much as a whole step gains less than the one before it.
-            ahead = decrement * min(decrement / before, 1.0) if before and step.length == 1.0 else decrement
+            # What the next step is expected to gain: under constraints less than a whole step by as much as that gained
+            # less than the one before. Without them gains may stay as small as they are for many steps.
+            foreseen = self.constrained and before and step.length == 1.0
+            ahead = decrement * min(decrement / before, 1.0) if foreseen else decrement
             if energy.has_local_steps and not converged:
                 points, terms, settled = self._settled(points, terms, max(ahead, self._enough(terms)))
                 converged = self._reached(terms, ahead)
