@@ -31,7 +31,7 @@ from omtwarp.files.output import digest_of, staged
 from omtwarp.mapping.any_surface import in_file, map_surface
 from omtwarp.mapping.pipeline import map_to_sphere
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.neuro import anatomy_of
+from omtwarp.mesh.neuro import structure_of, volume_geometry_of
 from omtwarp.mesh.read import read_joined_mesh, read_mesh
 from omtwarp.mesh.repair import NOTED_LOSS, repair
 from omtwarp.mesh.shapes import blob
@@ -93,7 +93,11 @@ def _map(job: Job) -> MapResult:
         warnings.warn(f"{job.path}: {repaired.actions[-1]}", OmtwarpWarning, stacklevel=2)
     given = mesh if repaired is None else repaired
     result = in_file(mapped((given.vertices, given.faces), job.options), mesh.after(repaired), len(given.vertices))
-    cast(dict, result.report).update(anatomy_of(Path(job.path)))
+    structure = structure_of(Path(job.path))
+    if structure is not None:
+        result.report["structure"] = structure
+    if (volume := volume_geometry_of(Path(job.path))) is not None:
+        result.report["volume_geometry"] = volume
     return result
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, Annotated
 
 import omtwarp
 from omtwarp.commands import _work
@@ -170,7 +170,7 @@ def run_map(
         front (AXIS): The axis towards longitude 0; guessed where --up is given.
     """
 
-    from omtwarp.mesh.neuro import anatomy_of
+    from omtwarp.mesh.neuro import structure_of, volume_geometry_of
     from omtwarp.mesh.write import SUFFIXES
 
     if topology.torus and beside:
@@ -189,8 +189,8 @@ def run_map(
         assert mesh is not None
         target, report_target = files
         sound = _work.read_sound_mesh(mesh, repair, any_surface=kind is not None, smoothing=smoothing)
-        anatomy = anatomy_of(mesh)
-        weights, at = weights_of(mass, sound, anatomy.get("structure"))
+        structure = structure_of(mesh)
+        weights, at = weights_of(mass, sound, structure)
         asked = {"weights": weights, "weights_at": at, "target": goal}
         result = make_map(sound.surface, mapping, quiet=printing.quiet, any_surface=kind, **asked)
         require_bijective(result)
@@ -198,7 +198,10 @@ def run_map(
             say(f"warning: {mesh}: closed and without handles, so that options for holes, handles and parts do nothing")
         if up is not None or front is not None:
             result = standing(result, None, up, front)
-        cast(dict, result.report).update(anatomy)
+        if structure is not None:
+            result.report["structure"] = structure
+        if (volume := volume_geometry_of(mesh)) is not None:
+            result.report["volume_geometry"] = volume
         result, joined = with_copies(result, sound)
         with staged(target) as file:
             save(result, file, like=mesh, radius=radius, beside=beside, joined=joined)

@@ -112,16 +112,6 @@ def volume_geometry_of(path: Path) -> dict[str, object] | None:
     return None
 
 
-def anatomy_of(path: Path) -> dict:
-    """Return what a map's report keeps of a file: ``structure`` and ``volume_geometry``, each where it is known.
-
-    Raises:
-        OmtwarpError: the file is no GIFTI, and has the name of one.
-    """
-    known = {"structure": structure_of(path), "volume_geometry": volume_geometry_of(path)}
-    return {name: value for name, value in known.items() if value is not None}
-
-
 def load_gifti(path: Path) -> "GiftiImage":
     """Read a GIFTI file, as nibabel's image.
 
