@@ -149,6 +149,12 @@ def with_files(files: Sequence[Path]) -> str:
     return f"\nwith {' and '.join(str(file) for file in files[:-1])}" if len(files) > 1 else ""
 
 
+def say_notes(path: Path, notes: Iterable[str]) -> None:
+    """Print what reading and repair of a file did, a line for each."""
+    for note in notes:
+        say(f"{path}: {note}")
+
+
 def sound_surface(
     path: Path, vertices: NDArray, faces: NDArray, notes: list[str], repair: bool, *, any_surface: bool = False
 ) -> tuple[omtwarp.Surface, Repaired | None]:
@@ -170,8 +176,7 @@ def sound_surface(
     if repaired is not None and repaired.actions:
         vertices, faces = repaired.vertices, repaired.faces
         notes += repaired.actions
-    for note in notes:
-        say(f"{path}: {note}")
+    say_notes(path, notes)
     checked = as_arrays(vertices, faces) if any_surface else require_valid(vertices, faces, str(path))
     surface = omtwarp.Surface(*checked)
     surface.checked = not any_surface

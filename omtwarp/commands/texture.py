@@ -68,6 +68,8 @@ def painted_with_map(
     mesh = omtwarp.read_painted_mesh(path)
     if repair and len(mesh.faces) != len(result.faces):
         mesh, _ = read_sound_painted(path, repair)
+    else:
+        _work.say_notes(path, mesh.notes)
     with naming(f"{of_map} and {path}"):
         mesh.on(result.vertices, result.faces, origins=result.origins)
     return mesh, result

@@ -55,6 +55,22 @@ def test_a_texture_that_seams_cut_is_transferred_without_its_map(desk, capsys):
     assert status == 0, err
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        "texture two.obj --map two.npz --uv own --keep-materials over --pattern globe -o noted.glb --size 64",
+        "transfer two.obj plain.ply --map-from two.npz --map-to two.npz --aligned -o noted.glb --size 64",
+    ],
+)
+def test_what_reading_left_out_is_said_beside_a_finished_map(desk, capsys, words):
+    (desk / "stripes.png").unlink()
+    status, _, err = run(capsys, *words.split())
+    assert status == 0 and err.count("two.obj: the picture 'stripes.png' is not there\n") == 1
+    (desk / "two.mtl").unlink()
+    _, _, err = run(capsys, *words.split())
+    assert "two.obj: the material library 'two.mtl' is not there\n" in err
+
+
 def test_obj_gets_a_library_and_its_pictures_and_leaves_the_input_alone(desk, capsys):
     before = {name: (desk / name).read_bytes() for name in ("two.obj", "two.mtl", "stripes.png")}
     status, out, _ = run(
