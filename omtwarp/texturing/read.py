@@ -250,6 +250,8 @@ def _materials_beside(file: Path, libraries: list[str], named: list[Path], notes
         there = file_beside(file, library)
         if there is None:
             notes.append(f"the material library '{library}' is not there")
+        elif not there.stat().st_size:
+            notes.append(f"the material library '{library}' is empty")
         else:
             named.append(there)
             known |= read_mtl(read_bytes(there, LARGEST_MESH_FILE).decode("utf-8", "surrogateescape"), picture)

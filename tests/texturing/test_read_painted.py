@@ -56,6 +56,14 @@ def test_what_is_named_and_missing_is_said(tmp_path):
     assert "outside.png" in mesh.notes[0] and mesh.materials[0].picture is None
 
 
+def test_an_empty_library_has_no_materials_and_is_said(tmp_path):
+    path, *_ = two_halves(tmp_path)
+    (tmp_path / "two.mtl").write_bytes(b"")
+    mesh = read_painted_mesh(path)
+    assert mesh.notes == ("the material library 'two.mtl' is empty",)
+    assert [material.name for material in mesh.materials] == ["red", "blue"]
+
+
 def test_glb_of_several_primitives_is_one_closed_mesh(tmp_path):
     """Vertices doubled along the seams of coordinates and materials are joined; colours and factors come back."""
     path, *_ = two_halves(tmp_path, picture=True)
