@@ -21,7 +21,7 @@ from omtwarp.texturing.atlas import SIZE, Atlas, make_atlas
 from omtwarp.texturing.baking import PADDING, bake_materials, bake_to_uv, own_at_parts, picture_source, sphere_layout
 from omtwarp.texturing.export import Material
 from omtwarp.texturing.image import as_bytes, without_full_opacity
-from omtwarp.texturing.painted import PaintedMesh
+from omtwarp.texturing.painted import PaintedMesh, as_painted
 from omtwarp.texturing.seams import unwrap
 from omtwarp.texturing.textured import as_map
 
@@ -80,7 +80,7 @@ def transfer_texture(
     where = resolve_device(device)
     vertices, faces, sphere = as_map(result)
     there, triangles, points = as_map(other)
-    source = mesh.on(vertices, faces, origins=getattr(result, "origins", None))
+    source = as_painted(mesh).on(vertices, faces, origins=getattr(result, "origins", None))
     plain = all(material.picture is None for material in source.materials)
     if plain and len(source.materials) == 1 and source.vertex_colors is None:
         raise OmtwarpError("nothing to transfer: the mesh has neither a picture nor colours")
@@ -98,7 +98,7 @@ def transfer_texture(
         points = alignment.sphere
     layout = make_atlas(atlas, size if size is not None else SIZE)
     picture = _on_sphere(source, sphere, layout, where)
-    own = None if onto is None else onto.on(there, triangles, origins=getattr(other, "origins", None))
+    own = None if onto is None else as_painted(onto).on(there, triangles, origins=getattr(other, "origins", None))
     if own is not None and uv == "own":
         coordinates = own.require_uv("the mesh that gets the texture")
         baked = bake_to_uv(

@@ -272,7 +272,6 @@ def run_texture(
     Options:
         output: .glb, .obj (with .mtl and .png) or .ply; a directory of .glb for several meshes.
     """
-    from omtwarp.mesh.validate import mesh_arrays
     from omtwarp.texturing import read_image
     from omtwarp.texturing.export import SUFFIXES, format_for
 
@@ -287,7 +286,7 @@ def run_texture(
     paints = looks | vars(painting) | {"size": width, "bake": painting.bake or ()}
     paints["keep"] = paints.pop("keep_materials")
     if painting.detail is not None:
-        paints["detail"] = mesh_arrays(omtwarp.read_mesh(painting.detail, together=True))
+        paints["detail"] = omtwarp.read_mesh(painting.detail, together=True)
     _work.start_device(mapping.device)
     image = None if picture.image is None else read_image(picture.image)
 

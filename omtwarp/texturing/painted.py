@@ -398,3 +398,14 @@ def joined_seams(mesh: PaintedMesh) -> PaintedMesh:
     colors = None if mesh.vertex_colors is None else mesh.vertex_colors[stays]
     points, faces = mesh.vertices[stays], after[mesh.faces].astype(np.int32)
     return replace(mesh, vertices=points, faces=faces, vertex_colors=colors, notes=notes)
+
+
+def as_painted(mesh: object) -> PaintedMesh:
+    """Return a mesh with its coordinates and materials, the argument itself.
+
+    Raises:
+        OmtwarpError: it is none, but a file's name, or a mesh without coordinates and materials.
+    """
+    if not isinstance(mesh, PaintedMesh):
+        raise OmtwarpError(f"expected a PaintedMesh, got {type(mesh).__name__}: read it with read_painted_mesh")
+    return mesh

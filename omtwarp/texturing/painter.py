@@ -14,20 +14,21 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
-from omtwarp.errors import OmtwarpError, OmtwarpWarning, check_word
+from omtwarp.errors import OmtwarpError, OmtwarpWarning, check_word, naming
+from omtwarp.files.output import as_path
 from omtwarp.maps.domains import is_torus_map
 from omtwarp.maps.result import MapResult
-from omtwarp.mesh.arrays import Floats, Ints, SphereMap, real_numbers
+from omtwarp.mesh.arrays import Floats, Ints, SphereMap, listed, real_number
 from omtwarp.mesh.origins import Origins
 from omtwarp.mesh.polygons import grid_shares, grid_triangles
-from omtwarp.mesh.surface import as_faces, plane_areas, triangle_areas, vertex_normals
+from omtwarp.mesh.surface import MeshLike, as_triangles, plane_areas, triangle_areas, vertex_normals
 from omtwarp.options import AtlasLike, CoordinatesLike, KeepLike, PatternLike, ProjectionLike
 from omtwarp.texturing import bakes, baking, image as pictures
 from omtwarp.texturing.atlas import SIZE, check_size, make_atlas, width_of
 from omtwarp.texturing.baking import PADDING, Picture, Source
 from omtwarp.texturing.export import WHITE, Material, corner_tangents
 from omtwarp.texturing.image import PictureLike
-from omtwarp.texturing.painted import PaintedMesh
+from omtwarp.texturing.painted import PaintedMesh, as_painted
 from omtwarp.texturing.patterns import Pattern, pattern as by_name
 from omtwarp.texturing.seams import shares_of_corners
 from omtwarp.texturing.smooth import smooth_map
@@ -45,7 +46,7 @@ def paint(
     keep: KeepLike | None = None,
     opacity: float | None = None,
     bake: Sequence[str | os.PathLike[str]] = (),
-    detail: tuple[ArrayLike, ArrayLike] | None = None,
+    detail: MeshLike | None = None,
     projection: ProjectionLike = "equirectangular",
     atlas: AtlasLike = "cube",
     rotate: ArrayLike | str | None = None,
@@ -76,8 +77,8 @@ def paint(
             to the material's occlusion; normals of ``detail`` to its normal map, in tangent space; curvature (of the
             mean, 1 / length unit), area (on the sphere over that on the surface) and data become the colour, through a
             colour map, and so do normals without ``detail``, in the mesh's axes. Only one bake may become the colour.
-        detail: vertices and faces of a finer mesh of the same surface in the same place, for ``normal``; one that lies
-            elsewhere is warned of.
+        detail: a finer mesh of the same surface in the same place, for ``normal``: (vertices, faces), or anything that
+            has both; one that lies elsewhere is warned of.
         projection: of the image, as in :func:`omtwarp.texture`.
         atlas: which one, as in :func:`omtwarp.texture`, without own coordinates.
         rotate: turns the pattern on the sphere, as in :func:`omtwarp.texture`.
@@ -113,7 +114,8 @@ def paint(
     else:
         vertices, faces, sphere = as_map(result)
         parts, on_map = spheres_of(result), triangle_areas(sphere, faces)
-    names = tuple(os.fspath(name) for name in ([bake] if isinstance(bake, str | os.PathLike) else bake))
+    bakes_given = [bake] if isinstance(bake, str | os.PathLike) else listed(bake, "bake", "names of bakes and files")
+    names = tuple(str(as_path(name)) for name in bakes_given)
     color = color_among(names, detail is not None, pattern, image, keep)
     if image is None and pattern is None and (keep is not None or not names):
         pattern = "circles"
@@ -123,20 +125,24 @@ def paint(
     origins, structure = (None, None) if stored is None else (stored.origins, stored.report.get("structure"))
     painting = _Painting(
         vertices, faces, sphere, torus, parts, on_map, origins, structure,
-        None if mesh is None else mesh.on(vertices, faces, origins=origins), keep, 0.5 if opacity is None else opacity,
-        names, color, fine,
+        None if mesh is None else as_painted(mesh).on(vertices, faces, origins=origins),
+        keep, 0.5 if opacity is None else opacity, names, color, fine,
         image, pattern, projection, atlas, rotate, size, resolve_device(device),
     )  # fmt: skip
     return painting.on_own_coordinates() if uv == "own" else painting.on_atlas()
 
 
-def _in_place(detail: tuple[ArrayLike, ArrayLike], vertices: Floats) -> tuple[Floats, Ints]:
-    """Return vertices and faces of a detailed mesh; warn where it is elsewhere than a coarser one's vertices."""
+def _in_place(detail: MeshLike, vertices: Floats) -> tuple[Floats, Ints]:
+    """Return vertices and faces of a detailed mesh; warn where it is elsewhere than a coarser one's vertices.
+
+    Raises:
+        OmtwarpError: the detail is no mesh.
+    """
     from scipy.spatial import cKDTree
 
-    points = real_numbers(detail[0], "vertices of the detail", (None, 3))
-    fine = points, as_faces(detail[1], len(points))
-    apart = float(cKDTree(points).query(vertices)[0].mean() / np.ptp(vertices, axis=0).max())
+    with naming("detail"):
+        fine = as_triangles(detail)
+    apart = float(cKDTree(fine[0]).query(vertices)[0].mean() / np.ptp(vertices, axis=0).max())
     if apart > 0.1:
         text = f"the detail lies elsewhere, {apart:.1f} times the mesh's size away: give both the same units and axes"
         warnings.warn(text, OmtwarpWarning, stacklevel=3)
@@ -151,7 +157,7 @@ def check_options(uv: str, keep: str | None, opacity: float | None, atlas: str) 
     """
     check_word("texture coordinates", uv, ("own", "atlas"))
     check_word("way to keep materials", keep or "under", ("over", "under"))
-    if opacity is not None and not 0.0 <= opacity <= 1.0:
+    if opacity is not None and not 0.0 <= real_number(opacity, "opacity") <= 1.0:
         raise OmtwarpError(f"the opacity is {opacity}: give a number from 0 to 1")
     if opacity is not None and keep is None:
         raise OmtwarpError("an opacity is for materials that are kept: keep them, or leave the opacity out")

@@ -170,6 +170,11 @@ def test_overlapping_coordinates_are_warned_of(halves):
         ({"uv": "mine"}, "unknown texture coordinates"),
         ({"keep": "beside"}, "unknown way"),
         ({"opacity": 2, "keep": "over"}, "the opacity is 2"),
+        ({"opacity": "x", "keep": "over"}, "opacity: must be a finite number"),
+        ({"mesh": trimesh.creation.icosphere(1)}, "got Trimesh: read it with read_painted_mesh"),
+        ({"bake": [np.zeros(4)]}, "must be text or a path, not a ndarray"),
+        ({"bake": 3}, "bake: must be a list of names"),
+        ({"bake": ["normal"], "detail": 3}, "detail: expected a trimesh.Trimesh"),
         ({"opacity": 0.5}, "an opacity is for materials that are kept"),
         ({"atlas": "octahedral"}, "an atlas is for new texture coordinates"),
         ({"bake": ["curvature"], "pattern": "checker"}, "curvature and the pattern would both be the colour"),
@@ -195,6 +200,22 @@ def test_mistakes_are_one_line(halves, options, message):
     with pytest.raises(OmtwarpError, match=message) as caught:
         paint(result, **{"mesh": mesh, "size": 64, **options})
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("form", [trimesh.Trimesh, omtwarp.Surface, PaintedMesh])
+def test_the_detail_is_a_mesh_in_any_form(halves, form):
+    mesh, result = halves
+    arrays = mesh.vertices, mesh.faces
+    given, expected = (paint(result, mesh, bake=["normal"], detail=d, size=64) for d in (form(*arrays), arrays))
+    np.testing.assert_array_equal(given.materials[0].normal_picture, expected.materials[0].normal_picture)
+
+
+def test_transfer_takes_painted_meshes_alone(halves):
+    mesh, result = halves
+    other = trimesh.creation.icosphere(1)
+    for given, onto in ((other, mesh), (mesh, other)):
+        with pytest.raises(OmtwarpError, match="got Trimesh: read it with read_painted_mesh"):
+            omtwarp.transfer_texture(given, result, result, onto=onto, aligned=True, size=64)
 
 
 def test_a_mesh_without_coordinates_is_refused(halves):
