@@ -32,7 +32,7 @@ from omtwarp.texturing.painted import PaintedMesh, as_painted
 from omtwarp.texturing.patterns import Pattern, pattern as by_name
 from omtwarp.texturing.seams import shares_of_corners
 from omtwarp.texturing.smooth import smooth_map
-from omtwarp.texturing.textured import MapLike, as_map, spheres_of, texture
+from omtwarp.texturing.textured import MapLike, as_map, check_projection, spheres_of, texture
 from omtwarp.texturing.unwrap import pack_rows
 
 
@@ -105,6 +105,7 @@ def paint(
     if image is not None and pattern is not None:
         raise OmtwarpError("both an image and a pattern were given: a texture is made from one of them")
     check_options(uv, keep, opacity, atlas)
+    check_projection(projection, image)
     if mesh is None and (uv == "own" or keep is not None):
         raise OmtwarpError("own texture coordinates and materials are kept from a mesh: give the one that was mapped")
     torus = result if is_torus_map(result) else None
@@ -265,6 +266,8 @@ class _Painting:
         assert self.own is not None  # checked before
         mesh = self.own
         which, tiled = baking.tiled_copies(mesh.require_uv())
+        if self.rotate is not None and not self.drawn:
+            raise OmtwarpError("rotate turns pictures and patterns, and none is drawn on own coordinates: leave it out")
         if isinstance(self.rotate, str):
             raise OmtwarpError(f"rotate '{self.rotate}': give degrees or a matrix for own texture coordinates")
         tangents = self._tangents(mesh)

@@ -101,7 +101,7 @@ def texture(
             raise OmtwarpError("projection, atlas, rotation and seam are for textures on the sphere: leave them out")
         return texture_torus(result, image, pattern, layouts.width_of(size))
     vertices, faces, sphere = as_map(result)
-    check_word("projection", projection, ProjectionName)
+    check_projection(projection, image)
     rotation = _rotation(rotate, vertices, faces, sphere)
     seam = _seam(seam_longitude, atlas, vertices, faces, sphere @ rotation)
     picture = None if image is None else pictures.read_image(image)
@@ -134,6 +134,21 @@ def texture(
     normals = unit_normals(cut.weights @ vertex_normals(vertices, faces))
     whole = SphereLayout(cut, layout, rotation, vertices, faces, sampled)
     return replace(made, source_files=_named(image), normals=normals, layout=whole)
+
+
+def check_projection(projection: str, image: object) -> None:
+    """Refuse a projection that pictures have not, and one without a picture.
+
+    Args:
+        projection: as of :func:`texture`.
+        image: the picture, in any form; None for none.
+
+    Raises:
+        OmtwarpError: the projection cannot be taken.
+    """
+    check_word("projection", projection, ProjectionName)
+    if image is None and projection != "equirectangular":
+        raise OmtwarpError(f"projection='{projection}' is for an image, and none is given: leave it out")
 
 
 def _chosen_size(

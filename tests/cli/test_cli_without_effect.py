@@ -53,6 +53,11 @@ def run(capsys, *arguments) -> tuple[int, str]:
             "transfer ball.glb ball.ply -o a.glb --aligned --mirror",
             "--mirror is for maps that are to be aligned, without --aligned",
         ),
+        ("texture ball.ply -o a.glb --pattern globe --projection sinusoidal", "--projection sinusoidal is for"),
+        ("texture ball.ply -o a.glb --bake ao --projection sinusoidal", "--projection sinusoidal is for an image"),
+        ("texture ball.glb -o a.glb --uv own --bake ao --rotate 30", "--rotate turns pictures and patterns"),
+        ("texture ball.glb -o a.glb --uv own --bake ao --up x", "--up turns pictures and patterns"),
+        ("texture ball.glb -o a.glb --uv own --bake ao --front x", "--front turns pictures and patterns"),
         ("map ball.ply -o a.npz --method tutte --until moser", "--until is for methods of several stages"),
     ],
 )

@@ -173,6 +173,8 @@ def test_overlapping_coordinates_are_warned_of(halves):
         ({"opacity": "x", "keep": "over"}, "opacity: must be a finite number"),
         ({"mesh": trimesh.creation.icosphere(1)}, "got Trimesh: read it with read_painted_mesh"),
         ({"bake": [np.zeros(4)]}, "must be text or a path, not a ndarray"),
+        ({"pattern": "globe", "projection": "sinusoidal"}, "projection='sinusoidal' is for an image"),
+        ({"bake": ["ao"], "rotate": 30}, "rotate turns pictures and patterns"),
         ({"bake": 3}, "bake: must be a list of names"),
         ({"bake": ["normal"], "detail": 3}, "detail: expected a trimesh.Trimesh"),
         ({"opacity": 0.5}, "an opacity is for materials that are kept"),
