@@ -33,7 +33,7 @@ def parse_color(color: str | ArrayLike, what: str = "colour") -> NDArray[np.floa
     """Turn a CSS colour name, ``#rrggbb`` or three numbers (0 to 1, or integers 0 to 255) into RGB in [0, 1].
 
     Raises:
-        OmtwarpError: the text is no colour, or there are not three numbers.
+        OmtwarpError: the text is no colour, or there are not three numbers in the range.
     """
     if isinstance(color, str):
         from PIL import ImageColor
@@ -43,10 +43,12 @@ def parse_color(color: str | ArrayLike, what: str = "colour") -> NDArray[np.floa
         except ValueError:
             raise OmtwarpError(f"'{color}' is not a {what}: use a CSS name such as 'white' or '#rrggbb'") from None
     values = np.asarray(color)
-    if values.shape not in ((3,), (4,)) or values.dtype.kind not in "iuf" or not np.isfinite(values).all():
-        raise OmtwarpError(f"{color!r} is not a {what}: use a CSS name, '#rrggbb' or three numbers in [0, 1]")
-    scale = 255.0 if np.issubdtype(values.dtype, np.integer) and values.max(initial=0) > 1 else 1.0
-    return np.clip(values[:3] / scale, 0.0, 1.0)
+    if values.shape in ((3,), (4,)) and values.dtype.kind in "iuf":
+        scaled = values[:3] / (255.0 if values.dtype.kind != "f" and values.max() > 1 else 1.0)
+        rounded = np.clip(scaled, 0.0, 1.0)
+        if (np.abs(scaled - rounded) <= np.finfo(np.float32).eps).all():  # not so of NaN
+            return rounded
+    raise OmtwarpError(f"{color!r} is not a {what}: use a CSS name, '#rrggbb' or three numbers in [0, 1]")
 
 
 @cache
@@ -85,7 +87,7 @@ def backdrop(background: object, width: int, height: int) -> NDArray[np.float64]
     """
     if isinstance(background, str) and background == "studio":
         background = ("#fbfcfe", "#d3dae3")
-    if isinstance(background, (tuple, list)) and len(background) == 2:
+    if isinstance(background, (tuple, list)) and len(background) == 2 and not isinstance(background[0], int | float):
         top, bottom = parse_color(background[0], "background"), parse_color(background[1], "background")
         t = np.linspace(0.0, 1.0, height)[:, None, None]
         return (1.0 - t) * top + t * bottom

@@ -183,11 +183,6 @@ class Painting:
         return self.uv is Coordinates.OWN or self.keep_materials is not None
 
     @property
-    def bakes_alone(self) -> bool:
-        """Whether bakes are all that is drawn on the mesh's own coordinates, but for a picture or a pattern."""
-        return self.uv is Coordinates.OWN and self.keep_materials is None and bool(self.bake)
-
-    @property
     def by_materials(self) -> str:
         """The given options by which each material gets pictures of its own, in words; empty without any."""
         own, keep = self.uv is Coordinates.OWN, self.keep_materials is not None
@@ -239,12 +234,10 @@ def _width_for(targets: list[Path], look: Look, painting: Painting, picture: Pic
         raise OmtwarpError("both --image and --pattern: give one")
     check_options(painting.uv, painting.keep_materials, painting.opacity, look.atlas)
     check_projection(look.projection, picture.image)
-    turns = {"--rotate": look.rotate, "--up": picture.up, "--front": picture.front}
-    idle = painting.bakes_alone and picture.image is None and look.pattern is None
-    _work.refuse({
-        f"{name} turns pictures and patterns, and none is drawn with --uv own": idle and given
-        for name, given in turns.items()
-    })  # fmt: skip
+    if painting.by_materials == "--uv own and --bake" and picture.image is None and look.pattern is None:
+        turns = {"--rotate": look.rotate, "--up": picture.up, "--front": picture.front}
+        words = "turns pictures and patterns, and none is drawn with --uv own"
+        _work.refuse({f"{name} {words}": given for name, given in turns.items()})
     sides = sides_of(picture.size)
     if sides is not None:
         check_size(sides)

@@ -6,6 +6,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from omtwarp.colors import backdrop, colormap_table
+from omtwarp.errors import one_line
 from omtwarp.mesh.arrays import ROUND_OFF, Bytes
 from omtwarp.render.scene import ScalarField
 
@@ -70,11 +71,11 @@ def draw_color_bar(image: Image.Image, scalar: ScalarField, color: tuple[int, in
         y = bottom - 1 - part * (bottom - 1 - top)
         draw.line((right, y, right + 0.05 * bar, y), fill=color)
         draw.text((right + 0.09 * bar, y), f"{value:.4g}", font=text, fill=color, anchor="lm")
-    if scalar.label:
+    if label := one_line(str(scalar.label)):
         # Over the bar where the picture is wide enough to its right, else ending at the picture's border.
-        fits = left + draw.textlength(scalar.label, font=text) < width - 0.04 * bar
+        fits = left + draw.textlength(label, font=text) < width - 0.04 * bar
         place = (left, top - 0.025 * height) if fits else (width - 0.04 * bar, top - 0.025 * height)
-        draw.text(place, scalar.label, font=text, fill=color, anchor="lb" if fits else "rb")
+        draw.text(place, label, font=text, fill=color, anchor="lb" if fits else "rb")
 
 
 def ticks(low: float, high: float, logarithmic: bool = False) -> list[float]:

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from PIL import Image
 
 from omtwarp.colors import backdrop
-from omtwarp.errors import DrawingFailed, OmtwarpError, choose, truth
+from omtwarp.errors import DrawingFailed, OmtwarpError, choose, shown, truth
 from omtwarp.files.limits import FRAMES_PER_SECOND, LARGEST_VIEW, MOST_FILM_PIXELS, MOST_FRAMES
 from omtwarp.files.output import as_path
 from omtwarp.mesh.arrays import Bytes, FinishedMap, listed, real_number, whole_number, whole_numbers
@@ -118,6 +118,9 @@ def complete(given: PreviewOptions, function: str) -> PreviewOptions:
             )
     if (samples := options["samples"]) is not None:
         options["samples"] = whole_number(samples, "samples along a pixel's side", least=1, most=most_samples)
+    if not isinstance(options["camera"], Camera | None):
+        raise OmtwarpError(f"camera {shown(options['camera'])}: must be an omtwarp.render.Camera")
+    _require_effect(options)
     if options["light"] is not None:
         as_light(options["light"])
     backdrop(options["background"], 1, 2)
@@ -128,6 +131,20 @@ def complete(given: PreviewOptions, function: str) -> PreviewOptions:
     if options["backend"] != Backend.WARP:
         gl_client.prepare()
     return options
+
+
+def _require_effect(options: PreviewOptions) -> None:
+    """Refuse options that change nothing in a picture, but for those that have their default.
+
+    Raises:
+        OmtwarpError: an option has no effect.
+    """
+    alone = options["scalar"] is None or isinstance(options["scalar"], ScalarField)
+    uses = dict.fromkeys(("colormap", "scalar_range", "scalar_label"), "numbers given as scalar") if alone else {}
+    uses |= {} if options["frames"] else {"fps": "films, with frames"}
+    for name, use in uses.items():
+        if str(options[name]) != str(PREVIEW_DEFAULTS[name]):  # type: ignore[literal-required]
+            raise OmtwarpError(f"{name} is for {use}: leave it out")
 
 
 def checked_size(given: tuple[int, int], what: str = "picture") -> tuple[int, int]:
@@ -251,6 +268,8 @@ def preview(
         chosen["size"] = output.video_size(*chosen["size"])
     cameras = cameras_of(chosen)
     several = not film and len(cameras) > 1
+    if not several and not isinstance(chosen["captions"], bool):
+        raise OmtwarpError("captions are for a sheet of several views: leave them out")
     names = _captions(chosen["captions"], cameras) if several else []
     images = _draw(subject, chosen, cameras, clear=transparent or several)
     if film:

@@ -164,6 +164,20 @@ def test_scalar_limits() -> None:
         (lambda: preview(TRIANGLE, front=3, backend="warp"), "'3' is not an axis"),
         (lambda: preview(TRIANGLE, views="six", captions=3, backend="warp"), "captions: must be a list of texts"),
         (lambda: preview(TRIANGLE, background=(np.nan, 0, 0), backend="warp"), "is not a background"),
+        (lambda: preview(TRIANGLE, background=(300, 0, 0), backend="warp"), "(300, 0, 0) is not a background"),
+        (lambda: preview(TRIANGLE, background=(-1, 0, 0), backend="warp"), "(-1, 0, 0) is not a background"),
+        (lambda: preview(TRIANGLE, background=(1.5, 0, 0), backend="warp"), "(1.5, 0, 0) is not a background"),
+        (lambda: preview(TRIANGLE, background=[1, 2], backend="warp"), "[1, 2] is not a background"),
+        (lambda: preview(TRIANGLE, camera=4, backend="warp"), "camera '4': must be an omtwarp.render.Camera"),
+        (lambda: preview(TRIANGLE, captions=["hello"], backend="warp"), "captions are for a sheet of several views"),
+        (lambda: preview(TRIANGLE, scalar_range=(0, 1), backend="warp"), "scalar_range is for numbers given as scalar"),
+        (lambda: preview(TRIANGLE, colormap="gray", backend="warp"), "colormap is for numbers given as scalar"),
+        (lambda: preview(TRIANGLE, scalar_label="x", backend="warp"), "scalar_label is for numbers given as scalar"),
+        (
+            lambda: preview(TRIANGLE, scalar=ScalarField([1, 2, 3]), colormap="gray", backend="warp"),
+            "colormap is for numbers given as scalar: leave it out",
+        ),
+        (lambda: preview(TRIANGLE, fps=5, backend="warp"), "fps is for films, with frames: leave it out"),
         (lambda: preview(TRIANGLE, arrows=[[1.0], [1.0, 2.0]], backend="warp"), "arrows: must be numbers in rows"),
         (lambda: SurfaceView(*TRIANGLE, colors=[[1.0], [1.0, 2.0]]), "colors: must be numbers in rows"),
         (lambda: preview(TRIANGLE, scalar=[1.0, 2.0], backend="warp"), "a number per vertex (3) or per face (1)"),
@@ -206,6 +220,13 @@ def test_errors_are_one_clear_line(make, words: str, tmp_path, monkeypatch) -> N
         make()
     assert words in str(caught.value) and "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("label", "same"), [(5, "5"), ("two\nlines", "two lines")])
+def test_a_label_is_one_line_of_text(label, same) -> None:
+    options = {"scalar": [1.0, 2.0, 3.0], "size": (128, 128), "backend": "warp"}
+    drawn, expected = (np.asarray(preview(TRIANGLE, scalar_label=words, **options)) for words in (label, same))
+    np.testing.assert_array_equal(drawn, expected)
 
 
 def test_unreadable_files_are_named(tmp_path) -> None:
