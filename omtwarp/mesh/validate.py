@@ -270,13 +270,17 @@ def _open_boundary(points: Floats, topology: Topology, two_sided: bool) -> Defec
     """
     lone = topology.edge_face_count == 1
     count, size, vertex = topology.holes
-    edges, holes = number(lone.sum(), "edge"), number(count, "hole")
-    which = "the first " if count > 1 else ""
-    text = f"open boundary: {edges} with one face, in {holes}, {which}a loop of {size} edges at vertex {vertex}"
+    # Where more than two faces meet, a boundary may end; without ends it consists of loops.
+    ends_there = bool((np.bincount(topology.edges[lone].ravel()) % 2).any())
+    what, form = ("line", "a path") if ends_there else ("hole", "a loop")
+    first = ("the first " if count > 1 else "") + f"{form} of {number(size, 'edge')} at vertex {vertex}"
+    text = f"open boundary: {number(lone.sum(), 'edge')} with one face, in {number(count, what)}, {first}"
     ends = np.unique(topology.edges[lone])
     copies = len(ends) - len(np.unique(points[ends], axis=0))  # exactly where another one is
     if copies:
         remedy = f"{number(copies, 'vertex lies', 'vertices lie')} on another one, merge them with {REPAIR}"
+    elif ends_there:
+        remedy = f"drop the extra faces with {REPAIR}"
     elif not two_sided:
         remedy = "the surface has one side, which no repair and no option changes"
     else:

@@ -174,3 +174,24 @@ def test_a_mesh_is_checked_and_repaired_in_every_form(tmp_path):
         assert [defect.kind for defect in omtwarp.check(wrong)] == ["not-a-triangle-mesh"]
         with pytest.raises(OmtwarpError, match=r"expected a trimesh\.Trimesh or \(vertices, faces\)"):
             omtwarp.repair(wrong)
+
+
+@pytest.mark.parametrize("inside", [False, True], ids=["by one edge", "by two edges"])
+def test_the_boundary_of_a_face_that_hangs_is_neither_a_hole_nor_a_loop(inside):
+    """A face at two neighbours of a vertex and a new vertex, or at that vertex and two of its neighbours."""
+    v, f = ball()
+    middle = int(f[0, 0])
+    ring = np.setdiff1d(f[(f == middle).any(axis=1)], [middle])
+    first = int(ring[0])
+    beside = {int(k) for face in f if first in face for k in face}
+    if inside:
+        far = next(int(k) for k in ring if int(k) not in beside)
+        face, path = [first, middle, far], f"a path of 1 edge at vertex {min(first, far)};"
+    else:
+        face, path = [middle, first, len(v)], f"a path of 2 edges at vertex {min(middle, first)};"
+        v = np.concatenate([v, [[2.0, 2.0, 2.0]]])
+    faces = np.concatenate([f, [face]])
+    (defect,) = (d for d in check(v, faces) if d.kind == "open-boundary")
+    count = "1 edge" if inside else "2 edges"
+    assert f"open boundary: {count} with one face, in 1 line, {path} drop the extra faces" in str(defect)
+    assert not check(omtwarp.repair(v, faces))
