@@ -319,6 +319,24 @@ def start_device(device: str) -> None:
     resolve_device(device)
 
 
+def require_own_hemisphere(structure: str | None, output: Path, asked: str | None = None) -> None:
+    """Refuse an output whose name, or an option, names the other hemisphere than what is written.
+
+    Args:
+        structure: the part of the brain that is written, None where it is not known.
+        output: the file.
+        asked: the part that the option ``--hemisphere`` names.
+
+    Raises:
+        OmtwarpError: one names the other hemisphere.
+    """
+    from omtwarp.mesh.neuro import STRUCTURES, structure_in_name
+
+    for what, named in {"--hemisphere": asked, f"'{output}'": structure_in_name(output.name)}.items():
+        if {structure, named} == set(STRUCTURES.values()):
+            raise OmtwarpError(f"{what} names the other hemisphere than what is written, {structure}")
+
+
 def refuse(options: Mapping[str, object]) -> None:
     """Refuse options that would have no effect.
 

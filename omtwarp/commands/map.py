@@ -190,6 +190,7 @@ def run_map(
         target, report_target = files
         sound = _work.read_sound_mesh(mesh, repair, any_surface=kind is not None, smoothing=smoothing)
         structure = structure_of(mesh)
+        _work.require_own_hemisphere(structure, target)
         weights, at = weights_of(mass, sound, structure)
         asked = {"weights": weights, "weights_at": at, "target": goal}
         result = make_map(sound.surface, mapping, quiet=printing.quiet, any_surface=kind, **asked)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import omtwarp
 from omtwarp.commands._options import Argument, Printing, Typed, output_option
 from omtwarp.commands._streams import STREAM, input_file, output_file, step_times
-from omtwarp.commands._work import refuse, show_facts, start_device
+from omtwarp.commands._work import refuse, require_own_hemisphere, show_facts, start_device
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_outputs
 from omtwarp.options import Device, Interpolation, MapOptions, Side
@@ -57,19 +57,17 @@ class Given:
     data: Annotated[Path | None, Typed(file=input_file)] = None
     labels: bool = False
 
-    def read(self, structure: str | None, target: Path | None) -> VertexData | None:
+    def read(self, structure: str | None) -> VertexData | None:
         """Read the data, of a part of the brain that their file may say itself.
 
         Raises:
-            OmtwarpError: they cannot be read, or are of another structure of the brain than the target.
+            OmtwarpError: they cannot be read.
         """
         from omtwarp.mesh.data import read_data
-        from omtwarp.mesh.neuro import require_same_structure
 
         if self.data is None:
             return None
         given = read_data(self.data, structure)
-        require_same_structure(self.data, target)
         return replace(given, structure=given.structure or structure)
 
 
@@ -105,7 +103,7 @@ def run_resample(
         hemisphere: Of fsLR32k, and of what is written where neither SOURCE nor the data say it.
     """
     from omtwarp.mesh.data import DATA_SUFFIXES
-    from omtwarp.mesh.neuro import require_same_structure, structure_of
+    from omtwarp.mesh.neuro import structure_of
     from omtwarp.mesh.write import SUFFIXES
     from omtwarp.resampling import file_points
     from omtwarp.resampling.averages import is_average, with_side
@@ -122,8 +120,7 @@ def run_resample(
     suffixes = SUFFIXES if given.data is None else DATA_SUFFIXES
     check_outputs([(output, suffixes), (extras.sphere, SUFFIXES), (extras.matrix, (".npz",))], *inputs)
     like = here if surface is None else surface
-    require_same_structure(like, there)
-    data = given.read(structure, there)
+    data = given.read(structure)
     as_labels = given.labels or (data is not None and data.is_labels)  # of which the one of largest overlap is taken
     chosen = method or (Interpolation.CONSERVATIVE if as_labels else Interpolation.BARYCENTRIC)
     start_device(device)
@@ -145,15 +142,14 @@ def _structure(files: list[Path], hemisphere: Side | None, output: Path) -> str 
     """Return the part of the brain that is written: the files' own or, where they do not say it, the hemisphere asked.
 
     Raises:
-        OmtwarpError: the hemisphere, or the one in the output's name, is another one than the files'.
+        OmtwarpError: the files are of different parts, or the hemisphere, or the one in the output's name, is another
+            one than theirs.
     """
-    from omtwarp.mesh.neuro import STRUCTURES, structure_in_name, structure_of
+    from omtwarp.mesh.neuro import require_same_structure
 
     asked = hemisphere and f"Cortex{hemisphere.title()}"
-    structure = next(filter(None, map(structure_of, files)), asked)
-    for what, named in {"--hemisphere": asked, f"'{output}'": structure_in_name(output.name)}.items():
-        if {structure, named} == set(STRUCTURES.values()):
-            raise OmtwarpError(f"{what} names the other hemisphere than what is written, {structure}")
+    structure = require_same_structure(*files) or asked
+    require_own_hemisphere(structure, output, asked)
     return structure
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import omtwarp
 from omtwarp.commands._options import Argument, Printing, Typed, output_option
 from omtwarp.commands._streams import input_file, is_standard_output, progress_bar, step_times, warnings_as_lines
-from omtwarp.commands._work import refuse, show_facts
+from omtwarp.commands._work import refuse, require_own_hemisphere, show_facts
 from omtwarp.commands.pictures import FILMS
 from omtwarp.errors import OmtwarpError
 from omtwarp.files.output import check_folder, check_output, check_outputs
@@ -59,7 +59,8 @@ class Pair:
             other: the file of the other sphere, None where it is made.
 
         Raises:
-            OmtwarpError: the output cannot be written, or is a map where there is none, or the parts differ.
+            OmtwarpError: the output cannot be written, or is a map where there is none, or the parts differ, or the
+                output names another one.
         """
         from omtwarp.mesh.neuro import require_same_structure
         from omtwarp.mesh.write import SUFFIXES
@@ -68,9 +69,8 @@ class Pair:
         if self.as_map and self.source.suffix.lower() != ".npz":
             raise OmtwarpError(f"cannot write '{self.output}': a whole map needs a map (.npz) as input")
         refuse({"--radius is for spheres as meshes, not for .npz": self.as_map and self.radius != Pair.radius})
-        for ours in (self.source, self.surface):
-            for theirs in (other, self.to_surface):
-                require_same_structure(ours, theirs)
+        files = self.surface, other, self.to_surface, *(self.feature or []), *(self.to_feature or [])
+        require_own_hemisphere(require_same_structure(self.source, *files), self.output)
 
     def features(self, other: Path | None) -> tuple[dict[str, NDArray] | None, dict[str, NDArray] | None]:
         """Read the data of both sides: their columns by name, with the same names in the same order; None for none.

@@ -145,15 +145,17 @@ def _gifti_text(path: Path) -> bytes:
     return zlib.decompressobj(31).decompress(data, LARGEST_MESH_FILE) if data.startswith(b"\x1f\x8b") else data
 
 
-def require_same_structure(one: Path | None, other: Path | None) -> None:
-    """Refuse two files that name different parts of the brain as their content.
+def require_same_structure(*files: Path | None) -> str | None:
+    """Return the part of the brain that files name as their content, None where none does; refuse different ones.
 
     Raises:
-        OmtwarpError: the two files name different parts.
+        OmtwarpError: two files name different parts.
     """
-    ours, theirs = structure_of(one), structure_of(other)
-    if ours is not None and theirs is not None and ours != theirs:
-        raise OmtwarpError(f"'{one}' is {ours} and '{other}' is {theirs}: take the template of the same hemisphere")
+    named = {part: file for file in reversed(files) if (part := structure_of(file)) is not None}
+    if len(named) > 1:
+        (ours, one), (theirs, other), *_ = named.items()
+        raise OmtwarpError(f"'{one}' is {ours} and '{other}' is {theirs}: take files of the same hemisphere")
+    return next(iter(named), None)
 
 
 def write_gifti_surface(

@@ -26,7 +26,7 @@ from omtwarp.location import Locator
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.arrays import Floats, by_name, normalised, whole_number
 from omtwarp.mesh.data import read_data
-from omtwarp.mesh.neuro import structure_of
+from omtwarp.mesh.neuro import require_same_structure, structure_of
 from omtwarp.options import MAX_STRAIN, STIFFNESS, Progress, tell
 from omtwarp.registration.folding import FOLDING_WEIGHTS
 from omtwarp.registration.group_template import Template
@@ -94,7 +94,7 @@ def members(
 
     Raises:
         OmtwarpError: fewer than two maps, two of one name, one that is called as a result is, or that one would
-            replace, or another number of files of a feature.
+            replace, or another number of files of a feature, or one of another part of the brain than its map.
     """
     wanted = by_name(features, "features")
     for name, given in wanted.items():
@@ -113,10 +113,13 @@ def members(
         raise OmtwarpError(f"'{replaced[0]}' is a map and would be replaced as a result: choose another folder")
     if missing := [path for path in files.values() if not path.is_file()]:
         raise OmtwarpError(f"'{missing[0]}' is no file: give maps (.npz)")
-    return {
-        stem: Member(path, tuple((name, Path(given[k])) for name, given in wanted.items()))
+    found = {
+        stem: Member(path, tuple((name, as_path(given[k])) for name, given in wanted.items()))
         for k, (stem, path) in enumerate(files.items())
     }
+    for one in found.values():
+        require_same_structure(one.path, *(file for _, file in one.features))
+    return found
 
 
 class Kept:

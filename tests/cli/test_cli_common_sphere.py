@@ -23,7 +23,7 @@ from omtwarp.commands._command import as_command
 from omtwarp.commands.spheres import run_register as register
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh import shapes
-from omtwarp.mesh.data import read_data
+from omtwarp.mesh.data import VertexData, read_data, write_data
 from omtwarp.mesh.neuro import structure_of
 from omtwarp.mesh.read import read_mesh
 from omtwarp.mesh.write import write_mesh
@@ -391,6 +391,47 @@ def test_bad_input_is_one_line(desk, capsys, words, message):
     said = capsys.readouterr().err
     assert message in said and said.count("\n") == 1
     assert not list(desk.glob("x.*"))
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "resample lh.npz --to ico2 -o x.npy --data OTHER",
+        "resample left.npz --to ico2 -o x.npy --data OTHER",
+        "resample lh.sphere.ply --surface rh.white.ply --to ico2 -o x.npy --data thickness.npy",
+        "register lh.npz --to template.npz -o x.npz --feature OTHER --to-feature thickness.npy",
+        "register lh.npz --to template.npz -o x.npz --feature thickness.npy --to-feature OTHER",
+        "align lh.npz --to template.npz -o x.npz --feature OTHER --to-feature thickness.npy",
+        "register lh.npz left.npz -o x --group --feature OTHER --feature thickness.npy",
+        "register template.npz lh.npz -o x --sequence --feature thickness.npy --feature OTHER",
+    ],
+)
+@pytest.mark.parametrize("other", ["rh.thickness.npy", "rh.y.shape.gii", "x.shape.gii"])
+def test_data_of_the_other_hemisphere_are_refused(desk, capsys, words, other):
+    pytest.importorskip("nibabel")
+    inside = "CortexRight" if other.startswith("x") else None
+    write_data(desk / other, VertexData(np.linspace(1.0, 2.0, COUNT)[:, None], ("y",), structure=inside))
+    write_mesh("rh.white.ply", BLOB.vertices, BLOB.faces)
+    replace(a_map(random_rotation(1)), report={"structure": "CortexLeft"}).save("left.npz")
+    before = sorted(desk.iterdir())
+    assert run(*words.replace("OTHER", other).split()) == 1
+    said = capsys.readouterr().err
+    assert "same hemisphere" in said and said.count("\n") == 1
+    assert sorted(desk.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "map lh.white.ply -o rh.npz --until conformal",
+        "align lh.npz --to axes -o rh.npz",
+        "register lh.npz --to template.npz -o rh.npz",
+    ],
+)
+def test_an_output_called_as_the_other_hemisphere_is_refused(desk, capsys, words):
+    assert run(*words.split()) == 1
+    assert capsys.readouterr().err.endswith("'rh.npz' names the other hemisphere than what is written, CortexLeft\n")
+    assert not Path("rh.npz").exists()
 
 
 @pytest.mark.parametrize(
