@@ -36,7 +36,8 @@ class Registration:
 
     Attributes:
         sphere: unit vectors, float64, shape [V, 3].
-        start: the rotation that the warp started from, with its score and that of the next best one.
+        start: the rotation that the warp started from. Its ``score`` is that of the best rotation, its ``runner_up``
+            that of the next best one, whichever was taken.
         doubtful: whether the two scores were so near to each other that further rotations were tried.
         starts: the ``score`` of the rotation and the ``energy`` at the end of the coarse levels for every start that
             was tried, the match of places first; the one with the least energy was taken.
@@ -110,7 +111,8 @@ class Registration:
     def facts(self) -> dict[str, float]:
         """Return the numbers by which registrations are told apart, for a table.
 
-        They are the score and margin of the start, whether it is doubtful (1), flips and degree, both strains at 95 %
+        They are the score of the best rotation and its margin to the next best one, whether the start is doubtful (1),
+        flips and degree, both strains at 95 %
         of the triangles and the largest, and every feature's correlation at the end.
         """
         start, certificate = self.start, self.certificate
@@ -216,10 +218,10 @@ def register(
     by_area, by_stretch = octaves(before, sphere, grids[0].own_triangles)
     _warn_of_strain(np.maximum(np.abs(by_area), by_stretch), max_strain, pairs is not None and bool(pairs.exact.any()))
     agreement = [side.agreement(there) for side in (best.turned, best.turned.moved(sphere))]
-    turn, own, basis = best.rotation, before[: counts[0]], ", ".join(here.features)
+    turn, first, own = best.rotation.rotation, rotations[0], before[: counts[0]]
     return Registration(
         sphere=sphere[: counts[0]],
-        start=Alignment(turn.rotation, own, "features", turn.score, turn.runner_up, False, basis=basis),
+        start=Alignment(turn, own, "features", first.score, first.runner_up, False, basis=", ".join(here.features)),
         doubtful=doubtful,
         starts=[{"score": one.rotation.score, "energy": one.warp.energy} for one in tried],
         correlations={name: {"before": agreement[0][name], "after": agreement[1][name]} for name in here.features},

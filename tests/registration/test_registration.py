@@ -10,6 +10,7 @@ from made_cortices import BALL, EDGE, FIRM, flowed, folded, points_of, rms, unit
 from sphere_truths import random_rotation
 
 import omtwarp
+from omtwarp.alignment.rotation_search import Best
 from omtwarp.errors import OmtwarpError
 from omtwarp.flips.exact import flipped_faces
 from omtwarp.location import Locator
@@ -19,7 +20,7 @@ from omtwarp.mesh.data import read_data
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.registration.feature_term import FeatureField, FeatureTerm
 from omtwarp.registration.folding import HeatFlow, folding_features, smoothed
-from omtwarp.registration.sides import target_points
+from omtwarp.registration.sides import Side, target_points
 from omtwarp.registration.strain import kept_within, octaves, strain_at_vertices
 from omtwarp.resampling import SpherePoints
 from omtwarp.spheres import mesh_grid
@@ -126,6 +127,18 @@ def test_a_doubtful_start_is_tried_from_several_rotations():
     assert found.doubtful and len(found.starts) > 2
     assert found.starts[1]["score"] >= found.starts[2]["score"]
     assert found.correlations["height"]["after"] > 0.99
+
+
+def test_the_margin_is_that_of_the_best_rotation_whichever_is_taken(monkeypatch):
+    """Of two rotations that agree nearly as well, the second leads to less energy, and has no next best one."""
+    half_turn = np.diag([1.0, -1.0, -1.0])
+    given = [Best(half_turn, 0.937, 0.935, 0), Best(np.eye(3), 0.935, -1.0, 0)]
+    monkeypatch.setattr(Side, "rotations", lambda _self, _target: (given, True))
+    points = points_of(BALL.vertices, folded(BALL))
+    found = omtwarp.register(points, points, **FIRM)
+    assert rms(found.start.sphere, BALL.vertices) < 1e-9 and found.doubtful
+    assert found.facts()["registration_margin"] == pytest.approx(0.002)
+    assert (found.to_dict()["score"], found.to_dict()["runner_up"]) == (0.937, 0.935)
 
 
 def test_folding_does_not_depend_on_size_place_or_order():
