@@ -114,8 +114,12 @@ def mass_distortion(goal: Surface, sphere: Floats, own: NDArray[np.bool_] | None
         ``mean`` weighted by the area wanted, ``p95`` and ``max`` over triangles; 2 is perfect.
     """
     chosen = slice(None) if own is None else own
-    wanted = goal.face_areas[chosen]
-    _, error = area_distortions(triangle_areas(sphere, goal.faces[chosen]), wanted)
+    return kept_mass(triangle_areas(sphere, goal.faces[chosen]), goal.face_areas[chosen])
+
+
+def kept_mass(image: Floats, wanted: Floats) -> dict[str, float]:
+    """Return the figures of :func:`mass_distortion` of areas of images and those wanted, in shares, shape [F] each."""
+    _, error = area_distortions(image, wanted)
     mean = float(wanted @ error) / float(wanted.sum())
     return {"mean": mean, "p95": float(np.percentile(error, 95)), "max": float(error.max())}
 

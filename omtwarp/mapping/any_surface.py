@@ -20,7 +20,7 @@ from omtwarp.mapping.joined import in_input_order, joined
 from omtwarp.mapping.pipeline import map_closed, map_to_sphere
 from omtwarp.mapping.verdict import accepted, judge
 from omtwarp.maps.result import MapResult, MeshReport, StageReport, SurfaceReport, origin_arrays
-from omtwarp.measures import face_weights
+from omtwarp.measures import face_weights, kept_mass
 from omtwarp.mesh.arrays import Floats, edge_keys, normalised
 from omtwarp.mesh.origins import Derived, Origins
 from omtwarp.mesh.quarter import PARTS, quarter
@@ -378,7 +378,10 @@ def _map_part(
     image = result.sphere if result.disk is None else np.pad(result.disk, ((0, 0), (0, 1)))
     areas = triangle_areas(image, result.faces).reshape(-1, parts).sum(axis=1)
     findings = judge(surface, _whole(result)[0], result.report["stages"], options, image=areas)
-    return result.with_arrays({"report": result.report | {"warnings": accepted(findings, options.strict)}})
+    mass = result.report["mass"] | kept_mass(areas, surface.face_areas[:count])
+    return result.with_arrays(
+        {"report": result.report | {"mass": mass, "warnings": accepted(findings, options.strict)}}
+    )
 
 
 def _quartered(opened: _Opened, closed: MapResult, surface: Surface) -> tuple[_Opened, MapResult]:

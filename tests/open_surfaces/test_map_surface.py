@@ -233,6 +233,26 @@ def test_caps_lie_apart_and_cover_most_of_the_sphere(count):
     assert (angle > radius + radius[:, None]).all() and covered > 0.75
 
 
+@pytest.mark.parametrize(("weighted", "exact"), [(False, False), (True, True)])
+@pytest.mark.parametrize("domain", ["hemisphere", "disk", "cap", "sphere"])
+def test_mass_of_a_report_is_that_of_the_map_that_is_handed_over(domain, weighted, exact):
+    """A closed surface without one of its triangles, whose disk and cap lie far from the hemisphere on the way."""
+    whole = shapes.blob(seed=3, sphere=320)
+    points, faces = whole.vertices, whole.faces[1:]
+    weights = np.linspace(1.0, 2.0, len(faces)) if weighted else None
+    result = omtwarp.map_surface(
+        (points, faces), domain=domain, fill_area="natural", weights=weights, exact=exact, device="cpu"
+    )
+    image = result.sphere if result.disk is None else np.pad(result.disk, ((0, 0), (0, 1)))
+    parent = np.arange(len(faces)) if result.face_origin is None else result.face_origin
+    reached = np.bincount(parent, triangle_areas(image, result.faces))
+    wanted = triangle_areas(points, faces) * (1.0 if weights is None else weights)
+    ratio = reached / reached.sum() * wanted.sum() / wanted
+    error = ratio + 1.0 / ratio
+    figures = {"mean": wanted @ error / wanted.sum(), "p95": np.percentile(error, 95), "max": error.max()}
+    assert result.report["mass"] == pytest.approx({**figures, "weighted": weighted}, rel=1e-9)
+
+
 def test_lambert_keeps_area():
     points = shapes.fibonacci_sphere(4000).vertices
     north = points[points[:, 2] >= 0.0]
