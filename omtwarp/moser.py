@@ -8,16 +8,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from omtwarp.device.arrays import vectors
-from omtwarp.device.policy import resolve_device
+from omtwarp.device.policy import resolve_device, solving_with
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, THREE, TWO, ZERO, wp
 from omtwarp.device.threads import FIRST_THREAD, blas_threads, each, launch_parts
+from omtwarp.errors import choose
 from omtwarp.geometry.spherical import TINY
 from omtwarp.location import walk
 from omtwarp.measures import TargetDensity
 from omtwarp.mesh.arrays import Floats
 from omtwarp.mesh.surface import SPHERE_AREA, MeshLike, as_sphere, as_surface, triangle_areas
-from omtwarp.options import Progress, Record, tell
-from omtwarp.solvers.poisson import EdgeLaplacianSolver, cotangent_solver
+from omtwarp.options import Progress, Record, Solver, SolverLike, tell
+from omtwarp.solvers.poisson import EdgeLaplacianSolver, LaplacianSolver, cotangent_solver
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -174,7 +175,7 @@ def moser_map(
     sphere: ArrayLike | wp.array,
     *,
     target: TargetDensity | None = None,
-    solver: EdgeLaplacianSolver | None = None,
+    solver: EdgeLaplacianSolver | LaplacianSolver | SolverLike | None = None,
     device: str | None = "auto",
     progress: Progress | None = None,
 ) -> MoserMap:
@@ -191,7 +192,8 @@ def moser_map(
             It is taken at the vertices of ``sphere`` and as linear between them.
         solver: the factorised cotangent Laplacian of the image, made here when left out. For a conformal image the
             surface's own can serve and saves a factorisation, but around the pole a discrete conformal map is not
-            conformal: the area error it leaves is three to four times as large, and does not vanish on fine meshes.
+            conformal: the area error it leaves is three to four times as large, and does not vanish on fine meshes. The
+            name of a solver of :func:`omtwarp.map_to_sphere` is taken for one that is made here.
         device: where the particles move.
         progress: called as ``progress("moser", done, 4, details)`` before, with the linear system factorised, with it
             solved, and after.
@@ -221,8 +223,9 @@ def moser_map(
     points = vectors(as_sphere(sphere, surface), where)
     mesh = surface.on(where)
     faces, rows = mesh.faces, mesh.vertex_corners
-    if solver is None:
-        solver = cotangent_solver(surface, points)
+    if not isinstance(solver, EdgeLaplacianSolver | LaplacianSolver):
+        with solving_with(Solver.AUTO if solver is None else choose(Solver, solver)):
+            solver = cotangent_solver(surface, points)
     tell(progress, "moser", 2, parts, {})
     here = points.numpy()
     areas = triangle_areas(here, surface.faces)

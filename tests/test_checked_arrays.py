@@ -9,11 +9,13 @@ import trimesh
 from hypothesis import given, strategies as st
 
 import omtwarp
+from omtwarp.cohort.tables import read_table
 from omtwarp.errors import OmtwarpError
 from omtwarp.location import Locator
 from omtwarp.maps.result import MapResult
 from omtwarp.mesh.shapes import blob, icosphere
-from omtwarp.shape_analysis import expand
+from omtwarp.registration import register_group, register_sequence
+from omtwarp.shape_analysis import expand, study_group
 from omtwarp.texturing import pattern, rasterize
 from omtwarp.wavelets import level_for
 
@@ -195,6 +197,7 @@ TAKES_A_NUMBER = {
     "checker, rows": lambda value: pattern("checker", rows=value),
     "checker, columns": lambda value: pattern("checker", columns=value),
     "puzzle, seed": lambda value: pattern("puzzle", seed=value),
+    "write_report, picture_size": lambda value: omtwarp.write_report(MAP, "a.html", picture_size=value, device="cpu"),
     "level_for, lowest": lambda value: level_for(12, lowest=value),
     "preview, fps": lambda value: omtwarp.preview(SURFACE, frames=1, fps=value, backend="rays"),
 }
@@ -205,6 +208,7 @@ TAKES_A_NAME = {
     "refine": lambda value: omtwarp.map_to_sphere(SURFACE, refine=value),
     "device": lambda value: omtwarp.map_to_sphere(SURFACE, device=value),
     "solver": lambda value: omtwarp.map_to_sphere(SURFACE, solver=value),
+    "moser_map, solver": lambda value: omtwarp.moser_map(SURFACE, SPHERE, solver=value, device="cpu"),
     "domain": lambda value: omtwarp.map_surface(SURFACE, domain=value),
     "MapResult's domain": lambda value: surface_map(domain=value),
     "align, by": lambda value: omtwarp.align(MAP, MAP, by=value),
@@ -235,6 +239,9 @@ TAKES_A_PATH = {
     "load": MapResult.load,
     "save": MAP.save,
     "write_report": lambda value: omtwarp.write_report(MAP, value),
+    "read_table": read_table,
+    "register_group": lambda value: register_group([value, MAP], "out"),
+    "register_sequence": lambda value: register_sequence([value, MAP], "out"),
 }
 
 
@@ -316,6 +323,24 @@ def test_frames_that_turn_no_map():
 def test_paths_that_are_none(function):
     for value in BROKEN_PATH:
         refuse(TAKES_A_PATH[function], value)
+
+
+def test_names_of_files_are_no_maps_and_maps_no_names_of_files():
+    with pytest.raises(OmtwarpError, match=r"maps: must be a list of omtwarp\.MapResult"):
+        study_group(["a.npz", "b.npz"])
+    for register_all in (register_group, register_sequence):
+        with pytest.raises(OmtwarpError, match="must be text or a path, not a MapResult"):
+            register_all([MAP, MAP], "out")
+
+
+def test_a_table_is_read_by_its_name_as_text(tmp_path):
+    (tmp_path / "table.csv").write_text("id,area\na,2.5\n", encoding="utf-8")
+    assert read_table(str(tmp_path / "table.csv")) == read_table(tmp_path / "table.csv")
+
+
+def test_mosers_flow_takes_the_name_of_a_solver():
+    plain, named = (omtwarp.moser_map(SURFACE, SPHERE, solver=one, device="cpu").sphere for one in (None, "scipy"))
+    np.testing.assert_allclose(named, plain, atol=1e-9)
 
 
 def test_maps_of_every_kind_own_their_arrays():

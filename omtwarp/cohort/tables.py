@@ -2,6 +2,7 @@
 
 import csv
 import glob
+import os
 import re
 import warnings
 from collections import Counter, defaultdict
@@ -185,8 +186,9 @@ def _valid(value: object) -> object:
     return value.encode(errors="backslashreplace").decode() if isinstance(value, str) else value
 
 
-def read_table(path: Path) -> list[Row]:
+def read_table(path: str | os.PathLike[str]) -> list[Row]:
     """Read a table that :func:`write_table` wrote; a CSV's numbers become numbers, its empty fields None."""
+    path = output.as_path(path)
     if path.suffix == ".parquet":
         import pyarrow.parquet as parquet
 

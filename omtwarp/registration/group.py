@@ -100,7 +100,7 @@ def members(
     for name, given in wanted.items():
         if len(given) != len(maps):
             raise OmtwarpError(f"feature '{name}' has {len(given)} files for {len(maps)} maps: give one a map")
-    files = {Path(path).stem: Path(path) for path in maps}
+    files = {path.stem: path for path in map(as_path, maps)}
     if len(maps) < 2:
         raise OmtwarpError(f"{len(maps)} map in all: give at least two")
     if len(files) < len(maps):

@@ -16,7 +16,7 @@ from omtwarp.files.output import as_path, check_output, write_text
 from omtwarp.maps.domains import is_torus_map
 from omtwarp.maps.result import MapReport, MapResult, StageReport
 from omtwarp.maps.torus_map import ring_torus, tube_radius
-from omtwarp.mesh.arrays import Bytes, norms
+from omtwarp.mesh.arrays import Bytes, norms, whole_number
 from omtwarp.mesh.surface import triangle_areas
 from omtwarp.options import PatternLike
 from omtwarp.render import Camera, ScalarField, SurfaceView, preview
@@ -99,11 +99,12 @@ def report_page(
     known = ("vertices", "faces", "sphere", "conformal", "distortion", "report")
     if not is_torus_map(result) and not all(hasattr(result, name) for name in known):
         raise OmtwarpError(f"cannot report on a {type(result).__name__}: give a result of map_to_sphere")
+    side = whole_number(picture_size, "picture_size", least=2)
     pose, report = posed(SurfaceView(result.vertices, result.faces), up), shown_report(result)
     if is_torus_map(result):
         heading, shown, stages = "Map to a torus", "The pattern", torus_stages(result)
         scene = torus_scene(result, stages, image, pattern, pose)
-        poster, drawn = _torus_pictures(result, image, pattern, pose, picture_size, device)
+        poster, drawn = _torus_pictures(result, image, pattern, pose, side, device)
         cost, certificate = html(""), _certificate(result)
         lead = f"{len(result.vertices):,} vertices and {len(result.faces):,} triangles, mapped to a flat torus."
     else:
@@ -112,7 +113,7 @@ def report_page(
         heading, stages = "Map report", stages_of(result)
         # The certificate was computed from the result's arrays: a file's statements are not trusted.
         report = report | {"certificate": result.certificate.to_dict()}
-        stills = _stills(result, stages, texture, pose, picture_size, device)
+        stills = _stills(result, stages, texture, pose, side, device)
         poster, drawn = stills[stages[-1].key], sections.pictures(stages, stills, shown)
         scene = make_scene(result, stages, texture, pose=pose, device=device)
         cost, filled = sections.transport(report, shown_history(result), stages), getattr(result, "filled_faces", None)
