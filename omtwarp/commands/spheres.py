@@ -343,17 +343,18 @@ def run_register(
 
 
 def _require_many(mode: str, pair: Pair, others: Mapping[str, object]) -> None:
-    """Refuse options of one map where there are several, and an output that is no folder.
+    """Refuse options of one map where there are several, and an output that is no folder, or is called as a map is.
 
     Raises:
-        OmtwarpError: there is such an option, or the folder cannot be made.
+        OmtwarpError: there is such an option or output, or the folder cannot be made.
     """
     of_pair: dict[str, object] = {"--surface": pair.surface, "--to-surface": pair.to_surface}
     of_pair |= {"--to-feature": pair.to_feature, "--radius": pair.radius != Pair.radius}
     if given := [name for name, value in {**of_pair, **others}.items() if value]:
         raise OmtwarpError(f"{given[0]} is of one map: leave it out with {mode}")
-    if is_standard_output(pair.output):
-        raise OmtwarpError(f"{mode} writes a folder, not standard output: name one with -o")
+    if is_standard_output(pair.output) or pair.as_map:
+        what = "standard output" if is_standard_output(pair.output) else f"a map such as '{pair.output}'"
+        raise OmtwarpError(f"{mode} writes a folder, not {what}: name one with -o")
     check_folder(pair.output)
 
 

@@ -420,6 +420,15 @@ def test_data_of_the_other_hemisphere_are_refused(desk, capsys, words, other):
     assert sorted(desk.iterdir()) == before
 
 
+@pytest.mark.parametrize("mode", ["--group", "--sequence"])
+def test_a_folder_of_results_is_not_called_as_a_map_is(desk, capsys, mode):
+    for output, words in (("x.npz", "a map such as 'x.npz'"), ("x.NPZ", "a map such as"), ("-", "standard output")):
+        assert run("register", "lh.npz", "template.npz", mode, "-o", output) == 1
+        said = capsys.readouterr().err
+        assert f"{mode} writes a folder, not {words}" in said and said.count("\n") == 1
+    assert not list(desk.glob("x.*"))
+
+
 @pytest.mark.parametrize(
     "words",
     [
