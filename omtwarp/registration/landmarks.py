@@ -102,12 +102,21 @@ def pairs_of(landmarks: LandmarksLike, moving: Floats, target: Floats, counts: t
         if (len(ours) == 1) != (len(theirs) == 1):
             raise OmtwarpError(f"landmark '{one.label}' is a point on one side and a curve on the other")
         count = max(len(ours), len(theirs))
-        weight = one.weight if one.weight == np.inf else real_number(one.weight, f"weight of '{one.label}'", above=0.0)
+        weight = _positive(one.weight, f"weight of '{one.label}'")
         points.append(_even(ours, count))
         places.append(_even(theirs, count))
         weights.append(np.full(count, weight / count))
         owners.append(np.full(count, k))
     return Pairs(labels, *(np.concatenate(parts) for parts in (owners, points, places, weights)))
+
+
+def _positive(weight: float, name: str) -> float:
+    """Return a weight, infinite or a finite number above 0.
+
+    Raises:
+        OmtwarpError: it is something else.
+    """
+    return weight if weight == np.inf else real_number(weight, name, above=0.0)
 
 
 def _on_sphere(given: ArrayLike, sphere: Floats, count: int, name: str) -> Floats:
@@ -220,7 +229,8 @@ def read_landmarks(path: str | os.PathLike[str]) -> list[Landmark]:
         central,target,430,
 
     Raises:
-        OmtwarpError: a file that cannot be read, a column that is missing, or a row that is no such thing.
+        OmtwarpError: a file that cannot be read, a column that is missing, a row that is no such thing, or a weight
+            that is not above 0.
     """
     places: dict[str, dict[str, list[list[float]]]] = {}
     weights: dict[str, float] = {}
@@ -240,7 +250,8 @@ def read_landmarks(path: str | os.PathLike[str]) -> list[Landmark]:
         except ValueError:
             words = "give a vertex, or x, y and z, and a weight or 'exact'"
             raise OmtwarpError(f"'{path}', line {line}: {words}") from None
-        before = weights.setdefault(label, number) if weight else number
+        name = f"'{path}', line {line}: weight of '{label}'"
+        before = weights.setdefault(label, _positive(number, name)) if weight else number
         if before is not number and before != number:
             raise OmtwarpError(f"'{path}', line {line}: landmark '{label}' has another weight in a line before")
         places.setdefault(label, {name: [] for name in SIDES})[side].append(place)

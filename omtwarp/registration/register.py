@@ -293,7 +293,7 @@ def within_bounds(
 
 def area_penalty(keep_areas: object) -> float:
     """Return the weight of the areas around vertices, infinite where they are to be kept exactly."""
-    return np.inf if keep_areas == "exact" else real_number(keep_areas, "keep_areas, unless 'exact',", least=0.0)
+    return np.inf if keep_areas == "exact" else real_number(keep_areas, "keep_areas (unless 'exact')", least=0.0)
 
 
 def _warn_of_distant(marks: Pairs, distances: dict[str, dict[str, float]], max_strain: float) -> None:

@@ -135,6 +135,11 @@ def test_a_table_holds_points_and_curves_of_both_sides(tmp_path):
         ("label,side,vertex\na,moving,1\na,target,99999\n", "landmark 'a' on the target"),
         ("label,side,vertex\na,moving,1\na,target,2\na,target,3\n", "a point on one side and a curve on the other"),
         ("label,side,vertex,weight\na,moving,1,-2\na,target,2,\n", "weight of 'a'"),
+        (
+            "label,side,vertex,weight\na,moving,1,nan\na,target,2,nan\n",
+            "line 2: weight of 'a': must be a finite number above 0, not nan",
+        ),
+        ("label,side,vertex,weight\na,moving,1,2\na,target,2,nan\n", "line 3: weight of 'a': must be a finite number"),
         ("label,side,x,y,z\na,moving,0,0,0\na,target,0,0,1\n", "at the centre"),
     ],
 )
