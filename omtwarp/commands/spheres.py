@@ -352,10 +352,11 @@ def _require_many(mode: str, pair: Pair, others: Mapping[str, object]) -> None:
     of_pair |= {"--to-feature": pair.to_feature, "--radius": pair.radius != Pair.radius}
     if given := [name for name, value in {**of_pair, **others}.items() if value]:
         raise OmtwarpError(f"{given[0]} is of one map: leave it out with {mode}")
-    if is_standard_output(pair.output) or pair.as_map:
-        what = "standard output" if is_standard_output(pair.output) else f"a map such as '{pair.output}'"
-        raise OmtwarpError(f"{mode} writes a folder, not {what}: name one with -o")
+    if is_standard_output(pair.output):
+        raise OmtwarpError(f"{mode} writes a folder, not standard output: name one with -o")
     check_folder(pair.output)
+    if pair.as_map:
+        raise OmtwarpError(f"{mode} writes a folder, not a map such as '{pair.output}': name one with -o")
 
 
 def _register_many(pair: Pair, several: Several, strength: Strength, printing: Printing) -> None:
