@@ -52,7 +52,7 @@ OTHERS = {
         "optimal/local.py": "MAX_OPERATIONS MAX_STEPS",
         "optimal/patch_kernels.py": "MAX_HALVINGS",
         "optimal/nested.py": "STEPS PENALISED_STEPS",
-        "optimal/solver.py": "LEAST_LENGTH",
+        "optimal/solver.py": "MAX_HALVINGS",
         "solvers/cholesky/multifrontal.py": "REFINEMENTS",
         "moser.py": "SHORTEST_STEP MAX_STEPS",
         "start/hierarchical.py": "insertion_attempts",
@@ -81,7 +81,7 @@ OTHERS = {
     },
     # Of line searches and barriers, which say how a minimum is reached and not which.
     "safeguard": {
-        "optimal/solver.py": "CORRECTED LONGER",
+        "optimal/solver.py": "CORRECTED",
         "optimal/shape.py": "NEEDLE_SHARE",
         "optimal/shape_kernels.py": "STEEP_COSINE",
         "solvers/motion_kernels.py": "MIN_VOLUME_SHARE LEAST_SHARE",

@@ -42,8 +42,7 @@ from omtwarp.solvers.triangle import AREA_WEIGHT
 PENALTY = 1000.0
 LEAST_PENALTY = 1e-12  # in place of 0, by which saddle-point systems divide
 MIN_COST = 1e-6  # radians²: gains are compared with the cost, or with this where the cost is smaller
-LEAST_LENGTH = 1.0 / 64.0  # of a step: smaller ones lower the merit of drawn parts, and tear their triangles
-LONGER = 4.0  # than the last step a step is at most: with 2 one surface of twelve takes other steps, with more none
+MAX_HALVINGS = 6  # of a step: smaller ones lower the merit of drawn parts, and tear their triangles
 CORRECTED = 0.1  # share of the squared errors of areas that a correction may leave: after one that leaves more, none
 # Share of the squared errors of areas that a step has to take away to be worth taking for that alone.
 LEAST_AREA_GAIN = 0.1
@@ -247,7 +246,6 @@ class _Newton:
         self.compliance = wp.array(energy.wanted / self.stiffness, dtype=wp.float64, device=self.device)
         self.multipliers = wp.zeros(len(energy.wanted), dtype=wp.float64, device=self.device)
         self.max_rms, self.max_error = energy.cells.tolerances
-        self.longest = 1.0  # share of the direction that is tried first
 
     def run(self, given: Floats, multipliers: Floats | None, iterations: int, progress: Progress | None) -> OptimalMap:
         """Take Newton steps until one was expected to gain next to nothing, or none lowers the energy."""
@@ -271,14 +269,11 @@ class _Newton:
                 ended = "optimal" if converged else "no step lowers the cost"
                 break
             points, terms, self.multipliers, settled = step.points, step.terms, step.multipliers, 0
-            before, converged = history[-1]["decrement"], self._reached(terms, decrement)
-            # What the next step is expected to gain: under constraints less than a whole step by as much as that gained
-            # less than the one before. Without them gains may stay as small as they are for many steps.
-            foreseen = self.constrained and before and step.length == 1.0
-            ahead = decrement * min(decrement / before, 1.0) if foreseen else decrement
+            converged, ahead = self._reached(terms, decrement), self._ahead(decrement, step, history[-1]["decrement"])
             if energy.has_local_steps and not converged:
-                points, terms, settled = self._settled(points, terms, max(ahead, self._enough(terms)))
-                converged = self._reached(terms, ahead)
+                limit = max(ahead, min(decrement, self._enough(terms)))
+                points, terms, settled = self._settled(points, terms, limit)
+                converged = ahead < decrement and self._reached(terms, ahead)
             history.append(self._record(terms, decrement, step.length, step.corrected, settled))
             tell(progress, self.stage, number + 1, iterations, history[-1])
             if converged:
@@ -294,6 +289,17 @@ class _Newton:
             ended if as_good else f"{ended}; the map given was better",
             factorisations,
         )
+
+    def _ahead(self, decrement: float, step: _Step, before: float) -> float:
+        """Return what the next step is expected to gain: as much as the last, where nothing is known of it.
+
+        Under constraints that is less than a whole step by as much as that gained less than the one ``before``. Without
+        them gains may stay as small as they are for many steps; and the local steps of symmetric maps, beside vertices
+        that are held, leave more (area distortions grow by up to 0.001).
+        """
+        if not (before and self.constrained and step.length == 1.0 and type(self.domain) is Sphere):
+            return decrement
+        return decrement * min(decrement / before, 1.0)
 
     def _settled(self, points: wp.array, terms: MapTerms, expected: float) -> tuple[wp.array, MapTerms, int]:
         """Move the few vertices that have the most to gain; return the map, its terms, and the number of them.
@@ -364,10 +370,10 @@ class _Newton:
         direction, q = energy.direction(solution), solution[-self.multipliers.size :]
         # The slope of the penalty along u is that of B u = C q - missing.
         slope, pressed = reading.dot(right, solution), reading.dot(self.multipliers, terms.missing)
-        volume, length, decrement, merit = terms.shape.d_volume, self.longest, 0.0, 0.0
-        while length >= LEAST_LENGTH:
+        volume, length, decrement, merit = terms.shape.d_volume, 1.0, 0.0, 0.0
+        for halvings in range(MAX_HALVINGS + 1):
             numbers, taken = self.steps.tried(points, direction, volume, length, self.multipliers)
-            if length == self.longest:
+            if halvings == 0:
                 decrement = float(numbers[slope]) + self.stiffness * terms.squares
                 merit = self._merit(replace(terms, pressed=float(numbers[pressed])))
                 if not decrement > 0.0:
@@ -378,7 +384,6 @@ class _Newton:
                 step = _Step(*reached, length, self._changed(self.multipliers, length, q))
                 corrected = self._corrected(terms, step, enough)
                 if corrected is not None:
-                    self.longest = min(1.0, LONGER * length)
                     return corrected, q, decrement
             length *= 0.5
         return None, q, decrement
