@@ -26,7 +26,7 @@ from omtwarp.solvers.cholesky.envelope import Envelopes
 # The chosen vertices are the fewest that together have this share of the gains that single vertices could make: more
 # are chosen, and move longer, for the same areas, angles and time in the mean.
 GAIN_SHARE = 0.8
-# No vertex counts for more than this share of what the next step of the whole map is expected to gain. Beside a
+# No vertex counts for more than this share of what the last step of the whole map was expected to gain. Beside a
 # triangle that was flipped a moment ago the gain expected from moving one vertex alone is far too large, and noise in
 # the last digits of a mesh would choose the vertices.
 MAX_GAIN_SHARE = 0.1
@@ -48,7 +48,7 @@ def freed_vertices(faces: Ints, gains: Floats, expected: float, part: float = 1.
     Args:
         faces: of the surface, shape [F, 3].
         gains: the gain expected from moving each vertex alone, shape [V].
-        expected: the gain that is expected of the next step of the whole map, which limits those of single vertices.
+        expected: the gain that was expected from the last step of the whole map, which limits those of single vertices.
         part: of the vertices that are chosen, those with the most to gain.
     """
     gains = np.minimum(gains, MAX_GAIN_SHARE * expected)

@@ -8,8 +8,7 @@ whose last block makes it a step of the augmented Lagrangian method with penalty
 Optimization", chapter 17): q is added to the multipliers, and u lowers L + μ / 24π Σ (a_v - 3m_v)² / 3m_v. A step that
 does not is corrected where areas alone keep it from that, or else halved; areas that a whole step leaves in error are
 corrected too. After each step the few vertices that have the most to gain take steps of their own
-(:mod:`omtwarp.optimal.local`). The minimisation ends where a step is expected to gain next to nothing, or would, by how
-much less than the one before it the last one gained.
+(:mod:`omtwarp.optimal.local`). The minimisation ends with the step that was expected to gain next to nothing.
 """
 
 from __future__ import annotations
@@ -51,8 +50,8 @@ LOCAL_GAIN_SHARE = 0.1
 # δ of the soft distance relative to the root mean squared distance: with 0.3, 0.1 and 0.03 the mean distance of a
 # gargoyle's map is 0.4144, 0.4137 and 0.4135 radians, in 3 steps each.
 SOFTNESS = 0.03
-# A map is optimal where a step is expected to gain less than this share of the cost, and its areas are within the
-# energy's tolerances. Cost and shape have long flat valleys: less takes more steps for the same map.
+# A map is optimal after a step that was expected to gain less than this share of the cost, where its areas are within
+# the energy's tolerances. Cost and shape have long flat valleys: less takes more steps for the same map.
 GAIN = 1e-4
 
 
@@ -269,11 +268,9 @@ class _Newton:
                 ended = "optimal" if converged else "no step lowers the cost"
                 break
             points, terms, self.multipliers, settled = step.points, step.terms, step.multipliers, 0
-            converged, ahead = self._reached(terms, decrement), self._ahead(decrement, step, history[-1]["decrement"])
+            converged = self._reached(terms, decrement)
             if energy.has_local_steps and not converged:
-                limit = max(ahead, min(decrement, self._enough(terms)))
-                points, terms, settled = self._settled(points, terms, limit)
-                converged = ahead < decrement and self._reached(terms, ahead)
+                points, terms, settled = self._settled(points, terms, decrement)
             history.append(self._record(terms, decrement, step.length, step.corrected, settled))
             tell(progress, self.stage, number + 1, iterations, history[-1])
             if converged:
@@ -290,21 +287,10 @@ class _Newton:
             factorisations,
         )
 
-    def _ahead(self, decrement: float, step: _Step, before: float) -> float:
-        """Return what the next step is expected to gain: as much as the last, where nothing is known of it.
-
-        Under constraints that is less than a whole step by as much as that gained less than the one ``before``. Without
-        them gains may stay as small as they are for many steps; and the local steps of symmetric maps, beside vertices
-        that are held, leave more (area distortions grow by up to 0.001).
-        """
-        if not (before and self.constrained and step.length == 1.0 and type(self.domain) is Sphere):
-            return decrement
-        return decrement * min(decrement / before, 1.0)
-
     def _settled(self, points: wp.array, terms: MapTerms, expected: float) -> tuple[wp.array, MapTerms, int]:
         """Move the few vertices that have the most to gain; return the map, its terms, and the number of them.
 
-        The gain that is ``expected`` of the next step limits that of single vertices.
+        The gain that was ``expected`` of the last step limits that of single vertices.
         """
         energy, matrix, count = self.energy, self.energy.matrix, self.surface.vertex_count
         gradient = self.domain.coordinates(matrix.points, energy.gradient(points, terms, self.multipliers))
