@@ -189,6 +189,11 @@ class Painting:
         given = {"--uv own": own, "--keep-materials": keep, "--bake": bool(self.bake)}
         return " and ".join(name for name, there in given.items() if there)
 
+    @property
+    def bakes_alone(self) -> bool:
+        """Whether materials get nothing but bakes, on their own coordinates."""
+        return self.uv is Coordinates.OWN and self.keep_materials is None and bool(self.bake)
+
 
 @dataclass(frozen=True)
 class Picture:
@@ -234,7 +239,7 @@ def _width_for(targets: list[Path], look: Look, painting: Painting, picture: Pic
         raise OmtwarpError("both --image and --pattern: give one")
     check_options(painting.uv, painting.keep_materials, painting.opacity, look.atlas)
     check_projection(look.projection, picture.image)
-    if painting.by_materials == "--uv own and --bake" and picture.image is None and look.pattern is None:
+    if painting.bakes_alone and picture.image is None and look.pattern is None:
         turns = {"--rotate": look.rotate, "--up": picture.up, "--front": picture.front}
         words = "turns pictures and patterns, and none is drawn with --uv own"
         _work.refuse({f"{name} {words}": given for name, given in turns.items()})

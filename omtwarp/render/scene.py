@@ -333,7 +333,8 @@ def centred(view: SurfaceView, whole: SurfaceView | None = None) -> Floats:
 
 def drawn_points(view: SurfaceView) -> Floats:
     """Return the drawn vertices, centred, for framing."""
-    return centred(view)[marked(len(_arrays(view)[0]), _arrays(view)[1])]
+    vertices, faces = _arrays(view)
+    return centred(view)[marked(len(vertices), faces)]
 
 
 def build_parts(view: SurfaceView, edges: bool = False) -> list[Part]:
