@@ -118,6 +118,7 @@ def optimal_map(
     gain: float = GAIN,
     cost: CostLike = Cost.SQUARED,
     domain: Sphere | None = None,
+    foresee: bool = False,
     device: str | None = "auto",
     progress: Progress | None = None,
 ) -> OptimalMap:
@@ -138,6 +139,8 @@ def optimal_map(
             cost many maps.
         domain: that of the symmetric maps of a double (:class:`omtwarp.open_surfaces.symmetric.MirroredSphere`), among
             which the least is found; the whole sphere by default.
+        foresee: end a step earlier, where the next is foreseen to gain less than that: it gains less than a whole step
+            by as much as that gained less than the one before. For maps from which no other minimisation begins.
         device: where the kernels run; the saddle-point systems are solved on the host.
         progress: called after every step as ``progress("omt", step, most, record)``, the record being that of
             ``history``.
@@ -167,7 +170,9 @@ def optimal_map(
         multipliers = real_numbers(multipliers, "multipliers", (mesh.vertex_count,))
     soft = softness(mesh.vertex_areas, given, x, cost)
     energy = energy_on_sphere(mesh, x, where, weight, domain=domain, area_weight=area_weight, softness=soft)
-    return minimise(energy, given, multipliers=multipliers, gain=gain, iterations=iterations, progress=progress)
+    return minimise(
+        energy, given, multipliers=multipliers, gain=gain, iterations=iterations, foresee=foresee, progress=progress
+    )
 
 
 def softness(masses: Floats, sphere: Floats, start: Floats, cost: str) -> float:
@@ -198,13 +203,14 @@ def minimise(
     iterations: int,
     progress: Progress | None,
     penalty: float | None = None,
+    foresee: bool = False,
 ) -> OptimalMap:
     """Minimise an energy under its area constraints, or with a penalty in their place; :func:`optimal_map` calls this.
 
     Args:
         energy: what is minimised.
         points: a map without flips to begin with, shape [V, 3], or [V, 2] in the plane.
-        multipliers, iterations, progress: as of :func:`optimal_map`.
+        multipliers, iterations, progress, foresee: as of :func:`optimal_map`.
         gain: end where a step is expected to gain less than this share of the cost; with a penalty, less than this
             number.
         penalty: μ; μ / 24π Σ (a_v - 3m_v)² / 3m_v is added to the energy in place of the constraints. ``progress`` is
@@ -220,7 +226,7 @@ def minimise(
     flipped = energy.domain.flipped(given)
     if flipped.any():
         raise OmtwarpError(f"the map to optimise has {int(flipped.sum())} flipped triangles: untangle it first")
-    return _Newton(energy, gain, penalty).run(given, multipliers, iterations, progress)
+    return _Newton(energy, gain, penalty, foresee).run(given, multipliers, iterations, progress)
 
 
 class _Newton:
@@ -230,12 +236,12 @@ class _Newton:
     and where single vertices go on alone what these read of the map.
 
     Args:
-        energy, gain, penalty: as of :func:`minimise`.
+        energy, gain, penalty, foresee: as of :func:`minimise`.
     """
 
-    def __init__(self, energy: TransportEnergy, gain: float, penalty: float | None = None):
+    def __init__(self, energy: TransportEnergy, gain: float, penalty: float | None, foresee: bool):
         self.constrained, self.stage = penalty is None, "omt" if penalty is None else "refine"
-        self.energy, self.device, self.gain = energy, energy.device, gain
+        self.energy, self.device, self.gain, self.foresees = energy, energy.device, gain, foresee
         self.surface, self.domain = energy.surface, energy.domain
         self.steps = FlipFreeSteps(energy)
         # Weights of the squared area errors in the augmented Lagrangian: μ over the wanted areas, which sum to 12π for
@@ -268,9 +274,10 @@ class _Newton:
                 ended = "optimal" if converged else "no step lowers the cost"
                 break
             points, terms, self.multipliers, settled = step.points, step.terms, step.multipliers, 0
-            converged = self._reached(terms, decrement)
+            converged, ahead = self._reached(terms, decrement), self._ahead(decrement, step, history[-1]["decrement"])
             if energy.has_local_steps and not converged:
-                points, terms, settled = self._settled(points, terms, decrement)
+                points, terms, settled = self._settled(points, terms, max(ahead, min(decrement, self._enough(terms))))
+                converged = ahead < decrement and self._reached(terms, ahead)
             history.append(self._record(terms, decrement, step.length, step.corrected, settled))
             tell(progress, self.stage, number + 1, iterations, history[-1])
             if converged:
@@ -287,10 +294,18 @@ class _Newton:
             factorisations,
         )
 
+    def _ahead(self, decrement: float, step: _Step, before: float) -> float:
+        """Return what the next step is expected to gain: as much as the last, where nothing is known of it.
+
+        Where the end is foreseen, that is less than a whole step by as much as this gained less than that ``before``.
+        """
+        known = self.foresees and before > 0.0 and step.length == 1.0
+        return decrement * min(decrement / before, 1.0) if known else decrement
+
     def _settled(self, points: wp.array, terms: MapTerms, expected: float) -> tuple[wp.array, MapTerms, int]:
         """Move the few vertices that have the most to gain; return the map, its terms, and the number of them.
 
-        The gain that was ``expected`` of the last step limits that of single vertices.
+        The gain that is ``expected`` of the next step limits that of single vertices.
         """
         energy, matrix, count = self.energy, self.energy.matrix, self.surface.vertex_count
         gradient = self.domain.coordinates(matrix.points, energy.gradient(points, terms, self.multipliers))
