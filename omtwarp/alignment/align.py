@@ -52,8 +52,7 @@ def own_features(points: SpherePoints) -> dict[str, Floats]:
             f"{points.grid.name}: a sphere without its surface has no features of its own: give the surface, or data"
         )
     masses, weights, vertices = points.surface_areas(), sphere_weights(points), in_range(points.vertices)
-    centre = masses @ vertices / masses.sum()
-    features = {"radius": norms(vertices - centre)}
+    features = {"radius": norms(vertices - masses @ vertices / masses.sum())}
     here, there = (np.maximum(areas / areas.sum(), smallest_share) for areas in (masses, weights))
     ratio = np.log(here / there)
     if spread(ratio, weights) > least_area_spread:
@@ -85,8 +84,7 @@ def filled_by_means(features: Mapping[str, Floats], points: SpherePoints) -> dic
     weights, out = sphere_weights(points), {}
     for name, values in features.items():
         known = ~np.isnan(values)
-        here = np.where(known, values, 0.0)
-        out[name] = np.where(known, values, weights @ here / (weights @ known))
+        out[name] = np.where(known, values, weights @ np.where(known, values, 0.0) / (weights @ known))
     return out
 
 
@@ -409,8 +407,7 @@ def _why_one_surface(moving: SpherePoints, fixed: SpherePoints) -> str:
 
 def _own_turned(points: SpherePoints, rotation: Floats) -> Floats:
     """Return a sphere's points, without those that fill holes, after a rotation."""
-    turned = points.grid.points @ rotation.T
-    return turned[: points.grid.own_points]
+    return (points.grid.points @ rotation.T)[: points.grid.own_points]
 
 
 def _by_vertices(moving: SpherePoints, fixed: SpherePoints) -> Alignment:

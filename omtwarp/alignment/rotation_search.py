@@ -162,8 +162,7 @@ def _starts(grid: Floats, size: int) -> list[Floats]:
     # and twice of these a turned creature is turned back to round-off.
     starts = 8
     start_apart = 15.0
-    around = maximum_filter(grid, size=3, mode=("wrap", "nearest", "wrap"))
-    peaks = np.flatnonzero(grid == around)
+    peaks = np.flatnonzero(grid == maximum_filter(grid, size=3, mode=("wrap", "nearest", "wrap")))
     order = peaks[np.argsort(-grid.ravel()[peaks], kind="stable")]
     chosen: list[Floats] = []
     smallest = 1.0 + 2.0 * np.cos(np.radians(start_apart))

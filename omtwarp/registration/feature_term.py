@@ -23,11 +23,9 @@ class FeatureField:
     def __init__(self, grid: Surface, features: Floats):
         self._faces, self._features, self._points = grid.faces, features, grid.vertices
         self._locator = Locator(grid.vertices, grid.faces, device="cpu")
-        by_face = _slopes(grid, features)
-        weighted = by_face * grid.face_areas[:, None, None]
+        weighted = _slopes(grid, features) * grid.face_areas[:, None, None]
         around = np.stack([grid.sum_to_vertices(column) for column in weighted.reshape(grid.face_count, -1).T], axis=1)
-        total = grid.sum_to_vertices(grid.face_areas)
-        self._gradients = (around / total[:, None]).reshape(grid.vertex_count, 3, -1)
+        self._gradients = (around / grid.sum_to_vertices(grid.face_areas)[:, None]).reshape(grid.vertex_count, 3, -1)
 
     def at(self, points: Floats) -> tuple[Floats, Floats]:
         """Return features, shape [P, K], and their gradients, [P, 3, K], at unit vectors, [P, 3]."""

@@ -44,8 +44,7 @@ class HeatFlow:
 
     def step(self, values: Floats) -> Floats:
         """Return values at the vertices, shape [V] or [V, K], after one step."""
-        masses = self._masses if values.ndim == 1 else self._masses[:, None]
-        return self._factor.solve(masses * values)
+        return self._factor.solve((self._masses if values.ndim == 1 else self._masses[:, None]) * values)
 
 
 def _order(surface: Surface) -> Dissection:

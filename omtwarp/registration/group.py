@@ -165,8 +165,7 @@ def key_of(*parts: object) -> str:
     """Return a digest of what a step depends on: the version, plain values, and templates."""
     digest = hashlib.sha256(package_version().encode())
     for part in parts:
-        content = part.content() if isinstance(part, Template) else json.dumps(part, sort_keys=True).encode()
-        digest.update(content)
+        digest.update(part.content() if isinstance(part, Template) else json.dumps(part, sort_keys=True).encode())
     return digest.hexdigest()
 
 
@@ -309,8 +308,7 @@ def _most_usual(files: Mapping[str, Member]) -> Template:
 def _registered(one: Member, template: Template, options: Options) -> tuple[Side, Registration]:
     """Return a map with its features, and its registration to a template."""
     here = one.side()
-    registration = register(here.points, template, features=here.own, feature_weights=one.weights, **options)  # type: ignore[arg-type]
-    return here, registration
+    return here, register(here.points, template, features=here.own, feature_weights=one.weights, **options)  # type: ignore[arg-type]
 
 
 def _step(one: Member, template: Template, options: Options) -> dict[str, Floats]:

@@ -236,8 +236,7 @@ def read_landmarks(path: str | os.PathLike[str]) -> list[Landmark]:
     weights: dict[str, float] = {}
     # Largest table: bytes; 100,000 rows of 160
     text = table_text(path, 2**24, "a table of landmarks (.csv, .tsv)")
-    delimiter = "\t" if Path(path).suffix.lower() == ".tsv" else ","
-    _, rows = table_rows(text, f"'{path}'", delimiter, "label", "side")
+    _, rows = table_rows(text, f"'{path}'", "\t" if Path(path).suffix.lower() == ".tsv" else ",", "label", "side")
     for line, row in rows:
         label, side = (row["label"] or "").strip(), (row["side"] or "").strip()
         if side not in SIDES:

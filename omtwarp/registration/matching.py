@@ -76,8 +76,7 @@ class Matching:
         costs = self._costs(moving, counted, target, weights / weights.sum())
         if pairs is not None:
             self._add_landmarks(costs, pairs, len(costs) / weights.sum())
-        by_place = costs.min(axis=2)
-        choice = np.argpartition(by_place, CHOICES, axis=1)[:, :CHOICES]
+        choice = np.argpartition(costs.min(axis=2), CHOICES, axis=1)[:, :CHOICES]
         choice = choice * TURNS + np.take_along_axis(costs.argmin(axis=2), choice, axis=1)
         costs = costs.reshape(len(costs), -1)
         for number, most in enumerate(MOST, start=1):
@@ -123,8 +122,7 @@ class Matching:
             products = np.einsum("p,pi,pj->ij", weight, pairs.points, pairs.places)
             # Of Σ w |R p - q|² = 2 Σ w - 2 tr(R Σ w p qᵀ), R from the frame here, turned, to the frame there
             inner = self._frames[point].T @ products @ self._place_frames
-            traces = np.einsum("tij,lji->lt", _turns(), inner)
-            costs[point] += 2.0 * (weight.sum() - traces)
+            costs[point] += 2.0 * (weight.sum() - np.einsum("tij,lji->lt", _turns(), inner))
 
     def _rotations(self, choice: Whole) -> Singles:
         """Return the rotations of choices, place times TURNS plus turn, shape [N, C], as [N, C, 3, 3]."""
@@ -208,8 +206,7 @@ class Matching:
 
 def _frames(points: Floats) -> Floats:
     """Return two tangents and the normal at unit vectors, as columns, shape [P, 3, 3]."""
-    across = np.where(np.abs(points[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
-    along = normalised(cross(across, points))
+    along = normalised(cross(np.where(np.abs(points[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]]), points))
     return np.stack([along, cross(points, along), points], axis=2)
 
 

@@ -54,8 +54,7 @@ class Side:
         They are in no filled hole, nor where there is no number.
         """
         values = resample(self.points, places, device="cpu")
-        columns = np.column_stack(list(self.features.values()))
-        carried = values.apply(columns[: values.matrix.shape[1]])
+        carried = values.apply(np.column_stack(list(self.features.values()))[: values.matrix.shape[1]])
         return carried, ~values.empty & np.isfinite(carried).all(axis=1)
 
     @functools.cached_property

@@ -55,8 +55,7 @@ class Warp:
 
     def after(self, rotation: Floats) -> "Warp":
         """Return the same warp of a sphere that was rotated."""
-        turned = Surface(self.grid.vertices @ rotation.T, self.grid.faces)
-        return Warp(turned, self.points, self.energy, self.levels)
+        return Warp(Surface(self.grid.vertices @ rotation.T, self.grid.faces), self.points, self.energy, self.levels)
 
     def apart(self, rotation: Floats) -> float:
         """Return how far the warp moves its vertices from where a rotation does, the mean square of chords."""

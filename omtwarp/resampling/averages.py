@@ -75,8 +75,7 @@ def average_sphere(name: str) -> SphereGrid:
     spheres = (_TABLES["spheres"][which] for which in ("own", "of_fsaverage"))
     own, theirs = (read_mesh(_require(name, names, "sphere")) for names in spheres)
     moved, grid = mesh_grid(theirs.vertices, theirs.faces, name), named_grid("fsaverage")
-    unit = mesh_grid(own.vertices, own.faces, name)
-    there = Locator(moved.points, moved.triangles, device="cpu").find(unit.points)
+    there = Locator(moved.points, moved.triangles, device="cpu").find(mesh_grid(own.vertices, own.faces, name).points)
     return mesh_grid(there.on_sphere(moved.triangles, grid.points), own.faces, name)
 
 

@@ -363,13 +363,11 @@ class Resampling:
             OmtwarpError: another length, or numbers that are not whole.
         """
         known = keys.astype(np.int64) if _of_truth(keys) else keys
-        given = whole_numbers(known, "the labels", (None,), nan=True)
-        array = self.source.at_own_points(given)
+        array = self.source.at_own_points(whole_numbers(known, "the labels", (None,), nan=True))
         self._require_length(array)
         names, index = np.unique(array, return_inverse=True)
         entries = np.ones(len(array)), index, np.arange(len(array) + 1)  # one in every row
-        members = sparse.csr_matrix(entries, (len(array), len(names)))
-        votes = sparse.csr_matrix(self.matrix @ members)
+        votes = sparse.csr_matrix(self.matrix @ sparse.csr_matrix(entries, (len(array), len(names))))
         return np.where(self.empty, 0, names[np.asarray(votes.argmax(axis=1)).ravel()])
 
     def surface(self) -> Floats:

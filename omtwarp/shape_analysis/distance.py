@@ -104,8 +104,7 @@ def shape_distance(
     alignment = align(first, second, check=False)
     whole = first.closed(), second.closed()
     spheres = unit_sphere(whole[0].sphere) @ alignment.rotation.T, whole[1].sphere
-    coefficients = [_coefficients(*side, degree, scale) for side in zip(spheres, whole, strict=True)]
-    apart = coefficient_distance(*coefficients)
+    apart = coefficient_distance(*[_coefficients(*side, degree, scale) for side in zip(spheres, whole, strict=True)])
     ways = []
     for done, ends in enumerate(((first, second), (second, first)), 1):
         tell(progress, "distance", done, 3, {})

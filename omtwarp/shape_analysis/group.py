@@ -444,10 +444,9 @@ def principal_components(moved: Floats, shares: Floats, most: int) -> PrincipalC
     directions = right[:kept].reshape(kept, -1, 3) / roots
     # The sign is free: the coordinate that moves most moves towards larger values.
     signs = np.sign([one.ravel()[np.argmax(np.abs(one))] for one in directions])
-    total = max(float((values**2).sum()), np.finfo(float).tiny)
     return PrincipalComponents(
         values[:kept] / np.sqrt(count - 1),
         directions * signs[:, None, None],
         left[:, :kept] * signs * np.sqrt(count - 1),
-        values[:kept] ** 2 / total,
+        values[:kept] ** 2 / max(float((values**2).sum()), np.finfo(float).tiny),
     )

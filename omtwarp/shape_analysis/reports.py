@@ -131,8 +131,7 @@ def _body(study: GroupStudy, columns: Sequence[str], rows: Sequence[Sequence[str
         normals = vertex_normals(study.alignment.mean, study.alignment.faces)
         outward = SHOWN * known.deviations[k] * dots(known.directions[k], normals)
         pair = [(f"component {k + 1}, {word}", sign) for word, sign in (("minus", -1.0), ("plus", 1.0))]
-        drawn = [_picture(study.along(k, sign * SHOWN), name, sign * outward) for name, sign in pair]
-        body.append(pictures(drawn))
+        body.append(pictures([_picture(study.along(k, sign * SHOWN), name, sign * outward) for name, sign in pair]))
     shown = [[f"{cell:.4g}" if isinstance(cell, float) else cell for cell in row] for row in rows[:most_rows]]
     body += [element("h2", "Shapes"), table(columns, shown)]
     if len(rows) > most_rows:
