@@ -248,8 +248,7 @@ def moser_map(
     # In s = -log(1 - t) the remaining motion falls as e^-s: at s = 14 it is 1e-6 of ∇Θ.
     # Largest step, at the start; it grows with s
     limits = [wp.float64(0.25), wp.float64(courant), wp.float64(14.0)]
-    shared = [points, faces, mesh.face_neighbours, field, numbers, rows[1]]
-    inputs = [*each(points, rows[0]), *shared, *limits]
+    inputs = [*each(points, rows[0]), points, faces, mesh.face_neighbours, field, numbers, rows[1], *limits]
     launch_parts(integrate_particles, vertices, inputs, each(moved, steps), where)
     longest = int(steps.numpy().max())
     tell(progress, "moser", parts, parts, {"steps": longest})

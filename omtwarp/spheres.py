@@ -280,8 +280,7 @@ def healpix(side: int, nested: bool = False) -> SphereGrid:
     face, x, y = face[order], x[order], y[order]
     steps = ((0, 0), (1, 0), (1, 1), (0, 1))
     corners = np.stack([_healpix_points(face, (x + i) / side, (y + j) / side) for i, j in steps], axis=1)
-    owners = np.arange(len(order), dtype=np.int32)
-    return SphereGrid(name, points[order], None, (len(order),), corners, owners)
+    return SphereGrid(name, points[order], None, (len(order),), corners, np.arange(len(order), dtype=np.int32))
 
 
 # Of the centres of the twelve base pixels (Górski et al. 2005, figure 3): rows between the poles at 0 and 4, and

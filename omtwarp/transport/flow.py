@@ -215,9 +215,8 @@ class _Flow:
         self.measured = wp.empty((self.face_count, 2), dtype=wp.float64, device=device)
         self.turned = wp.empty(self.face_count, dtype=wp.vec3d, device=device)
         self.face_sums = RowSums(self.face_count, 2, device)
-        nodes = len(self.grid.inverse_areas)
         self.gradient, self.image, self.steepest, self.direction, self.previous = (
-            wp.zeros(nodes, dtype=wp.float64, device=device) for _ in range(5)
+            wp.zeros(len(self.grid.inverse_areas), dtype=wp.float64, device=device) for _ in range(5)
         )
         self.products: wp.array = wp.empty(4, dtype=wp.float64, device=device)
         self.product = [self.products[k : k + 1] for k in range(4)]
@@ -273,8 +272,7 @@ class _Flow:
         self.launch(kernels.begin_iteration, 1, inputs, [self.records, self.running, self.searching])
         inputs = [self.gradient, ascent, self.state, self.direction]
         self.launch(kernels.turn_direction, len(ascent), inputs, [self.previous])
-        velocity = self.grid.sampler.node_gradient(self.direction)
-        wp.capture_while(self.searching, self.search, velocity=velocity)
+        wp.capture_while(self.searching, self.search, velocity=self.grid.sampler.node_gradient(self.direction))
         self.launch(kernels.keep_accepted, self.count, [self.trial, self.state], [self.points])
 
     def search(self, velocity: wp.array) -> None:
@@ -363,8 +361,7 @@ def resolution_damping(squares: Floats, places: Ints, hierarchy: SphereHierarchy
     resolved_edges = 3.0
     fading = 3
     longest = np.full(hierarchy.node_count, -np.inf)
-    nodes = hierarchy.faces[places]
-    np.maximum.at(longest, nodes.ravel(), np.repeat(squares, 3))
+    np.maximum.at(longest, hierarchy.faces[places].ravel(), np.repeat(squares, 3))
     damping = np.ones(hierarchy.node_count)
     for level in reversed(range(hierarchy.level)):
         first, last = hierarchy.node_counts[level], hierarchy.node_counts[level + 1]

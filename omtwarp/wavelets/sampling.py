@@ -117,8 +117,7 @@ class SphereSampler:
         launch_parts(kernels.locate_points, count, inputs, each(self.point_faces, self.coordinates), self.device)
         wp.copy(self._keys, self.point_faces)
         wp.copy(self._order, self._numbers)
-        bits = int(self.face_count - 1).bit_length()
-        wp.utils.radix_sort_pairs(self._keys, self._order, count, end_bit=bits)
+        wp.utils.radix_sort_pairs(self._keys, self._order, count, end_bit=int(self.face_count - 1).bit_length())
         inputs = [self._keys, count, FIRST_THREAD]
         launch_parts(kernels.face_rows, self.face_count + 1, inputs, [self._point_rows], self.device)
         self._level_masses = []

@@ -73,8 +73,7 @@ class SphericalWavelets:
             coarse, fine = hierarchy.node_counts[j : j + 2]
             nodes, added = slice(coarse), slice(coarse, fine)
             predict, update = hierarchy.refinement_matrix(j, butterfly=butterfly)[coarse:], self.lift(j)
-            lifting = ((predict, nodes, added, -1.0), (update, added, nodes, 1.0))
-            for matrix, source, target, factor in lifting:
+            for matrix, source, target, factor in ((predict, nodes, added, -1.0), (update, added, nodes, 1.0)):
                 self._analysis.append((SparseProduct(matrix, self.device), source, target, factor))
                 self._adjoint_synthesis.append((SparseProduct(matrix.T, self.device), target, source, -factor))
 
