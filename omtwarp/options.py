@@ -303,8 +303,7 @@ class MapOptions:
     strict: Annotated[bool, Option("Refuse a map that would come with a warning: an error, no output.")] = False
 
     def __post_init__(self) -> None:
-        optimal = Stage.OMT in self.stages and self.refine is None
-        if self.exact and not (optimal and self.scheme is Scheme.DEFAULT):
+        if self.exact and not (Stage.OMT in self.stages and self.refine is None and self.scheme is Scheme.DEFAULT):
             raise OmtwarpError(
                 "exact areas are those of the optimal map: leave method, until, scheme and refine as they are"
             )

@@ -202,8 +202,7 @@ class DaskCluster:
             if address:
                 self._client = Client(address, timeout=20)
             else:
-                cluster = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None)
-                self._client = Client(cluster)
+                self._client = Client(LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None))
         except (OSError, ValueError) as error:
             self._safe.close()
             raise OmtwarpError(f"no Dask scheduler answers at '{address}': {str(error).splitlines()[0]}") from None

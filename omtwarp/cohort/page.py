@@ -38,8 +38,7 @@ def write_page(rows: Sequence[Row], folder: Path) -> Path:
         listed = [(str(row["id"]), str(row["status"]), str(row.get("message", ""))) for row in failures]
         body += [element("h2", "Failures"), table(("item", "status", "message"), listed)]
     if done:
-        drawn = [_figure(row, why, folder) for row, why in outliers(done)]
-        body += [element("h2", "Furthest out"), pictures(drawn)]
+        body += [element("h2", "Furthest out"), pictures([_figure(row, why, folder) for row, why in outliers(done)])]
     return write_plain_page(folder / "report.html", "Cohort report", body)
 
 

@@ -223,8 +223,7 @@ def table_of_cohort(source: Path) -> tuple[Path, list[Row]] | None:
         return None
     table = source if source in tables else tables[0]
     try:
-        rows = read_table(table)
-        return folder, [row for row in rows if row["status"] == OK]
+        return folder, [row for row in read_table(table) if row["status"] == OK]
     except ImportError as error:
         raise OmtwarpError(f"'{table}' needs the package pyarrow: pip install 'omtwarp[tables]'") from error
     except (OSError, ValueError, KeyError) as error:

@@ -361,8 +361,7 @@ def _size_of(result: MapResult, picture: Picture, atlas: str) -> tuple[int | tup
     from omtwarp.texturing.atlas import LARGEST_SIZE, LARGEST_UNASKED, sharp_size
 
     asked = picture.size == "auto"
-    given = picture.size is not None or picture.image is not None
-    if not asked and (given or result.domain == Domain.TORUS):
+    if not asked and (picture.size is not None or picture.image is not None or result.domain == Domain.TORUS):
         return sides_of(picture.size), ""
     if result.domain == Domain.TORUS:
         raise OmtwarpError("--size auto is for maps to the sphere: give texels for a map to a torus")
