@@ -376,8 +376,7 @@ class MapResult(Displayable):
             try:
                 known = read_arrays(stream, (*ARRAYS, "domain", "report"))
             except OmtwarpError as error:
-                words = f"'{path}' is not a map: {error}; make one with map_to_sphere and save"
-                raise OmtwarpError(words) from None
+                raise OmtwarpError(f"'{path}' is not a map: {error}; make one with map_to_sphere and save") from None
         try:
             report = json.loads(str(known.get("report", "{}")))
         except (ValueError, RecursionError):
@@ -444,8 +443,7 @@ class MapResult(Displayable):
         if self.part is not None:
             raise OmtwarpError("several parts do not cover one sphere: map each part by itself")
         if self.domain != Domain.SPHERE:
-            words = f"a map to a {self.domain} does not cover the sphere: map the mesh with domain='sphere'"
-            raise OmtwarpError(words)
+            raise OmtwarpError(f"a map to a {self.domain} does not cover the sphere: map the mesh with domain='sphere'")
         if self.filled_faces is None or self.filled_vertices is None or self.filled_sphere is None:
             return self
         if self.filled_conformal is None:

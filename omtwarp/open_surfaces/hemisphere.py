@@ -44,9 +44,8 @@ def symmetrised(double: Double, turned: Floats) -> Floats:
         double: the surface and its copy.
         turned: a map whose plane of symmetry is nearly the equator's, shape [W, 3].
     """
-    mirrored = turned[double.mirror] * ACROSS
     # The sum of two numbers has the same bits in either order, so that mirror images agree exactly.
-    means = turned + mirrored
+    means = turned + turned[double.mirror] * ACROSS
     means[double.on_boundary, 2] = 0.0
     return normalised(means)
 

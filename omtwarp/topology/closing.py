@@ -169,8 +169,7 @@ def _rings(turns: Floats) -> tuple[Floats, NDArray[np.int64]]:
         rows.append(_strip(outer, inner, first, first + len(outer)))
         first += len(outer)
     last = np.arange(len(rings[-1]))
-    middle = first + len(last)
-    rows.append(np.stack([first + last, first + np.roll(last, -1), np.full(len(last), middle)], axis=1))
+    rows.append(np.stack([first + last, first + np.roll(last, -1), np.full(len(last), first + len(last))], axis=1))
     # The surface's faces run along the loop, so that the patch has to run against it.
     return np.concatenate([points, np.zeros((1, 3))]), np.concatenate(rows)[:, ::-1].copy()
 

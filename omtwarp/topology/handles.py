@@ -201,8 +201,7 @@ class _LoopGraph:
             # Shorter, of a length: a difference above rounding
             row, edge = np.nonzero(through < (1.0 - 1e-12) * self.length)
             one, other = (parity[place[row, ends[edge, k]]] for k in (0, 1))
-            turned = one ^ other ^ self._crossed[kept[edge]]
-            around = np.flatnonzero(turned.any(axis=1))
+            around = np.flatnonzero((one ^ other ^ self._crossed[kept[edge]]).any(axis=1))
             if len(around):
                 best = around[np.argmin(through[row[around], edge[around]])]
                 self._take([near[_path_to(end, before[row[best]])].tolist() for end in ends[edge[best]].tolist()])
@@ -241,8 +240,7 @@ class _LoopGraph:
         _, before = csgraph.breadth_first_order(links, 0, directed=False)
         upwards = np.full(size, -1, dtype=np.int64)
         one, other = self.dual[cotree].T
-        down = before[other] == one
-        upwards[np.where(down, other, one)] = cotree
+        upwards[np.where(before[other] == one, other, one)] = cotree
         for number, edge in enumerate(self._left.tolist()):
             word, bit = number // 64, np.uint64(1) << np.uint64(number % 64)
             crossed[edge, word] ^= bit

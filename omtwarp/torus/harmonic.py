@@ -134,10 +134,8 @@ def embedded_torus(surface: Surface, torus: FlatTorus) -> FlatTorus:
     for _ in range(RELAXATIONS):
         weights = own * np.exp(-0.5 * softness[ends].sum(axis=1))
         values = _solved(factor, ends, weights, steps, surface.vertex_count)
-        corner = (values[surface.faces] + torus.wraps) @ torus.lattice
-        areas = plane_areas(corner)
-        around = np.maximum(surface.sum_to_vertices(areas) / 3.0, TINY)
-        wrong = np.log(masses / around)
+        areas = plane_areas((values[surface.faces] + torus.wraps) @ torus.lattice)
+        wrong = np.log(masses / np.maximum(surface.sum_to_vertices(areas) / 3.0, TINY))
         spread = float(np.sqrt(masses @ wrong**2 / SPHERE_AREA))
         if (areas > 0.0).all():
             if best is None or spread < best[0]:
