@@ -336,8 +336,7 @@ def _write_gifti(file: Path, data: VertexData, name: str) -> None:
             table.labels.append(label)
     arrays = []
     for column, title in zip(data.values.T, data.names, strict=True):
-        values = _stored(column, title, labels=data.is_labels)
-        arrays.append(gifti.GiftiDataArray(values, intent, meta={"Name": title}))
+        arrays.append(gifti.GiftiDataArray(_stored(column, title, labels=data.is_labels), intent, meta={"Name": title}))
     nibabel.save(gifti.GiftiImage(darrays=arrays, meta=gifti.GiftiMetaData(meta), labeltable=table), file)
 
 

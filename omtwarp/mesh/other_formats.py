@@ -111,8 +111,7 @@ def read_freesurfer_text(data: bytes) -> Triangles:
     """
     numbers = _Numbers(data.partition(b"\n")[2])
     vertices, faces = (int(count) for count in numbers.take(2))
-    points = numbers.take(4 * vertices).reshape(-1, 4)[:, :3]
-    return points, numbers.take(4 * faces).reshape(-1, 4)[:, :3], []
+    return numbers.take(4 * vertices).reshape(-1, 4)[:, :3], numbers.take(4 * faces).reshape(-1, 4)[:, :3], []
 
 
 def read_mni(data: bytes) -> Triangles:
@@ -130,8 +129,7 @@ def read_mni(data: bytes) -> Triangles:
     if colored not in (0, 1, 2):
         raise OmtwarpError(f"damaged: colours of the kind {colored}")
     numbers.take(4 * (1, count, vertices)[colored])
-    ends = whole_numbers(numbers.take(count), "ends of polygons", (None,))
-    sizes = np.diff(ends, prepend=0)
+    sizes = np.diff(whole_numbers(numbers.take(count), "ends of polygons", (None,)), prepend=0)
     if (sizes < 0).any():
         raise OmtwarpError("damaged: ends of polygons that do not grow")
     return points, *fans(numbers.take(int(sizes.sum())), sizes)

@@ -65,8 +65,7 @@ class Patches:
         """
         triangles = np.flatnonzero(touching(faces, freed))
         corners = faces[triangles]
-        beside = marked(len(freed), corners)
-        vertices = np.concatenate([np.flatnonzero(freed), np.flatnonzero(beside & ~freed)])
+        vertices = np.concatenate([np.flatnonzero(freed), np.flatnonzero(marked(len(freed), corners) & ~freed)])
         local = np.full(len(freed), -1, dtype=np.int32)
         local[vertices] = np.arange(len(vertices), dtype=np.int32)
         own = np.ascontiguousarray(local[corners])

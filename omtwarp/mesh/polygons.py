@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.errors import OmtwarpError
-from omtwarp.mesh.arrays import whole_numbers
+from omtwarp.mesh.arrays import marked, whole_numbers
 
 Mesh = tuple[NDArray[np.float64], NDArray[np.int64]]
 """Points [V, 3] and triangles [F, 3]."""
@@ -146,9 +146,7 @@ def counted_lists(entries: NDArray[np.generic], count: int) -> tuple[NDArray[np.
         place += 1 + int(numbers[place])
     if place > len(numbers):
         raise OmtwarpError(f"cut short: {count} faces announced, the last one with fewer corners than it says")
-    is_corner = np.ones(place, dtype=bool)
-    is_corner[starts[:count]] = False
-    return numbers[:place][is_corner], numbers[starts[:count]]
+    return numbers[:place][~marked(place, starts[:count])], numbers[starts[:count]]
 
 
 @lru_cache(maxsize=8)

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.errors import OmtwarpError
 from omtwarp.mesh import validate
-from omtwarp.mesh.arrays import TINY, WELD, Floats, InOneLine, cross, edge_keys, mean_edge_lengths, norms
+from omtwarp.mesh.arrays import TINY, WELD, Floats, InOneLine, cross, edge_keys, marked, mean_edge_lengths, norms
 from omtwarp.mesh.origins import Derived
 from omtwarp.mesh.validate import MeshLike, Topology, check, components_of, number
 
@@ -120,10 +120,9 @@ class _Work:
             self.actions.append(f"dropped {number(dropped, 'face')} {words}")
 
     def drop_impossible_faces(self) -> None:
-        wrong = (self.faces < 0) | (self.faces >= len(self.points))
-        self.keep(np.logical_not(wrong.any(axis=1)), "with a vertex index out of range")
-        strange = ~np.isfinite(self.points[self.faces])
-        self.keep(np.logical_not(strange.any(axis=(1, 2))), "with NaN or infinite coordinates")
+        known = (self.faces >= 0) & (self.faces < len(self.points))
+        self.keep(np.all(known, axis=1), "with a vertex index out of range")
+        self.keep(np.all(np.isfinite(self.points[self.faces]), axis=(1, 2)), "with NaN or infinite coordinates")
 
     def _unit(self) -> Floats:
         """Return the points that faces have, in the unit of their extent, and zeros for the others, shape [V, 3]."""
@@ -149,8 +148,7 @@ class _Work:
             self.actions.append(f"merged {number(len(merged), 'vertex', 'vertices')} with {other}")
 
     def drop_repeated_faces(self) -> None:
-        repeated = self.faces == np.roll(self.faces, -1, axis=1)
-        self.keep(np.logical_not(repeated.any(axis=1)), "with a repeated vertex")
+        self.keep((self.faces != np.roll(self.faces, -1, axis=1)).all(axis=1), "with a repeated vertex")
         again = validate.duplicate_faces(self.faces, len(self.points))
         if again.any():
             # A face on top of a valid mesh is dropped alone. Two faces that form a flap, without which no edge would
@@ -252,8 +250,7 @@ class _Work:
         if not lone.any() or topology.clashing_edges.any():
             return
         half = np.stack([self.faces.ravel(), np.roll(self.faces, -1, axis=1).ravel()], axis=1)
-        keys = edge_keys(half, len(self.points))
-        boundary = np.isin(keys, topology.edges[lone] @ np.array([len(self.points), 1]))
+        boundary = np.isin(edge_keys(half, len(self.points)), edge_keys(topology.edges[lone], len(self.points)))
         known = set(map(tuple, topology.edges.tolist()))
         # A face without neighbours would be closed by itself, turned over.
         alone = set(map(frozenset, self.faces[boundary.reshape(-1, 3).all(axis=1)].tolist()))
@@ -286,8 +283,7 @@ class _Work:
         areas = np.zeros(len(faces))
         areas[valid] = norms(cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
         areas[self.repeated] = 0.0
-        gone = np.ones(len(faces), dtype=bool)
-        gone[self.face_origin[self.face_origin >= 0]] = False
+        gone = ~marked(len(faces), self.face_origin[self.face_origin >= 0])
         self.loss = float(areas[gone].sum() / max(float(areas.sum()), TINY))
         if self.loss > NOTED_LOSS:
             self.actions.append(f"dropped {100 * self.loss:.3g} % of the area")
@@ -321,8 +317,7 @@ def _first_at_place(unit: Floats, edges: NDArray[np.int64], among: NDArray[np.in
     # Neighbours, places next to one that are compared with it: more than the faces around most vertices
     far, near = cKDTree(places).query(places, k=min(16, len(places)))
     near = near.reshape(len(places), -1)
-    joined = far.reshape(len(places), -1) <= np.minimum(reach[:, None], reach[near])
-    one, neighbour = np.nonzero(joined)
+    one, neighbour = np.nonzero(far.reshape(len(places), -1) <= np.minimum(reach[:, None], reach[near]))
     _, labels = components_of(len(places), np.stack([one, near[one, neighbour]], axis=1))
     first_of_label = np.full(len(places), len(among))
     np.minimum.at(first_of_label, labels, first)

@@ -78,8 +78,7 @@ def sphere_from_directions(directions: ArrayLike) -> Surface:
     inward = np.einsum("ij,ij->i", cross(p1 - p0, p2 - p0), hull.equations[:, :3]) < 0
     faces[inward] = faces[inward][:, ::-1]
     # Every face begins at its smallest vertex, and faces are sorted: their order does not depend on a library.
-    start = faces.argmin(axis=1)
-    faces = np.take_along_axis(faces, (np.arange(3)[None] + start[:, None]) % 3, axis=1)
+    faces = np.take_along_axis(faces, (np.arange(3)[None] + faces.argmin(axis=1)[:, None]) % 3, axis=1)
     return Surface(points, faces[np.lexsort(faces.T[::-1])])
 
 
@@ -240,8 +239,7 @@ def tube(
 
     turn = 2.0 * np.pi * np.arange(segments) / segments
     x = across[:, None] * np.cos(turn)
-    y = across[:, None] * np.sin(turn)
-    grid = np.stack([x, y, np.broadcast_to(axial[:, None], x.shape)], axis=2)
+    grid = np.stack([x, across[:, None] * np.sin(turn), np.broadcast_to(axial[:, None], x.shape)], axis=2)
     ends = np.array([[0.0, 0.0, -radius], [0.0, 0.0, length + radius * taper]])
     vertices, faces = _capped_grid(grid, ends[1], ends[0], flip=True)
     return Surface(_bend(vertices, bend / length, length), faces)
@@ -307,8 +305,7 @@ def _bend(points: Floats, curvature: float, length: float) -> Floats:
     angle, rest = curvature * s, z - s
     radius = 1.0 / curvature - x
     sine, cosine = np.sin(angle), np.cos(angle)
-    bent = [1.0 / curvature - radius * cosine + rest * sine, y, radius * sine + rest * cosine]
-    return np.stack(bent, axis=1)
+    return np.stack([1.0 / curvature - radius * cosine + rest * sine, y, radius * sine + rest * cosine], axis=1)
 
 
 # Implicit surfaces --------------------------------------------------------------------------------------------------
@@ -364,8 +361,7 @@ def rings(count: int = 1, tube: float = 0.35, cell: float = 0.15) -> Surface:
     tube, cell = _size(tube, "tube"), _size(cell, "cell")
 
     def value(p: Floats) -> Floats:
-        around = [np.hypot(np.hypot(p[:, 0] - x, p[:, 1]) - 1.0, p[:, 2]) - tube for x in centres]
-        return np.min(around, axis=0)
+        return np.min([np.hypot(np.hypot(p[:, 0] - x, p[:, 1]) - 1.0, p[:, 2]) - tube for x in centres], axis=0)
 
     reach = 1.0 + tube + 2.0 * cell
     low, high = [-reach, -reach, -tube - 2.0 * cell], [centres[-1] + reach, reach, tube + 2.0 * cell]
@@ -527,8 +523,7 @@ def flip_edges(surface: Surface, rounds: int = 10, seed: int = 0) -> Surface:
         best = np.full(len(points), -1)
         for vertex in (a, b, c, d):
             np.maximum.at(best, vertex[allowed], priority)
-        alone = np.all([best[vertex[allowed]] == priority for vertex in (a, b, c, d)], axis=0)
-        chosen = allowed[alone]
+        chosen = allowed[np.all([best[vertex[allowed]] == priority for vertex in (a, b, c, d)], axis=0)]
         faces[face[chosen]] = np.stack([c, d, b], axis=1)[chosen]
         faces[other[chosen]] = np.stack([c, a, d], axis=1)[chosen]
     return Surface(points, faces)

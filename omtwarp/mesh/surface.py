@@ -340,8 +340,7 @@ def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
     # Squares stay in range at any scale.
     scaled = (vertices - low) / max(float((high - low).max()), np.finfo(float).tiny)
     p0, p1, p2 = (scaled[faces[:, k]] for k in range(3))
-    weighted = cross(p1 - p0, p2 - p0)
-    return arrays.normalised(arrays.summed(np.repeat(weighted, 3, axis=0), faces.ravel(), len(vertices)))
+    return arrays.normalised(arrays.summed(np.repeat(cross(p1 - p0, p2 - p0), 3, axis=0), faces.ravel(), len(vertices)))
 
 
 def unit_normals(normals: Floats) -> Floats:
@@ -362,8 +361,7 @@ def face_neighbours(faces: Ints, vertex_count: int) -> Ints:
     head = np.roll(faces, -1, axis=1).astype(np.int64).ravel()
     keys, twins = tail * vertex_count + head, head * vertex_count + tail
     order = np.argsort(keys)
-    position = np.minimum(np.searchsorted(keys, twins, sorter=order), len(keys) - 1)
-    match = order[position]
+    match = order[np.minimum(np.searchsorted(keys, twins, sorter=order), len(keys) - 1)]
     return np.where(keys[match] == twins, match // 3, -1).astype(np.int32).reshape(faces.shape)
 
 

@@ -72,8 +72,7 @@ def mesh_arrays(mesh: MeshLike | ArrayLike, faces: ArrayLike | None = None) -> t
         given = cast("HasTriangles", mesh)
         return given.vertices, given.faces
     except AttributeError:
-        words = f"expected a trimesh.Trimesh or (vertices, faces), got {type(mesh).__name__}"
-        raise OmtwarpError(words) from None
+        raise OmtwarpError(f"expected a trimesh.Trimesh or (vertices, faces), got {type(mesh).__name__}") from None
 
 
 def check(mesh: MeshLike | ArrayLike, faces: ArrayLike | None = None) -> list[Defect]:
@@ -109,7 +108,7 @@ def check(mesh: MeshLike | ArrayLike, faces: ArrayLike | None = None) -> list[De
         first = int(np.argmax(out_of_range))
         text = (
             f"{number(out_of_range.sum(), 'face')} with a vertex index out of range, first face {first} "
-            f"{_tuple(triangles[first])} of a mesh with {number(len(points), 'vertex', 'vertices')}"
+            f"{tuple(triangles[first].tolist())} of a mesh with {number(len(points), 'vertex', 'vertices')}"
         )
         remedy = f"write the file anew, or drop them with {REPAIR}"
         return [Defect("index-out-of-range", int(out_of_range.sum()), first, text, remedy)]
@@ -209,7 +208,7 @@ def _geometric_defects(points: Floats, faces: NDArray[np.int64]) -> list[Defect]
         if wrong.any():
             first, count = int(np.argmax(wrong)), int(wrong.sum())
             what = number(count, name, "vertices" if name == "vertex" else "")
-            where = f"vertex {first}" if name == "vertex" else f"face {first} {_tuple(faces[first])}"
+            where = f"vertex {first}" if name == "vertex" else f"face {first} {tuple(faces[first].tolist())}"
             defects.append(Defect(kind, count, first, f"{what}{words}, first {where}", remedy))
     return defects
 
@@ -405,11 +404,9 @@ class Topology:
 
         Source: D. Eppstein, Dynamic generators of topologically embedded graphs, 2003 (tree-cotree decomposition).
         """
-        in_tree = spanning_forest(self.vertex_count, self.edges)
-        inner = np.flatnonzero((self.edge_face_count == 2) & ~in_tree)
+        inner = np.flatnonzero((self.edge_face_count == 2) & ~spanning_forest(self.vertex_count, self.edges))
         faces_of = np.full((len(self.edges), 2), -1)
-        at = self._half_edge_edge[self._pairs[:, 0]]
-        faces_of[at] = self._pairs // 3
+        faces_of[self._half_edge_edge[self._pairs[:, 0]]] = self._pairs // 3
         left = inner[~spanning_forest(len(self.faces), faces_of[inner])]
         return self.edges[left[0]] if len(left) else self.edges[0]
 
@@ -440,7 +437,3 @@ def signed_volume(points: Floats, faces: NDArray[np.integer]) -> float:
 def number(count: int | np.integer, one: str, many: str = "") -> str:
     """Write a number with its noun: ``1 face``, ``7 faces``."""
     return f"{int(count)} {one if count == 1 else many or one + 's'}"
-
-
-def _tuple(row: NDArray) -> str:
-    return "(" + ", ".join(str(int(entry)) for entry in row) + ")"
