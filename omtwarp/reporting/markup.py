@@ -7,6 +7,7 @@ attribute or a script. Pieces are joined by :func:`join`; plain text that ends u
 from __future__ import annotations
 
 import io
+import re
 from base64 import b64encode
 from collections.abc import Iterable, Sequence
 from hashlib import sha256
@@ -60,8 +61,7 @@ def asset(name: str) -> Markup:
 
 def script(name: str) -> Markup:
     """Read a script of the package, in a form in which no part of it ends or nests the script element."""
-    text = str(asset(name)).replace("</script", "<\\/script").replace("<!--", "<\\!--")
-    return Markup(text)  # noqa: S704
+    return Markup(str(asset(name)).replace("</script", "<\\/script").replace("<!--", "<\\!--"))  # noqa: S704
 
 
 def data_block(text: str) -> Markup:
@@ -87,12 +87,7 @@ def data_uri(image: Image | list[Image], kind: str) -> str:
 
 def fill_page(name: str, /, **values: object) -> Markup:
     """Put values in place of {{name}} in a file of the package, once and not within values; plain text is escaped."""
-    pieces = str(asset(name)).split("{{")
-    text = [pieces[0]]
-    for piece in pieces[1:]:
-        place, _, rest = piece.partition("}}")
-        text += [str(Markup.escape(values[place])), rest]
-    return Markup("".join(text))  # noqa: S704
+    return Markup(re.sub(r"{{(\w+)}}", lambda place: Markup.escape(values[place[1]]), asset(name)))  # noqa: S704
 
 
 def write_plain_page(path: Path, title: str, body: Sequence[str]) -> Path:

@@ -87,8 +87,7 @@ def to_polyscope(result: MapResult, name: str = "surface") -> polyscope.SurfaceM
     meshes = [shown]
     if not is_torus_map(result):
         scale = 0.5 * float(np.ptp(vertices, axis=0).max())
-        beside = vertices.mean(axis=0) + (2.5 * scale, 0.0, 0.0)
-        places = scale * np.asarray(result.sphere) + beside
+        places = scale * np.asarray(result.sphere) + (vertices.mean(axis=0) + (2.5 * scale, 0.0, 0.0))
         meshes.append(polyscope.register_surface_mesh(f"{name}'s sphere", places, faces))
     for quantity, values in _distortions(result).items():
         for mesh in meshes:

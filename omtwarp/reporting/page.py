@@ -168,8 +168,7 @@ def _stills(
     # Most edges, faces: with more, edges would hide the surface between them
     edges = len(result.faces) <= 60_000
     for stage in (stages[0], stages[-1])[: len(stages)]:
-        gained = np.clip(views.log2_area_ratio(stage), -RANGE, RANGE)
-        field = ScalarField(gained, AREA_COLOURS, (-RANGE, RANGE))
+        field = ScalarField(np.clip(views.log2_area_ratio(stage), -RANGE, RANGE), AREA_COLOURS, (-RANGE, RANGE))
         on_domain = replace(view_on_domain(result, stage, pose), scalar=field, edges=edges)
         on_surface = replace(pose, image=picture, sphere=stage.sphere)
         for key, shown in ((f"sphere {stage.key}", on_domain), (stage.key, on_surface)):

@@ -225,8 +225,7 @@ def log2_angle_ratio(stage: Stage) -> Floats:
 def alignment(directions: Floats, placed: Floats) -> Floats:
     """Return the rotation [3, 3] that best aligns points of the sphere with the surface (Kabsch 1976)."""
     # Least radius, of a vertex at the centre, which no direction leads to
-    radial = placed / np.maximum(norms(placed)[..., None], 1e-12)
-    return fitted_rotation(directions.T @ radial)[0]
+    return fitted_rotation(directions.T @ (placed / np.maximum(norms(placed)[..., None], 1e-12)))[0]
 
 
 def cube_faces(texture: Source, size: int = FACE_TEXELS, *, device: str = "auto") -> list[str]:

@@ -85,8 +85,7 @@ def histograms(rows: Sequence[Row], title: str, *, mirrored: bool) -> Markup:
         for kind, text, below in (("row", words, 20), ("remark", row.remark, 36)):
             level = f"{base - height + below:.1f}"
             parts.append(element("text", text, class_=kind, x=side, y=level, text_anchor=anchor))
-    told = " ".join(f"{row.label}: {row.remark}." for row in (rows[0], rows[-1]))
-    return _svg(bottom + 28, title, told, parts)
+    return _svg(bottom + 28, title, " ".join(f"{row.label}: {row.remark}." for row in (rows[0], rows[-1])), parts)
 
 
 def ratio_range(rows: Sequence[Row], mirrored: bool) -> tuple[float, float, float]:
@@ -110,8 +109,7 @@ def power_name(exponent: float) -> str:
     value = 2.0**exponent
     decimal = math.log10(value)
     if abs(decimal - round(decimal)) < ROUND and abs(decimal) > 2.5:
-        power = str(round(decimal)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
-        return f"10{power}"
+        return "10" + str(round(decimal)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
     if exponent < 0:
         return f"1/{power_name(-exponent)}"
     return f"{value:.0f}" if abs(value - round(value)) < ROUND else f"{value:.1f}"
@@ -185,12 +183,11 @@ def figures(stages: Sequence[Stage], report: MapReport) -> Markup:
     known = (stage.record.get("transport_cost") for stage in reversed(stages))
     cost = next((cost for cost in known if cost is not None), None)  # disks and caps are made of optimal maps
     figures = [
-        ("Flipped triangles", f"{last.distortion.flips:,}", f"of {len(last.distortion.triple):,}; {_cover(last)}"),
-        ("Area distortion", _number(last.distortion.area["surface"]), f"2 is perfect; {first.label.lower()} "
-         f"{_number(first.distortion.area['surface'])}"),
-        ("Angle distortion", _number(last.distortion.angle["surface"]), f"2 is perfect; {first.label.lower()} "
-         f"{_number(first.distortion.angle['surface'])}"),
-    ]  # fmt: skip
+        ("Flipped triangles", f"{last.distortion.flips:,}", f"of {len(last.distortion.triple):,}; {_cover(last)}")
+    ]
+    for name in ("area", "angle"):
+        before, after = (_number(getattr(stage.distortion, name)["surface"]) for stage in (first, last))
+        figures.append((f"{name.capitalize()} distortion", after, f"2 is perfect; {first.label.lower()} {before}"))
     if cost is not None and len(stages) > 1:
         figures.append(("Transport cost", _number(cost), f"from the {first.label.lower()} map, squared distance"))
     if "seconds" in report:
@@ -229,8 +226,7 @@ def pictures(stages: Sequence[Stage], stills: Mapping[str, str], shown: str) -> 
         )
         for kind, alternative, where, stage, words in drawn
     ]  # fmt: skip
-    maps = "two maps" if len(pair) > 1 else "the map"
-    words = f"{shown} on the sphere, carried to the surface by {maps}."
+    words = f"{shown} on the sphere, carried to the surface by {'two maps' if len(pair) > 1 else 'the map'}."
     return section("Before and after", words, html('<div class="pair pictures">{}</div>', join(figures)))
 
 
@@ -280,7 +276,8 @@ def transport(report: MapReport, history: Sequence[Record], stages: Sequence[Sta
         cards.append(html('<div class="card"><h3>Cost of the transport</h3><p>{}</p>{}</div>', change, chart))
     facts = _transport_facts(report, stages, optimality)
     if facts:
-        cards.append(html('<div class="card"><h3>Start and optimality</h3>{}</div>', _facts(facts)))
+        listed = html('<dl class="facts">{}</dl>', join(_fact(name, value) for name, value in facts))
+        cards.append(html('<div class="card"><h3>Start and optimality</h3>{}</div>', listed))
     if not cards:
         return html("")
     words = "From the start to the optimal map: mass moves along the gradient flow that lowers its cost."
@@ -391,10 +388,6 @@ def _weighted_quantiles(values: Floats, weights: Floats, shares: Sequence[float]
 def section(heading: str, words: str, content: Markup) -> Markup:
     """Make a section of a page: a heading, a sentence and what they are about."""
     return html('<section class="block"><h2>{}</h2><p>{}</p>{}</section>', heading, words, content)
-
-
-def _facts(facts: Sequence[tuple[str, str]]) -> Markup:
-    return html('<dl class="facts">{}</dl>', join(_fact(name, value) for name, value in facts))
 
 
 def _fact(name: str, value: str) -> Markup:

@@ -46,8 +46,7 @@ def shown_report(result: MapResult) -> MapReport:
 
 def shown_history(result: MapResult) -> list[Record]:
     """Take from a result's history the iterations whose cost is known."""
-    fitting = cast(list[Record], _fitting(result.history, HISTORY) or [])
-    return [entry for entry in fitting if "cost" in entry]
+    return [entry for entry in cast(list[Record], _fitting(result.history, HISTORY) or []) if "cost" in entry]
 
 
 def _fitting(value: object, shape: object) -> object:
@@ -133,8 +132,7 @@ def stages_of(result: MapResult) -> list[Stage]:
     areas = triangle_areas(result.vertices / _extent(result), result.faces)
     weights = areas / areas.sum()
     number, last = domains_of(result, len(result.faces)), domain_name(result)
-    side_by_side = getattr(result, "cap_centres", None) is not None
-    carried = side_by_side or getattr(result, "domain", "sphere") in OF_HEMISPHERES
+    carried = getattr(result, "cap_centres", None) is not None or getattr(result, "domain", "sphere") in OF_HEMISPHERES
     part = getattr(result, "part", None)
     apart = number if part is None else np.unique(part, return_inverse=True)[1]
     plural = "s" if apart.any() else ""
