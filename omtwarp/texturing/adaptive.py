@@ -58,8 +58,7 @@ def fill_calm(given: Pattern, look: Look, picture: wp.array) -> Ints:
     # Gradient: colours of a block's corners that differ by more are not interpolated
     inputs = [FIRST_THREAD, step, width, height, wp.float64(4.0 / 255.0), directions, reach, colours]
     launch_parts(kernels.fill_calm, across * down, inputs, [picture, Each(busy)], look.where)
-    busy_blocks = busy.numpy().reshape(down, across) > 0
-    left = busy_blocks.repeat(step, axis=0).repeat(step, axis=1)[:height, :width]
+    left = (busy.numpy().reshape(down, across) > 0).repeat(step, axis=0).repeat(step, axis=1)[:height, :width]
     return np.flatnonzero(left & look.atlas.covered).astype(np.int32)
 
 

@@ -173,15 +173,13 @@ class Equirectangular(Atlas):
         u = np.where(on_seam, east[:, None].astype(np.float64), u)
         # A pole has every longitude: in every triangle it takes the middle of the longitudes of the other corners.
         pole = across <= ON_CUT * length
-        others = np.maximum((~pole).sum(axis=1), 1)
-        mean = np.where(pole, 0.0, u).sum(axis=1) / others
+        mean = np.where(pole, 0.0, u).sum(axis=1) / np.maximum((~pole).sum(axis=1), 1)
         u = np.where(pole, mean[:, None], u)
         v = np.where(pole, (z > 0).astype(np.float64), v)
         return np.stack([u, v], axis=-1)
 
     def uv_directions(self, uv: Floats, chart: NDArray) -> Floats:
-        lon = (uv[..., 0] - 0.5) * 2.0 * np.pi + (self.seam - np.pi)
-        return direction_from_angles(lon, (uv[..., 1] - 0.5) * np.pi)
+        return direction_from_angles((uv[..., 0] - 0.5) * 2.0 * np.pi + (self.seam - np.pi), (uv[..., 1] - 0.5) * np.pi)
 
 
 def angles_from_middle(corners: Floats, chart: NDArray) -> Floats:
@@ -210,7 +208,8 @@ class Cube(Atlas):
         self.cell = int(cell)
         self.columns = 4 if width == 2 * height else 3
         self.gutter = max(2, self.cell // 24) if gutter is None else int(gutter)
-        self.parameters, self.texel_angle = (float(cell), float(self.gutter)), 2.0 * QUARTER / (cell - 2 * self.gutter)
+        self._inner = self.cell - 2 * self.gutter  # texels along a face
+        self.parameters, self.texel_angle = (float(cell), float(self.gutter)), 2.0 * QUARTER / self._inner
         axes = np.eye(3)
         self.arcs = tuple(  # the edges of the cube that run along an axis lie in the planes |a| = |b|
             Arc(sa * axes[k - 2] - sb * axes[k - 1], (sa * axes[k - 2] + axes[k], sa * axes[k - 2] - axes[k]))
@@ -231,9 +230,8 @@ class Cube(Atlas):
 
     def corner_uv(self, points: Floats, chart: NDArray) -> Floats:
         angle = angles_from_middle(points, chart)
-        limit = QUARTER * self.cell / (self.cell - 2 * self.gutter)  # a folded triangle must not reach another chart
-        inner = self.cell - 2 * self.gutter
-        texel = self.gutter + (np.clip(angle, -limit, limit) / QUARTER + 1.0) * (0.5 * inner)
+        limit = QUARTER * self.cell / self._inner  # a folded triangle must not reach another chart
+        texel = self.gutter + (np.clip(angle, -limit, limit) / QUARTER + 1.0) * (0.5 * self._inner)
         left, bottom = self._corner(chart[:, None])
         return np.stack([(left + texel[..., 0]) / self.width, (bottom + texel[..., 1]) / self.height], axis=-1)
 
@@ -242,10 +240,9 @@ class Cube(Atlas):
         return chart % self.columns * self.cell, self.height - (1 + chart // self.columns) * self.cell
 
     def uv_directions(self, uv: Floats, chart: NDArray) -> Floats:
-        inner = self.cell - 2 * self.gutter
         left, bottom = self._corner(chart)
         texel = np.stack([uv[..., 0] * self.width - left, uv[..., 1] * self.height - bottom], axis=-1)
-        slope = np.tan(((texel - self.gutter) / (0.5 * inner) - 1.0) * QUARTER)
+        slope = np.tan(((texel - self.gutter) / (0.5 * self._inner) - 1.0) * QUARTER)
         local = np.concatenate([np.ones_like(slope[..., :1]), slope], axis=-1)
         return normalised(np.einsum("...i,...ij->...j", local, CUBE_FRAMES[chart]))
 
@@ -261,6 +258,7 @@ class Octahedral(Atlas):
         super().__init__(size, size)
         self.gutter = max(2, int(size) // 64)
         self.parameters = 0.0, float(self.gutter)
+        self._inner = (self.width - 2 * self.gutter) / self.width  # the share of a side that is no gutter
         self.texel_angle = 2.0 / (size - 2 * self.gutter)  # at the poles; up to 2.4 times that in an octant's middle
 
     def charts(self, directions: Floats) -> Ints:
@@ -273,12 +271,10 @@ class Octahedral(Atlas):
         south = (chart & 4 != 0)[:, None]
         x, y = np.where(south, 1.0 - p[..., 1], p[..., 0]), np.where(south, 1.0 - p[..., 0], p[..., 1])
         sign = np.stack([1.0 - 2.0 * (chart & 1), 1.0 - (chart & 2)], axis=-1)[:, None, :]
-        inner = (self.width - 2 * self.gutter) / self.width
-        return 0.5 + 0.5 * inner * sign * np.stack([x, y], axis=-1)
+        return 0.5 + 0.5 * self._inner * sign * np.stack([x, y], axis=-1)
 
     def uv_directions(self, uv: Floats, chart: NDArray) -> Floats:
-        inner = (self.width - 2 * self.gutter) / self.width
-        x, y = np.moveaxis((uv - 0.5) * (2.0 / inner), -1, 0)
+        x, y = np.moveaxis((uv - 0.5) * (2.0 / self._inner), -1, 0)
         return octahedral_directions(x, y)
 
 
@@ -317,7 +313,7 @@ def _cube(sides: tuple[int, ...]) -> Cube:
     least_square = 32  # texels: in a square one that is smaller no three cells of a cube map fit with their gutters
     width = sides[0]
     cell = max(width // 12, 2) * 4  # a multiple of four: so many mip maps have whole texels along the borders of cells
-    square = width >= least_square and is_power_of_two(width) if len(sides) == 1 else sides[1] == width
+    square = width >= least_square and width.bit_count() == 1 if len(sides) == 1 else sides[1] == width
     if square and 3 * cell <= width:
         return Cube(cell, size=(width, width))
     if len(sides) == 1 or sides == (3 * cell, 2 * cell):
@@ -328,11 +324,6 @@ def _cube(sides: tuple[int, ...]) -> Cube:
         f"texture size {sides}: a cube map is a square of at least {least_square} texels, 2 : 1 with a width that is a "
         f"multiple of 16, or 3 : 2 with one that is a multiple of 12"
     )
-
-
-def is_power_of_two(number: int) -> bool:
-    """Return whether a number is a power of two."""
-    return number > 0 and number & (number - 1) == 0
 
 
 def width_of(size: int | None) -> int | None:
@@ -435,5 +426,4 @@ def largest_stretch(surface: Floats, faces: Ints, sphere: Floats) -> Floats:
 def _metric(corner: Floats) -> Floats:
     """Return the squared lengths of two edges and, between them, the edges' inner product, shape [F, 3]."""
     one, other = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-    pairs = ((one, one), (one, other), (other, other))
-    return np.stack([np.einsum("ij,ij->i", x, y) for x, y in pairs], axis=1)
+    return np.stack([np.einsum("ij,ij->i", x, y) for x, y in ((one, one), (one, other), (other, other))], axis=1)

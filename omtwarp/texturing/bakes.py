@@ -320,8 +320,7 @@ def face_openness(vertices: Floats, faces: Ints) -> Floats:
     """
     rays = 24  # from a vertex: openness in steps of 4 %
     low, high = vertices.min(axis=0), vertices.max(axis=0)
-    x = (vertices - low) / (high - low).max()
-    p = x[faces]
+    p = ((vertices - low) / (high - low).max())[faces]
     normal = normalised(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]))
     # Ray budget: about half a second on one CPU core
     step = max(1, int(np.ceil(len(faces) * rays / 400_000)))
@@ -401,8 +400,7 @@ def least_visible_meridian(vertices: Floats, faces: Ints, sphere: Floats) -> flo
         crossing = crossing[along[faces[crossing]].sum(axis=1) > 0]
         corner = faces[crossing]
         lonely = np.where(side[crossing].sum(axis=1) == 1, np.argmax(side[crossing], 1), np.argmin(side[crossing], 1))
-        rows = np.arange(len(crossing))
-        tip, a, b = corner[rows, lonely], corner[rows, (lonely + 1) % 3], corner[rows, (lonely + 2) % 3]
+        tip, a, b = np.take_along_axis(corner, (lonely[:, None] + np.arange(3)) % 3, axis=1).T
         ends = []
         for other in (a, b):
             t = (height[tip] / (height[tip] - height[other]))[:, None]

@@ -179,8 +179,7 @@ def fill(texels: Ints, samples: int, evaluate: Evaluate, picture: wp.array) -> N
         part = wp.array(texels[start : start + step], dtype=wp.int32, device=where)
         values = wp.empty((len(part) * count, picture.shape[1]), dtype=wp.float64, device=where)
         evaluate(part, samples, values)
-        inputs = [Each(values, count), samples, Each(part)]
-        launch_parts(kernels.average_samples, len(part), inputs, pictures, where)
+        launch_parts(kernels.average_samples, len(part), [Each(values, count), samples, Each(part)], pictures, where)
 
 
 def supersampled(texels: Ints, samples: int, evaluate: Evaluate, width: int, picture: wp.array) -> None:
@@ -439,8 +438,7 @@ def sphere_layout(
         # On the picture a pole is the whole top or bottom edge. A triangle at a pole has one point of it, but owns the
         # rectangle up to the edge; only the ownership is used.
         v = corner_uv[..., 1]
-        poles = np.isin(v, (0.0, 1.0)).sum(axis=1) == 1
-        at = np.flatnonzero(poles)
+        at = np.flatnonzero(np.isin(v, (0.0, 1.0)).sum(axis=1) == 1)
         k = np.argmax(np.isin(v[at], (0.0, 1.0)), axis=1)
         pole, a, b = (corner_uv[at, (k + i) % 3] for i in range(3))
         over_a, over_b = np.stack([a[:, 0], pole[:, 1]], axis=1), np.stack([b[:, 0], pole[:, 1]], axis=1)
@@ -477,8 +475,7 @@ def tiled_copies(uv: Floats) -> tuple[NDArray[np.int64], Floats]:
     # Copies of the picture that one triangle may reach over, along either side.
     most_tiles = 16
     low = np.floor(uv.min(axis=1) + ROUND_OFF).astype(np.int64)
-    high = np.maximum(np.ceil(uv.max(axis=1) - ROUND_OFF).astype(np.int64), low + 1)
-    count = high - low
+    count = np.maximum(np.ceil(uv.max(axis=1) - ROUND_OFF).astype(np.int64), low + 1) - low
     if len(count) and count.max() > most_tiles:
         face = int(np.argmax(count.max(axis=1)))
         raise OmtwarpError(
@@ -499,8 +496,7 @@ def overlap(uv: Floats, width: int, height: int, where: wp.Device) -> float:
     corners = (in_texels(some, width, height, where) for some in (uv, uv[::-1]))
     first, last = (claimed(some, width, height, -inside, where) for some in corners)
     covered_texels = first != NOBODY
-    several = covered_texels & (first != len(uv) - 1 - last)
-    return float(several.sum() / max(covered_texels.sum(), 1))
+    return float((covered_texels & (first != len(uv) - 1 - last)).sum() / max(covered_texels.sum(), 1))
 
 
 def bake_corners(
@@ -524,8 +520,7 @@ def bake_corners(
 
 def covered(uv: Floats, size: tuple[int, int], *, padding: int = PADDING, device: wp.Device) -> NDArray[np.bool_]:
     """Return a mask of the texels that triangles and the padding around them cover, shape [H, W]."""
-    ones = np.ones((len(uv), 3, 1))
-    return bake_corners(uv, ones, size, padding=padding, samples=1, device=device)[..., 0] > 0.5
+    return bake_corners(uv, np.ones((len(uv), 3, 1)), size, padding=padding, samples=1, device=device)[..., 0] > 0.5
 
 
 def bake_materials(

@@ -129,15 +129,12 @@ def corner_tangents(vertices: Floats, faces: Ints, uv: Floats, normals: Floats) 
     edge_1, edge_2 = vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]]
     du_1, dv_1 = (uv[:, 1] - uv[:, 0]).T
     du_2, dv_2 = (uv[:, 2] - uv[:, 0]).T
-    area = du_1 * dv_2 - du_2 * dv_1
-    sign = np.where(area < 0, -1.0, 1.0)
-    # Weighted by the triangle's area in the picture.
+    sign = np.where(du_1 * dv_2 - du_2 * dv_1 < 0, -1.0, 1.0)  # of the triangle's area in the picture
+    # Weighted by that area.
     tangent = (edge_1 * dv_2[:, None] - edge_2 * dv_1[:, None]) * sign[:, None]
     rows = np.concatenate([faces.reshape(-1, 1), uv.reshape(-1, 2), np.repeat(sign, 3)[:, None]], axis=1)
-    _, group = np.unique(rows, axis=0, return_inverse=True)
-    group = group.reshape(-1)
-    each = np.repeat(tangent, 3, axis=0)
-    total = summed(each, group)[group]
+    group = np.unique(rows, axis=0, return_inverse=True)[1].reshape(-1)
+    total = summed(np.repeat(tangent, 3, axis=0), group)[group]
     normal = normals[faces.ravel()]
     flat = total - normal * (total * normal).sum(axis=1, keepdims=True)
     length = np.linalg.norm(flat, axis=1, keepdims=True)
@@ -244,17 +241,15 @@ def split_corners(faces: Ints, values: Floats, count: int) -> tuple[Ints, Ints, 
     some = np.flatnonzero(several[vertex])
     order = some[np.lexsort((*flat[some].T[::-1], vertex[some]))]
     v, each = vertex[order], flat[order]
-    new = np.ones(len(v), dtype=bool)
-    new[1:] = (v[1:] != v[:-1]) | np.any(each[1:] != each[:-1], axis=1)
+    new = np.append(True, (v[1:] != v[:-1]) | np.any(each[1:] != each[:-1], axis=1))[: len(v)]
     owner = v[new]
-    main = np.ones(len(owner), dtype=bool)
-    main[1:] = owner[1:] != owner[:-1]
+    more = np.append(False, owner[1:] == owner[:-1])[: len(owner)]
     number = owner.astype(np.int64)
-    number[~main] = count + np.arange(np.count_nonzero(~main))
+    number[more] = count + np.arange(np.count_nonzero(more))
     rows = vertex.astype(np.int32)
     rows[order] = number[np.cumsum(new) - 1]
-    of_row = np.concatenate([np.arange(count), owner[~main]]).astype(np.int32)
-    at = np.concatenate([at, each[new][~main]])
+    of_row = np.concatenate([np.arange(count), owner[more]]).astype(np.int32)
+    at = np.concatenate([at, each[new][more]])
     at[number] = each[new]
     return rows.reshape(-1, 3), of_row, at
 
@@ -363,8 +358,9 @@ def obj_files(model: Model, place: Path, kept: tuple[Path | None, ...]) -> list[
     alone = len({id(picture) for _, _, picture, _ in drawn}) == 1
     # Without spaces and comments, at which readers of these files end a name
     names = _distinct([re.sub(r"[\s#\x00-\x1f]+", "_", part.material.name).strip("_") for part in parts])
-    safe = [re.sub(r"[^A-Za-z0-9._-]+", "_", part.material.name).strip("._") for part in parts]
-    of_files = _distinct(safe, str.lower)
+    of_files = _distinct(
+        [re.sub(r"[^A-Za-z0-9._-]+", "_", part.material.name).strip("._") for part in parts], str.lower
+    )
     written: dict[int, tuple[Path, bytes]] = {}
     for number, _, picture, ending in drawn:
         if id(picture) not in written:

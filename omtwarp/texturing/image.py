@@ -149,8 +149,7 @@ def with_opacity(picture: NDArray[Number]) -> NDArray[Number]:
     """Add full opacity to colours that have none, shape [..., 3] to [..., 4]; bytes, or floats from 0 to 1."""
     if picture.shape[-1] == 4:
         return picture
-    full = 255 if picture.dtype == np.uint8 else 1.0
-    return np.concatenate([picture, np.full_like(picture[..., :1], full)], axis=-1)
+    return np.concatenate([picture, np.full_like(picture[..., :1], 255 if picture.dtype == np.uint8 else 1.0)], axis=-1)
 
 
 def without_full_opacity(picture: Bytes) -> Bytes:

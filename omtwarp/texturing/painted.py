@@ -309,8 +309,7 @@ class PaintedMesh:
             return [as_path(path)]
         normals = self.unit_normals()
         parts = [self._part(int(number), normals) for number in np.unique(self.material_of)]
-        wraps = (self.wraps, self.wraps_rows)
-        model = Model(self.vertices, normals, parts, self.vertex_colors, wraps, self.objects)
+        model = Model(self.vertices, normals, parts, self.vertex_colors, (self.wraps, self.wraps_rows), self.objects)
         return export(path, model, (*keep, *self.source_files), texture_format)
 
     def colors_at_vertices(self) -> Bytes:
@@ -342,8 +341,9 @@ class PaintedMesh:
             return Part(material, corners, used, belongs=belongs)
         values = self.uv[of_it]
         if material.normal_picture is not None and material.own_tangents:
-            tangents = corner_tangents(self.vertices, self.faces[of_it], values, normals)
-            values = np.concatenate([values, tangents], axis=2)
+            values = np.concatenate(
+                [values, corner_tangents(self.vertices, self.faces[of_it], values, normals)], axis=2
+            )
         rows, vertex, values = split_corners(corners, values, len(used))
         turned = values[:, 2:] if values.shape[1] > 2 else None
         return Part(material, rows, used[vertex], values[:, :2], turned, belongs)
@@ -360,8 +360,7 @@ class PaintedMesh:
             OmtwarpError: a triangle of the copy has no triangle of this mesh in its place.
         """
         if len(triangles) == len(self.faces):  # in the same order, mostly
-            apart = np.abs(points[triangles] - self.vertices[self.faces]).max(initial=0.0)
-            if apart <= SAME_PLACE * self._extent:
+            if np.abs(points[triangles] - self.vertices[self.faces]).max(initial=0.0) <= SAME_PLACE * self._extent:
                 return np.arange(len(triangles), dtype=np.int32)
         places, number = np.unique(points + 0.0, axis=0, return_inverse=True)
         from scipy.spatial import cKDTree

@@ -48,8 +48,7 @@ _VALUE = r"[-+.0-9eE]+|on|off|[a-z]"
 
 def _statements(data: bytes) -> tuple[NDArray[np.bytes_], list[bytes]]:
     """Return the kinds of an OBJ file's statements, shape [N], and what stands behind each."""
-    found = _STATEMENT.finditer(obj_text(data))
-    statements = [(match[1] or match[3], match[2] or match[4] or b"") for match in found]
+    statements = [(match[1] or match[3], match[2] or match[4] or b"") for match in _STATEMENT.finditer(obj_text(data))]
     return np.array([kind for kind, _ in statements], dtype="S6"), [rest for _, rest in statements]
 
 
@@ -277,8 +276,7 @@ def _colors_behind(points: list[list[bytes]]) -> Bytes | None:
     if not points or any(len(row) < 6 for row in points):
         return None
     given = np.array([row[3:6] for row in points], dtype=np.float64)
-    scaled = given * (255.0 if given.max() <= 1.0 else 1.0)
-    return with_opacity(np.rint(np.clip(scaled, 0, 255)).astype(np.uint8))
+    return with_opacity(np.rint(np.clip(given * (255.0 if given.max() <= 1.0 else 1.0), 0, 255)).astype(np.uint8))
 
 
 def _pictures_beside(file: Path, named: list[Path], notes: list[str]) -> Callable[..., Bytes | None]:
@@ -460,8 +458,7 @@ def _appearance(mesh: trimesh.Trimesh, looks: list[Material] | None) -> tuple[Ma
     if kind != "texture" or not isinstance(visual, TextureVisuals):
         return Material(), None, None
     source, uv = visual.material, visual.uv
-    fits = uv is not None and len(uv) == len(mesh.vertices)
-    coordinates = np.asarray(uv, dtype=np.float64)[:, :2] if fits else None
+    coordinates = np.asarray(uv, dtype=np.float64)[:, :2] if uv is not None and len(uv) == len(mesh.vertices) else None
     name = str(getattr(source, "name", None) or "material")
     if not hasattr(source, "baseColorFactor"):  # of formats older than glTF
         diffuse = np.asarray(getattr(source, "diffuse", (255, 255, 255, 255)), dtype=np.float64) / 255.0

@@ -81,8 +81,7 @@ def unwrap(sphere: Floats, faces: Ints, atlas: Atlas, *, rotation: Floats | None
 def shares_of_corners(cut: Unwrapped, faces: Ints) -> Floats:
     """Return the corners of parts of faces, shape [F, 3], as combinations of these faces' corners, shape [M, 3, 3]."""
     rows, whole = cut.faces.ravel(), faces[np.repeat(cut.source_face, 3)]
-    shares = np.stack([np.asarray(cut.weights[rows, column]).ravel() for column in whole.T], axis=1)
-    return shares.reshape(-1, 3, 3)
+    return np.stack([np.asarray(cut.weights[rows, column]).ravel() for column in whole.T], axis=1).reshape(-1, 3, 3)
 
 
 def _face_charts(mesh: "CutMesh", atlas: Atlas, which: NDArray | slice = slice(None)) -> Ints:
@@ -104,8 +103,7 @@ def _refine(mesh: "CutMesh", atlas: Atlas) -> None:
         error = np.empty((len(which), len(PROBES)))
         for k, bary in enumerate(PROBES):
             got = atlas.uv_directions(np.einsum("k,fkj->fj", bary, uv), chart)
-            want = normalised(np.einsum("k,fkj->fj", bary, points))
-            error[:, k] = norms(got - want)
+            error[:, k] = norms(got - normalised(np.einsum("k,fkj->fj", bary, points)))
         bad = error > atlas.texel_angle / 3.0
         edges = bad[:, :3]
         directions = normalised(points)
@@ -216,8 +214,7 @@ class CutMesh:
             new = self._add_vertices(combination) + np.arange(len(interior))
             v0, v1, v2 = self.faces[interior].T
             fan = [np.stack(t, axis=1) for t in ((v0, v1, new), (v1, v2, new), (v2, v0, new))]
-            keep = np.ones(len(self.faces), dtype=bool)
-            keep[interior] = False
+            keep = ~marked(len(self.faces), interior)
             faces = np.concatenate([self.faces[keep], *fan])
             source = np.concatenate([self.source_face[keep], *([self.source_face[interior]] * 3)])
             self._set_faces(faces, source, np.zeros(len(faces), dtype=bool))
@@ -233,8 +230,7 @@ class CutMesh:
 
     def cut(self, arc: Arc) -> None:
         """Split every edge that crosses an arc, exactly where it does."""
-        normal = np.asarray(arc.normal, dtype=np.float64)
-        height = self.points @ normal
+        height = self.points @ np.asarray(arc.normal, dtype=np.float64)
         height[np.abs(height) <= ON_CUT * norms(self.points)] = 0.0
         side = np.sign(height).astype(np.int8)[self.faces]
         face, corner = np.nonzero(side * np.roll(side, -1, axis=1) < 0)

@@ -234,8 +234,7 @@ class SmoothCurves:
         # Control points of the third at side k, in the order of the polynomials below.
         ends = value, after, before, np.roll(value, -1, axis=1)
         inside = near, crossing, ahead, inner, np.roll(inner, -1, axis=1)
-        middles = np.broadcast_to(centre[:, None], value.shape)
-        net = np.stack([*ends, *inside, middles], axis=2)
+        net = np.stack([*ends, *inside, np.broadcast_to(centre[:, None], value.shape)], axis=2)
         curve = np.empty((len(self.faces), len(share), 3))
         for index, part in enumerate(share):
             lone = int(np.argmin(part))  # the corner opposite to the side whose third the point lies in
@@ -276,9 +275,8 @@ def _without_waves(places: Floats, faces: Ints, sphere: Floats) -> Floats:
 
     edge = mean_edge_lengths(sphere, pairs)
     moved = filtered - sphere
-    way = np.linalg.norm(moved, axis=1)
     # In mean edges of a vertex on the sphere: its image is moved no farther.
-    moved *= np.minimum(1.0, 0.3 * edge / np.maximum(way, np.finfo(float).tiny))[:, None]
+    moved *= np.minimum(1.0, 0.3 * edge / np.maximum(np.linalg.norm(moved, axis=1), np.finfo(float).tiny))[:, None]
     kept, allowed = np.ones(count), flipped_faces(sphere, faces)
     for rounds in range(count):
         points = normalised(sphere + kept[:, None] * moved)
@@ -319,8 +317,7 @@ def _edge_derivatives(places: Floats, faces: Ints, sphere: Floats, ends: NDArray
 
 def _tangents(normals: Floats) -> tuple[Floats, Floats]:
     """Return two unit vectors at right angles to each unit normal, and to one another."""
-    away = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
-    first = normalised(np.cross(normals, away))
+    first = normalised(np.cross(normals, np.eye(3)[np.argmin(np.abs(normals), axis=1)]))
     return first, np.cross(normals, first)
 
 

@@ -210,16 +210,14 @@ def torus_pattern(name: str, lattice: Floats, size: int | None = None) -> Bytes:
     ratio = float(along[1] / along[0])
     # Texels, of a pattern, as many as a pattern 2048 wide has on the sphere
     wide = _nearest_power(np.sqrt((1 << 21) / ratio)) if size is None else size
-    high = _nearest_power(wide * ratio) if layouts.is_power_of_two(wide) else round(wide * ratio)
+    high = _nearest_power(wide * ratio) if wide.bit_count() == 1 else round(wide * ratio)
     width, height = layouts.check_size((max(wide, 16), max(high, 16)))
     u = (np.arange(width) + 0.5) / width
     v = 1.0 - (np.arange(height) + 0.5) / height
-    turn = 2.0 * np.pi * v[:, None]
-    tint = np.stack([0.33 + 0.22 * np.cos(turn + shift) for shift in (0.4, -1.9, 2.6)], axis=-1)
+    tint = np.stack([0.33 + 0.22 * np.cos(2.0 * np.pi * v[:, None] + shift) for shift in (0.4, -1.9, 2.6)], axis=-1)
     share = _checks(lattice, u, v) if name == "checker" else _circles(lattice, u, v)
     light = np.array([0.96, 0.94, 0.90])  # sRGB between the circles, and of every other field
-    picture = light + share[..., None] * (tint - light)
-    return np.rint(255.0 * picture).astype(np.uint8)
+    return np.rint(255.0 * (light + share[..., None] * (tint - light))).astype(np.uint8)
 
 
 def _nearest_power(number: float) -> int:
@@ -295,8 +293,7 @@ def as_map(result: SphereMap | tuple[ArrayLike, ArrayLike, ArrayLike]) -> tuple[
                 f"cannot use a {type(result).__name__}: give a result of map_to_sphere, or vertices, faces and sphere"
             ) from error
     vertices = real_numbers(parts[0], "vertices", (None, 3))
-    faces = as_faces(parts[1], len(vertices))
-    return vertices, faces, as_unit_vectors(parts[2], len(vertices))
+    return vertices, as_faces(parts[1], len(vertices)), as_unit_vectors(parts[2], len(vertices))
 
 
 def _seam(given: float | str, atlas: str, vertices: Floats, faces: Ints, sphere: Floats) -> float:
@@ -330,10 +327,9 @@ def _natural_size(picture: NDArray, atlas: str) -> int | tuple[int, int] | None:
     """Return the size of a texture whose texels are about as large as those of the image."""
     # Of the picture's width. Octahedral textures then have as many texels, 0.56 widths squared beside 0.5; three cells
     # of a cube map without their gutters as many along the equator as three quarters of the picture.
-    octahedral_share, cube_share = 0.75, 0.75 * 12.0 / 11.0
+    share = 0.75 if atlas == "octahedral" else 0.75 * 12.0 / 11.0
     height, width = picture.shape[:2]
     if atlas == "equirectangular":
         return (width, height) if min(width, height) >= 16 else (max(width, 64), max(height, 32))
-    share = octahedral_share if atlas == "octahedral" else cube_share
     # Most side, texels of a picture's own size: what browsers and game engines load (WebGL 2)
     return layouts.picture_size(share * width, atlas, 16384)[0]

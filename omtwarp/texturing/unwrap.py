@@ -213,8 +213,7 @@ def pack_rows(sizes: Floats, width: float, margin: float, least: Floats | float 
     if fitted is None or low == 0.0:
         raise OmtwarpError(f"a margin of {margin} leaves no room for {len(sizes)} charts")
     placed_sizes = np.maximum(low * sizes, least)
-    used = (fitted + placed_sizes + margin).max(axis=0)
-    fitted = fitted + 0.5 * (np.array([width, 1.0]) - used)
+    fitted = fitted + 0.5 * (np.array([width, 1.0]) - (fitted + placed_sizes + margin).max(axis=0))
     return np.stack([fitted[:, 0], 1.0 - fitted[:, 1] - placed_sizes[:, 1]], axis=1), low
 
 

@@ -115,7 +115,6 @@ class Circles(Pattern):
         offsets = np.concatenate([[0], np.cumsum([len(x) for x in lists])]).astype(np.int32)
         members = np.concatenate([np.asarray(x, dtype=np.int32) for x in lists] + [np.zeros(1, dtype=np.int32)])
         inner = self.palette[self.groups]
-        background = wp.vec3d(*self.background)
         return [
             side,
             (offsets, wp.int32),
@@ -126,7 +125,7 @@ class Circles(Pattern):
             wp.float64(4.0 * np.sin(0.5 * self.radius) ** 2),
             wp.float64(4.0 * np.sin(0.455 * self.radius) ** 2),
             wp.float64(beyond),
-            background,
+            wp.vec3d(*self.background),
         ]
 
 

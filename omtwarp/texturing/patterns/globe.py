@@ -219,8 +219,7 @@ def _coast_table(columns: int, rows: int, reach: float) -> tuple[NDArray, ...]:
     cell = y * columns + x
     order = np.argsort(cell, kind="stable")
     offsets = np.concatenate([[0], np.cumsum(np.bincount(cell, minlength=rows * columns))]).astype(np.int32)
-    members = piece[order].astype(np.int32)
-    return pieces.reshape(-1, 4), real, offsets, members, land.ravel()
+    return pieces.reshape(-1, 4), real, offsets, piece[order].astype(np.int32), land.ravel()
 
 
 __all__ = ["Globe", "coastline_segments"]
