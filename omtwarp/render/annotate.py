@@ -60,8 +60,7 @@ def draw_color_bar(image: Image.Image, scalar: ScalarField, color: tuple[int, in
     text = font(min(image.size) / 44.0)
     left, right = width - bar + round(0.12 * bar), width - bar + round(0.30 * bar)
     top, bottom = round(0.16 * height), round(0.84 * height)
-    table = colormap_table(scalar.colormap, max(2, bottom - top))[::-1]
-    strip = np.repeat(table[:, None, :], right - left, axis=1)
+    strip = np.repeat(colormap_table(scalar.colormap, max(2, bottom - top))[::-1, None], right - left, axis=1)
     image.paste(Image.fromarray(np.ascontiguousarray(strip)).convert(image.mode), (left, top))
     draw = ImageDraw.Draw(image)
     draw.rectangle((left - 1, top - 1, right, bottom), outline=color)
@@ -97,8 +96,7 @@ def ticks(low: float, high: float, logarithmic: bool = False) -> list[float]:
 def nice_ticks(low: float, high: float, count: int) -> list[float]:
     """Round numbers from at or below ``low`` to at or above ``high``."""
     near = 1e-9  # steps: a value that is so near to a tick, as a quotient of rounded numbers is, is the tick
-    span = max(high - low, ROUND_OFF, near * max(abs(low), abs(high)))
-    raw = span / count
+    raw = max(high - low, ROUND_OFF, near * max(abs(low), abs(high))) / count
     unit = 10.0 ** math.floor(math.log10(raw))
     step = next(unit * m for m in (1, 2, 2.5, 5, 10) if unit * m >= raw * (1 - near))
     first, last = math.floor(low / step + near), math.ceil(high / step - near)

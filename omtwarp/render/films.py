@@ -203,8 +203,7 @@ class _Studio:
                     seen[time] = picture.astype(np.int16)
 
         def swept(earlier: float, later: float) -> float:
-            change = np.abs(seen[later] - seen[earlier]).max(axis=2) / (255.0 * edge)
-            return float(np.minimum(change, 1.0).mean())
+            return float(np.minimum(np.abs(seen[later] - seen[earlier]).max(axis=2) / (255.0 * edge), 1.0).mean())
 
         look([float(time) for time in np.linspace(first, last, 9)])
         for level in range(most_halvings):
@@ -335,8 +334,7 @@ def along_great_circles(first: Floats, last: Floats, time: float) -> Floats:
         return first
     if time >= 1.0:
         return last
-    cosine = np.einsum("ij,ij->i", first, last)
-    angle = np.arctan2(norms(cross(first, last)), cosine)[:, None]
+    angle = np.arctan2(norms(cross(first, last)), np.einsum("ij,ij->i", first, last))[:, None]
     sine = np.maximum(np.sin(angle), smallest_sine)
     # Near, radians: between points nearer than this the great circle is a straight line
     near = angle < 1e-6
@@ -434,8 +432,7 @@ def _on_torus(
     here, there, heavy = surface[chosen] - middle, result.coordinates[vertex[chosen]], weights[chosen]
     fits = [Rotation.align_vectors(here, ring_torus(there + step, result.lattice), weights=heavy) for step in steps]
     best = int(np.argmin([off for _, off in fits]))
-    area = float(triangle_areas(surface, corners).sum())
-    scale = math.sqrt(area / (4.0 * math.pi**2 * tube_radius(result.lattice)))
+    scale = math.sqrt(triangle_areas(surface, corners).sum() / (4.0 * math.pi**2 * tube_radius(result.lattice)))
     to_ring = scale * fits[best][0].as_matrix().T
     first, parts, shares = last - result.coordinates[vertex] + result.conformal[vertex], corners, None
     divisions = smooth_parts(len(corners))
@@ -489,17 +486,14 @@ def fits_of(
         mine = faces[number == k]
         weights = vertex_areas(surface, mine)
         used = np.unique(mine)
-        several = bool(number.any())
-        area = float(triangle_areas(surface, mine).sum())
-        covered = {"sphere": SPHERE_AREA, "disk": math.pi}.get(kind)
-        covered = float(triangle_areas(points, mine).sum()) if covered is None else covered
-        centre = np.average(surface[used], axis=0, weights=weights[used]) if several else np.zeros(3)
+        covered = {"sphere": SPHERE_AREA, "disk": math.pi}.get(kind) or float(triangle_areas(points, mine).sum())
+        centre = np.average(surface[used], axis=0, weights=weights[used]) if number.any() else np.zeros(3)
         here, there = surface[used] - centre, points[used]
         if kind == "disk":
             turn = _facing(axes, here, there, weights[used])
         else:
             turn = Rotation.align_vectors(here, there, weights=weights[used])[0].as_matrix()
-        scale = math.sqrt(area / covered)
+        scale = math.sqrt(triangle_areas(surface, mine).sum() / covered)
         matrices.append(scale * turn.T)
         shifts.append(centre)
         radii.append(scale)

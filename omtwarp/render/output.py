@@ -113,8 +113,8 @@ def _gif(frames: Sequence[Image.Image], file: Path, fps: float) -> None:
     for shown in frames:
         opaque = shown.convert("RGB")
         page = opaque.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG)
-        same = (np.asarray(opaque) == corner).all(axis=2)  # Pillow's search for the nearest colour is not exact
-        page.paste(254, mask=Image.fromarray(same))
+        # Pillow's search for the nearest colour is not exact.
+        page.paste(254, mask=Image.fromarray((np.asarray(opaque) == corner).all(axis=2)))
         if clear:  # GIF knows no half-transparent pixel
             page.paste(255, mask=shown.getchannel("A").point(lambda alpha: 255 if alpha < 128 else 0))
         pages.append(page)

@@ -257,8 +257,7 @@ def preview(
         >>> omtwarp.preview((surface.vertices, surface.faces), "blob.png", size=(120, 90), backend="warp").size
         (120, 90)
     """
-    frames = options.get("frames")
-    if path is not None and frames is None and str(as_path(path)).lower().endswith((".gif", ".mp4")):
+    if path is not None and options.get("frames") is None and str(as_path(path)).lower().endswith((".gif", ".mp4")):
         # Turntable frames: 10 degrees each
         options["frames"] = 36
     film, transparent = options.get("frames") is not None, truth(options.get("transparent", False), "transparent")
@@ -374,13 +373,10 @@ def _draw(subject: Subject, options: PreviewOptions, cameras: list[Camera], clea
     bar = view.scalar if truth(options["color_bar"], "color_bar") else None
     drawn_width = max(width - annotate.bar_width(options["size"]), SMALLEST_VIEW) if bar is not None else width
     edges = isinstance(wireframe, Wireframe) or truth(wireframe, "wireframe") or view.edges
-    parts = scene.build_parts(view, edges=edges)
-    field = None if view.arrows is None else scene.arrow_part(view, view.arrows)
-    arrows = [] if field is None else [field]
-    parts += arrows
-    points = np.concatenate([scene.drawn_points(view), *(part.positions.astype(np.float64) for part in arrows)])
-    centred = options["frames"] is not None
-    shots = frame(points, cameras, drawn_width / height, view.up, view.front, centred)
+    parts, points = scene.build_parts(view, edges=edges), scene.drawn_points(view)
+    if view.arrows is not None and (field := scene.arrow_part(view, view.arrows)) is not None:
+        parts, points = [*parts, field], np.concatenate([points, field.positions.astype(np.float64)])
+    shots = frame(points, cameras, drawn_width / height, view.up, view.front, options["frames"] is not None)
     light = as_light(options["light"] or ("studio" if view.scalar is None else "soft"))
     samples = int(options["samples"] or (2 if parts[0].edges else 1))
     lines = wireframe if isinstance(wireframe, Wireframe) else Wireframe()

@@ -160,8 +160,7 @@ def checker_image() -> Bytes:
 
 def painted_view(mesh: PaintedMesh) -> SurfaceView:
     """Return a view of a mesh with materials; of colours at the vertices alone where no material has an appearance."""
-    plain = all(material.picture is None and material.color == WHITE for material in mesh.materials)
-    if plain:
+    if all(material.picture is None and material.color == WHITE for material in mesh.materials):
         return SurfaceView(mesh.vertices, mesh.faces, colors=mesh.vertex_colors)
     materials = []
     for number, material in enumerate(mesh.materials):
