@@ -276,9 +276,8 @@ def _read_stl(data: bytes) -> Triangles:
     corners = corners + 0.0  # plus zero: makes -0 and 0 the same bits
     _, first, inverse = np.unique(corners, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)  # vertices in the order of their first appearance
-    place = np.argsort(order)
     note = f"STL stores no shared vertices: {len(corners)} corners became {len(first)} vertices where equal"
-    return corners[first[order]], place[inverse.reshape(-1)].reshape(-1, 3), [*notes, note]
+    return corners[first[order]], np.argsort(order)[inverse.reshape(-1)].reshape(-1, 3), [*notes, note]
 
 
 def _stl_text(data: bytes) -> tuple[NDArray[np.float64], int]:

@@ -45,7 +45,7 @@ def repair(mesh: MeshLike | ArrayLike, faces: ArrayLike | None = None, *, whole:
     still have defects, which :func:`omtwarp.mesh.validate.check` lists.
 
     Of a surface that is to be whole the largest component is kept, holes of at most :data:`LARGEST_HOLE` edges are
-    filled, and the surface is turned outward; another keeps its holes, and its parts of more than :data:`CRUMBS` faces.
+    filled, and the surface is turned outward; another keeps its holes, and its parts of more than eight faces.
 
     Args:
         mesh: what :func:`omtwarp.read_mesh` returns, a ``trimesh.Trimesh``, ``(vertices, faces)``, or vertices alone,
@@ -211,11 +211,10 @@ class _Work:
             self.actions.append(f"dropped {number(others, 'face')} at edges of more than two")
 
     def drop_crumbs(self) -> None:
-        # Parts of at most so many faces are dropped from a surface that may have several: artefacts of scanners.
-        crumbs = 8
         _, labels = Topology(self.faces, len(self.points)).components
         sizes = np.bincount(labels)
-        self.keep((sizes[labels] > crumbs) | (sizes[labels] == sizes.max()), "in tiny components")
+        # Parts of at most eight faces are dropped from a surface that may have several: artefacts of scanners.
+        self.keep((sizes[labels] > 8) | (sizes[labels] == sizes.max()), "in tiny components")
 
     def split_touching_vertices(self) -> None:
         """Give every fan of faces around a vertex a vertex of its own."""
@@ -356,8 +355,7 @@ def _patch(points: Floats, loop: list[int], known: set[tuple[int, int]]) -> list
     corners = validate.unit_coordinates(points[loop])
 
     def free(i: int, j: int) -> bool:
-        beside = j - i == 1 or (i == 0 and j == n - 1)
-        return beside or (min(loop[i], loop[j]), max(loop[i], loop[j])) not in known
+        return j - i == 1 or (i == 0 and j == n - 1) or (min(loop[i], loop[j]), max(loop[i], loop[j])) not in known
 
     best = np.zeros((n, n))
     split = np.zeros((n, n), dtype=int)

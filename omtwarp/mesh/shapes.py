@@ -120,9 +120,8 @@ def uv_sphere(rings: int = 32, segments: int = 64) -> Surface:
     rings, segments = whole_number(rings, "rings", least=1), whole_number(segments, "segments", least=3)
     polar = np.pi * np.arange(1, rings + 1) / (rings + 1)
     turn = 2.0 * np.pi * np.arange(segments) / segments
-    circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     grid = np.empty((rings, segments, 3))
-    grid[..., :2] = np.sin(polar)[:, None, None] * circle[None]
+    grid[..., :2] = np.sin(polar)[:, None, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)[None]
     grid[..., 2] = np.cos(polar)[:, None]
     return Surface(*_capped_grid(grid, np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0])))
 

@@ -308,10 +308,9 @@ class SurfaceArrays:
 def transposed_rows(stencil: Ints, count: int) -> tuple[Ints, Ints]:
     """Return, as compressed rows, the flat indices in ``stencil`` at which each of ``count`` nodes stands."""
     flat = stencil.ravel()
-    entries = np.argsort(flat, kind="stable").astype(np.int32)
     offsets = np.zeros(count + 1, dtype=np.int32)
     np.cumsum(np.bincount(flat, minlength=count), out=offsets[1:])
-    return offsets, entries
+    return offsets, np.argsort(flat, kind="stable").astype(np.int32)
 
 
 def sums_around(per_face: Floats, faces: NDArray[np.integer], count: int) -> Floats:

@@ -194,14 +194,13 @@ def duplicate_faces(faces: NDArray[np.int64], vertex_count: int) -> NDArray[np.b
 def _geometric_defects(points: Floats, faces: NDArray[np.int64]) -> list[Defect]:
     """Find coordinates that are no numbers, degenerate faces, and vertices in no face."""
     finite = np.isfinite(points).all(axis=1)
-    used = marked(len(points), faces)
     flat = zero_area_faces(unit_coordinates(points), faces) if finite.all() else np.zeros(len(faces), dtype=bool)
     write_anew = f"write the file anew, or drop them with {REPAIR}"
     cases = [
         ("non-finite", ~finite, "vertex", " with NaN or infinite coordinates", write_anew),
         ("duplicate-faces", duplicate_faces(faces, len(points)), "duplicate face", "", f"drop them with {REPAIR}"),
         ("zero-area", flat, "face", " of zero area", f"drop or flip them with {REPAIR}"),
-        ("unused-vertices", ~used, "vertex", " in no face", f"drop them with {REPAIR}"),
+        ("unused-vertices", ~marked(len(points), faces), "vertex", " in no face", f"drop them with {REPAIR}"),
     ]
     defects = []
     for kind, wrong, name, words, remedy in cases:
@@ -375,11 +374,10 @@ class Topology:
         straight = np.stack([first, second + count * clash], axis=1)
         turned = np.stack([first + count, second + count * ~clash], axis=1)
         _, labels = components_of(2 * count, np.concatenate([straight, turned]))
-        orientable = bool((labels[:count] != labels[count:]).all())
         pieces, piece = components_of(count, np.stack([first, second], axis=1))
         leader = np.full(pieces, count)
         np.minimum.at(leader, piece, np.arange(count))
-        return orientable, labels[:count] != labels[leader[piece]]
+        return bool((labels[:count] != labels[count:]).all()), labels[:count] != labels[leader[piece]]
 
     @cached_property
     def holes(self) -> tuple[int, int, int]:

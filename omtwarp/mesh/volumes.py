@@ -44,11 +44,10 @@ def label_surfaces(data: bytes, suffix: str, rounds: int = ROUNDS) -> tuple[Floa
         OmtwarpError: no volume of three dimensions, numbers that are not labels, or no label but 0.
         Exception: what nibabel or Pillow raises on a damaged file.
     """
-    # Labels of a volume: more are grey values
-    most_labels = 1000
     volume, affine = _volume(data, suffix)
     labels = np.unique(volume)
-    if not np.isfinite(labels).all() or (labels != np.floor(labels)).any() or len(labels) > most_labels:
+    # More than a thousand are grey values.
+    if not np.isfinite(labels).all() or (labels != np.floor(labels)).any() or len(labels) > 1000:
         raise OmtwarpError("a volume of grey values, not of labels: segment it first, and save the labels")
     labels = labels[labels != 0]
     if not len(labels):
@@ -94,11 +93,10 @@ def surface_of(inside: NDArray[np.bool_]) -> tuple[Floats, Indices]:
         Vertices in voxels, shape [V, 3], and faces seen from outside, shape [F, 3].
     """
     used = [np.flatnonzero(inside.any(axis=tuple({0, 1, 2} - {axis}))) for axis in range(3)]
-    first = np.array([own[0] for own in used])
     box = np.pad(inside[tuple(slice(own[0], own[-1] + 1) for own in used)], 1)
     edges, faces = crossed_edges(box)
     ends = np.stack(np.unravel_index(edges, box.shape), axis=2)  # places of the grid points, shape [V, 2, 3]
-    return ends.mean(axis=1) + (first - 1.0), faces
+    return ends.mean(axis=1) + (np.array([own[0] for own in used]) - 1.0), faces
 
 
 def smoothed(vertices: Floats, faces: Indices, rounds: int) -> Floats:

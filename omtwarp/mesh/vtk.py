@@ -247,12 +247,11 @@ class _Xml:
         form = array.get("format", "ascii")
         if form == "ascii":
             return np.array((array.text or "").split(), dtype=np.float64)
-        encoded = form == "binary" or self.encoded
         if form == "binary":
             source = "".join((array.text or "").split()).encode("ascii")
         else:
             source = self.appended[int(array.get("offset", "0")) :]
-        return np.frombuffer(b"".join(self._blocks(source, encoded)), dtype=self.order + kind)
+        return np.frombuffer(b"".join(self._blocks(source, form == "binary" or self.encoded)), dtype=self.order + kind)
 
     def _blocks(self, source: bytes, encoded: bool) -> Iterator[bytes]:
         """Yield the content of an array block by block; lengths stand before it."""
