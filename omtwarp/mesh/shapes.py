@@ -585,15 +585,13 @@ def _capped_grid(grid: Floats, north: Floats, south: Floats, flip: bool = False)
     index = np.arange(rings * segments).reshape(rings, segments)
     nxt = np.roll(index, -1, axis=1)
     first, last = rings * segments, rings * segments + 1
-    top, bottom = index[0], index[-1]
-    faces = np.concatenate(
-        [
-            np.stack([np.full(segments, first), top, nxt[0]], axis=1),
-            np.stack([index[:-1], index[1:], nxt[1:]], axis=2).reshape(-1, 3),
-            np.stack([index[:-1], nxt[1:], nxt[:-1]], axis=2).reshape(-1, 3),
-            np.stack([np.full(segments, last), nxt[-1], bottom], axis=1),
-        ]
-    )
+    parts = [
+        np.stack([np.full(segments, first), index[0], nxt[0]], axis=1),
+        np.stack([index[:-1], index[1:], nxt[1:]], axis=2).reshape(-1, 3),
+        np.stack([index[:-1], nxt[1:], nxt[:-1]], axis=2).reshape(-1, 3),
+        np.stack([np.full(segments, last), nxt[-1], index[-1]], axis=1),
+    ]
+    faces = np.concatenate(parts)
     ends = [south, north] if flip else [north, south]
     return np.concatenate([grid.reshape(-1, 3), ends]), faces[:, ::-1] if flip else faces
 

@@ -304,6 +304,7 @@ class Topology:
         faces: int64, shape [F, 3], every index in range.
         edges: every undirected edge once, smaller vertex first, shape [E, 2], sorted.
         edge_face_count: number of faces at every edge, shape [E].
+        face_edges: index of the edge (k, k+1) of every face, shape [F, 3].
     """
 
     def __init__(self, faces: NDArray[np.int64], vertex_count: int):
@@ -319,6 +320,7 @@ class Topology:
         self._forward = tail < head
         self._half_edge_edge = np.empty(len(keys), dtype=np.int64)
         self._half_edge_edge[order] = np.repeat(np.arange(len(starts)), self.edge_face_count)
+        self.face_edges = self._half_edge_edge.reshape(-1, 3)
         # Pairs of half-edges that lie side by side in one edge; an edge of n faces gives n - 1 of them.
         self._pairs = np.stack([order[:-1][same], order[1:][same]], axis=1)
 
@@ -326,11 +328,6 @@ class Topology:
     def on_boundary(self) -> NDArray[np.bool_]:
         """The vertices of edges that one face alone has, shape [V]."""
         return marked(self.vertex_count, self.edges[self.edge_face_count == 1])
-
-    @property
-    def face_edges(self) -> NDArray[np.int64]:
-        """Index of the edge (k, k+1) of every face, shape [F, 3]."""
-        return self._half_edge_edge.reshape(-1, 3)
 
     @cached_property
     def clashing_edges(self) -> NDArray[np.bool_]:

@@ -20,10 +20,8 @@ _LEGACY_TYPES = {
     "float": "f4", "double": "f8", "char": "i1", "unsigned_char": "u1", "short": "i2", "unsigned_short": "u2",
     "int": "i4", "unsigned_int": "u4", "vtkidtype": "i4", "vtktypeint32": "i4", "vtktypeint64": "i8", "long": "i8",
 }  # fmt: skip
-_XML_TYPES = {
-    "Int8": "i1", "UInt8": "u1", "Int16": "i2", "UInt16": "u2", "Int32": "i4", "UInt32": "u4", "Int64": "i8",
-    "UInt64": "u8", "Float32": "f4", "Float64": "f8",
-}  # fmt: skip
+_XML_NAMES = "Int8 UInt8 Int16 UInt16 Int32 UInt32 Int64 UInt64 Float32 Float64".split()
+_XML_TYPES = {name: np.dtype(name.lower()).str[1:] for name in _XML_NAMES}
 
 _SURFACE = "extract its surface first, in ParaView by 'Extract Surface'"
 
