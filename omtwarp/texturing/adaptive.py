@@ -13,7 +13,7 @@ from omtwarp.device.arrays import sent
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import FIRST_THREAD, Each, launch_parts
-from omtwarp.mesh.arrays import Bytes, Floats, Ints, whole_number
+from omtwarp.mesh.arrays import Bytes, Floats, Ints, Numbers, whole_number
 from omtwarp.mesh.surface import face_neighbours
 from omtwarp.texturing import kernels
 from omtwarp.texturing.atlas import Atlas, Equirectangular, check_size
@@ -138,13 +138,6 @@ class BentLook(Look):
         # Hint reach: blocks past the borders of charts to which the hints go, which is more than a gutter
         part = np.where(part == NOBODY, claimed(corners, across, down, 1.0, where), part)
         hints = np.where(part == NOBODY, -1, cut.source_face[np.minimum(part, len(cut.source_face) - 1)])
-        self._tables = [
-            hint_block,
-            across,
-            sent(hints, wp.int32, where),
-            sent(faces, wp.vec3i, where),
-            sent(face_neighbours(faces, len(given)), wp.vec3i, where),
-            sent(given, wp.vec3d, where),
-            *(sent(table, wp.int32, where) for table in (first, divided, grid)),
-            sent(points @ rotation, wp.vec3d, where),
-        ]
+        mesh: list[Numbers] = [hints, faces, face_neighbours(faces, len(given)), given]
+        tables = zip([*mesh, first, divided, grid, points @ rotation], self._kinds, strict=True)
+        self._tables = [hint_block, across, *(sent(table, kind, where) for table, kind in tables)]

@@ -141,12 +141,13 @@ class Look:
         where: the device.
     """
 
+    _kinds = wp.int32, wp.vec3i, wp.vec3i, wp.vec3d, wp.int32, wp.int32, wp.int32, wp.vec3d  # of the kernel's tables
+
     def __init__(self, atlas: Atlas, where: wp.Device):
         offset, gutter = atlas.parameters
         self.atlas, self.where = atlas, where
         self._picture = [atlas.kind, atlas.width, atlas.height, wp.float64(offset), wp.float64(gutter)]
-        kinds = wp.int32, wp.vec3i, wp.vec3i, wp.vec3d, wp.int32, wp.int32, wp.int32, wp.vec3d
-        self._tables: list[object] = [0, 0, *(wp.empty(0, dtype=kind, device=where) for kind in kinds)]
+        self._tables: list[object] = [0, 0, *(wp.empty(0, dtype=kind, device=where) for kind in self._kinds)]
 
     def directions(self, texels: wp.array, samples: int) -> wp.array:
         """Return the directions of texels' samples, a regular grid in each texel, vec3d [N samples²]."""

@@ -219,11 +219,10 @@ class CutMesh:
             source = np.concatenate([self.source_face[keep], *([self.source_face[interior]] * 3)])
             self._set_faces(faces, source, np.zeros(len(faces), dtype=bool))
         if len(edge_faces):  # the half-edges are found again by their vertices: the faces may have moved
-            opposite = np.argmin(bary[on_edge], axis=1)
-            rows = np.arange(len(edge_faces))
-            tail, head = edge_faces[rows, (opposite + 1) % 3], edge_faces[rows, (opposite + 2) % 3]
-            at = bary[on_edge][rows, (opposite + 2) % 3]
-            fraction = at / (at + bary[on_edge][rows, (opposite + 1) % 3])
+            ends = (np.argmin(bary[on_edge], axis=1)[:, None] + np.arange(1, 3)) % 3
+            tail, head = np.take_along_axis(edge_faces, ends, axis=1).T
+            of_tail, of_head = np.take_along_axis(bary[on_edge], ends, axis=1).T
+            fraction = of_head / (of_head + of_tail)
             for k in range(len(edge_faces)):  # one or two, more only where the map is folded
                 face, corner = np.nonzero((self.faces == tail[k]) & (np.roll(self.faces, -1, axis=1) == head[k]))
                 self.split_half_edges(face, corner, np.full(len(face), fraction[k]))

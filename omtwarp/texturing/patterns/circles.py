@@ -115,18 +115,10 @@ class Circles(Pattern):
         offsets = np.concatenate([[0], np.cumsum([len(x) for x in lists])]).astype(np.int32)
         members = np.concatenate([np.asarray(x, dtype=np.int32) for x in lists] + [np.zeros(1, dtype=np.int32)])
         inner = self.palette[self.groups]
-        return [
-            side,
-            (offsets, wp.int32),
-            (members, wp.int32),
-            (self.centres, wp.vec3d),
-            (inner, wp.vec3d),
-            (inner * 0.8, wp.vec3d),
-            wp.float64(4.0 * np.sin(0.5 * self.radius) ** 2),
-            wp.float64(4.0 * np.sin(0.455 * self.radius) ** 2),
-            wp.float64(beyond),
-            wp.vec3d(*self.background),
-        ]
+        vectors = [(rows, wp.vec3d) for rows in (self.centres, inner, inner * 0.8)]
+        limits = 4.0 * np.sin(0.5 * self.radius) ** 2, 4.0 * np.sin(0.455 * self.radius) ** 2, beyond
+        numbers = [*map(wp.float64, limits), wp.vec3d(*self.background)]
+        return [side, (offsets, wp.int32), (members, wp.int32), *vectors, *numbers]
 
 
 def _even_points(count: int) -> Floats:

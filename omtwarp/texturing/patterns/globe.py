@@ -145,20 +145,9 @@ class Globe(Pattern):
     def _tables(self) -> list[object]:
         columns, rows = 720, 360
         pieces, real, offsets, members, land = _coast_table(columns, rows, self.shelf_width)
-        return [
-            columns,
-            rows,
-            (offsets, wp.int32),
-            (members, wp.int32),
-            (pieces, wp.vec4d),
-            (real, wp.int32),
-            (land, wp.int32),
-            (self.palette, wp.vec3d),
-            wp.float64(self.coast_width),
-            wp.float64(self.shelf_width),
-            wp.float64(self.step),
-            wp.float64(self.line_width),
-        ]
+        tables = [(offsets, wp.int32), (members, wp.int32), (pieces, wp.vec4d), (real, wp.int32), (land, wp.int32)]
+        degrees = map(wp.float64, (self.coast_width, self.shelf_width, self.step, self.line_width))
+        return [columns, rows, *tables, (self.palette, wp.vec3d), *degrees]
 
 
 def coastline_segments() -> Floats:

@@ -151,15 +151,9 @@ class Puzzle(Pattern):
     def _tables(self) -> list[object]:
         neighbours, tabs, shifts = self._edges
         pairs = np.stack([np.repeat(np.arange(self.count), 4), neighbours.ravel()], axis=1)
-        return [
-            self.side,
-            (neighbours, wp.int32),
-            (tabs, wp.int32),
-            (shifts, wp.float64),
-            (self.palette[colour_groups(pairs, len(self.palette))], wp.vec3d),
-            wp.float64(0.016),
-            wp.vec3d(*self.line_colour),
-        ]
+        colours = self.palette[colour_groups(pairs, len(self.palette))]
+        tables = [(neighbours, wp.int32), (tabs, wp.int32), (shifts, wp.float64), (colours, wp.vec3d)]
+        return [self.side, *tables, wp.float64(0.016), wp.vec3d(*self.line_colour)]
 
 
 __all__ = ["Puzzle"]
