@@ -183,18 +183,14 @@ def _from_trimesh(mesh: trimesh.Trimesh) -> SurfaceView:
         material, uv = visual.material, visual.uv
         picture = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
         factor = getattr(material, "baseColorFactor", None)
-        color = None if factor is None else _factor(factor)
+        # A factor of glTF is linear; white changes nothing.
+        color = None if factor is None or (factor[:3] == 255).all() else to_srgb(factor[:3] / 255.0)
         if picture is not None and uv is not None and len(uv) == len(vertices):
             return SurfaceView(vertices, faces, image=picture, uv=np.asarray(uv)[:, :2], color=color)
         return SurfaceView(vertices, faces, color=color)
     if kind in ("vertex", "face") and isinstance(visual, ColorVisuals):
         return SurfaceView(vertices, faces, colors=np.asarray(getattr(visual, f"{kind}_colors")))
     return SurfaceView(vertices, faces)
-
-
-def _factor(factor: NDArray[np.uint8]) -> Floats | None:
-    """Return the sRGB colour of a glTF material's factor, which is linear, as trimesh has it; None for white."""
-    return None if (factor[:3] == 255).all() else to_srgb(factor[:3] / 255.0)
 
 
 def posed(view: SurfaceView, up: str | None = None, front: str | None = None) -> SurfaceView:
