@@ -147,11 +147,8 @@ def _lead(result: MapResult, report: MapReport, last: Stage) -> str:
     loops, pairs = (getattr(result, name, None) for name in ("loop_ends", "loop_pairs"))
     cuts = 0 if pairs is None else len(pairs)
     holes = 0 if loops is None else len(loops) - 2 * cuts
-    done = [
-        f"{count} {name}{'s' * (count > 1)} {what}"
-        for count, name, what in ((holes, "hole", "filled"), (cuts, "handle", "cut open"))
-        if count
-    ]
+    kinds = (holes, "hole", "filled"), (cuts, "handle", "cut open")
+    done = [f"{count} {name}{'s' * (count > 1)} {what}" for count, name, what in kinds if count]
     more = f" {' and '.join(done)}." if done else ""
     return f"{' '.join(parts).rstrip(',')}.{more}"
 
