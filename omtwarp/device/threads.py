@@ -230,14 +230,14 @@ class GraphsByArray:
     def __init__(self, device: wp.Device):
         self._device = wp.get_device(device)
         self._record = records_graphs(self._device)
-        self._graphs: dict[tuple[str, int], Graph] = {}
+        self._graphs: dict[tuple[Callable[[wp.array], None], int], Graph] = {}
 
     def __call__(self, work: Callable[[wp.array], None], array: wp.array) -> None:
         """Run work(array), recorded at the first call with an array; the recording keeps the array alive."""
         if not (self._record and _recording) or self._device.is_capturing:
             work(array)
             return
-        key = (work.__name__, array.ptr)
+        key = (work, array.ptr)
         if key not in self._graphs:
             if len(self._graphs) >= MAX_GRAPHS:
                 wp.synchronize_device(self._device)  # none of them may still be running

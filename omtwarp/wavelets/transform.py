@@ -17,7 +17,8 @@ I(j, k) = I(j + 1, k) + sum over m of h(k, m) I(j + 1, m).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable
+from functools import partial
 from typing import TypeAlias
 from weakref import WeakKeyDictionary
 
@@ -67,15 +68,17 @@ class SphericalWavelets:
             integrals.insert(0, hierarchy.refinement_matrix(j, butterfly=butterfly).T @ integrals[0])
         self.level_integrals = tuple(integrals)
 
-        self._analysis: list[Step] = []
-        self._adjoint_synthesis: list[Step] = []
+        analysis: list[Step] = []
+        adjoint: list[Step] = []  # of the synthesis
         for j in reversed(range(hierarchy.level)):
             coarse, fine = hierarchy.node_counts[j : j + 2]
             nodes, added = slice(coarse), slice(coarse, fine)
             predict, update = hierarchy.refinement_matrix(j, butterfly=butterfly)[coarse:], self.lift(j)
             for matrix, source, target, factor in ((predict, nodes, added, -1.0), (update, added, nodes, 1.0)):
-                self._analysis.append((SparseProduct(matrix, self.device), source, target, factor))
-                self._adjoint_synthesis.append((SparseProduct(matrix.T, self.device), target, source, -factor))
+                analysis.append((SparseProduct(matrix, self.device), source, target, factor))
+                adjoint.append((SparseProduct(matrix.T, self.device), target, source, -factor))
+        self._analyse, self._synthesise = partial(_take, analysis), partial(_take, _taken_back(analysis))
+        self._synthesise_adjoint, self._analyse_adjoint = partial(_take, adjoint), partial(_take, _taken_back(adjoint))
 
     def lift(self, level: int) -> sparse.csr_matrix:
         """Return the matrix of the s(j, m, k), shape [|K(j)|, |M(j)|]; of zeros where wavelets are not lifted."""
@@ -90,29 +93,17 @@ class SphericalWavelets:
         """Transform values at nodes to coefficients in place: SWfwd of Algorithm 1."""
         self._run(self._analyse, values)
 
-    def _analyse(self, values: wp.array) -> None:
-        _take(self._analysis, values)
-
     def synthesise(self, values: wp.array) -> None:
         """Transform coefficients to values at nodes in place: SWbak of Algorithm 1."""
         self._run(self._synthesise, values)
-
-    def _synthesise(self, values: wp.array) -> None:
-        _take(_taken_back(self._analysis), values)
 
     def synthesise_adjoint(self, values: wp.array) -> None:
         """Apply the transpose of :meth:`synthesise` in place: entry (j, m) becomes Σ values times psi(j, m)."""
         self._run(self._synthesise_adjoint, values)
 
-    def _synthesise_adjoint(self, values: wp.array) -> None:
-        _take(self._adjoint_synthesis, values)
-
     def analyse_adjoint(self, values: wp.array) -> None:
         """Apply the transpose of :meth:`analyse` in place."""
         self._run(self._analyse_adjoint, values)
-
-    def _analyse_adjoint(self, values: wp.array) -> None:
-        _take(_taken_back(self._adjoint_synthesis), values)
 
     def truncate(self, coefficients: wp.array, resolution: int) -> None:
         """Clear the coefficients of levels j > ``resolution``, in place (Algorithm 1, lines 11 to 13).
@@ -158,14 +149,14 @@ class SphericalWavelets:
         return values
 
 
-def _take(steps: Iterable[Step], values: wp.array) -> None:
+def _take(steps: list[Step], values: wp.array) -> None:
     for product, source, target, factor in steps:
         product.add(values[source], values[target], factor)
 
 
-def _taken_back(steps: Sequence[Step]) -> Iterator[Step]:
+def _taken_back(steps: list[Step]) -> list[Step]:
     """Return the steps that undo others: the last one first, each with the opposite factor."""
-    return ((product, source, target, -factor) for product, source, target, factor in reversed(steps))
+    return [(product, source, target, -factor) for product, source, target, factor in reversed(steps)]
 
 
 class WaveletFilter:
@@ -216,10 +207,7 @@ def wavelet_energies(hierarchy: SphereHierarchy, wavelets: SphericalWavelets) ->
     for j in range(hierarchy.level):
         coarse, fine = hierarchy.node_counts[j], hierarchy.node_counts[j + 1]
         laplacian = cotangent_laplacian(hierarchy.vertices[:fine], hierarchy.level_faces[j + 1])
-        columns = np.arange(fine - coarse)
-        functions = sparse.csr_matrix(
-            (np.ones(fine - coarse), (coarse + columns, columns)), shape=(fine, fine - coarse)
-        )
+        functions = sparse.eye(fine, fine - coarse, k=-coarse, format="csr")
         functions = functions - hierarchy.refinement_matrix(j, butterfly=wavelets.butterfly) @ wavelets.lift(j)
         energies[coarse:fine] = np.asarray(functions.multiply(laplacian @ functions).sum(axis=0)).ravel()
     return energies
@@ -260,10 +248,9 @@ class WaveletPreconditioner:
         kept, kind = _energies.setdefault(hierarchy, {}), (self.wavelets.butterfly, self.wavelets.lifted)
         if kind not in kept:
             kept[kind] = wavelet_energies(hierarchy, self.wavelets)
-        energies = kept[kind]
         solid = hierarchy.node_counts[0]
         factors = np.zeros(hierarchy.node_count)
-        factors[solid:] = 1 / energies[solid:]
+        factors[solid:] = 1 / kept[kind][solid:]
         if damping is not None:
             factors[solid:] *= real_numbers(damping, "damping", (hierarchy.node_count,))[solid:]
         coarse = cotangent_laplacian(hierarchy.vertices[:solid], hierarchy.level_faces[0]).toarray()
