@@ -34,13 +34,11 @@ class Best:
         rotation: takes points of the first sphere to the second, shape [3, 3].
         score: correlation there, 1 for functions that agree up to a factor.
         runner_up: correlation at the next maximum that is at least 5 degrees away; -1 where there is none.
-        steps: Newton steps from the start that led there.
     """
 
     rotation: Floats
     score: float
     runner_up: float
-    steps: int
 
 
 def complex_coefficients(real: Floats) -> Complex:
@@ -127,15 +125,15 @@ def best_rotations(a: Complex, b: Complex) -> list[Best]:
     size = 4 * (degree_of(len(a)) + 1)
     norm = float(np.linalg.norm(a) * np.linalg.norm(b))
     if norm == 0.0:
-        return [Best(np.eye(3), 0.0, -1.0, 0)]
+        return [Best(np.eye(3), 0.0, -1.0)]
     climbed = [_climb(a, b, start) for start in _starts(correlation_grid(a, b, size), size)]
     climbed.sort(key=lambda entry: -entry[1])
-    distinct: list[tuple[Floats, float, int]] = []
+    distinct: list[tuple[Floats, float]] = []
     for entry in climbed:
-        if all(_apart(entry[0], other[0]) > 5.0 for other in distinct):
+        if all(np.degrees(Rotation.from_matrix(entry[0] @ other[0].T).magnitude()) > 5.0 for other in distinct):
             distinct.append(entry)
-    after = [value / norm for _, value, _ in distinct[1:]] + [-1.0]
-    return [Best(entry[0], entry[1] / norm, other, entry[2]) for entry, other in zip(distinct, after, strict=True)]
+    after = [value / norm for _, value in distinct[1:]] + [-1.0]
+    return [Best(turn, value / norm, other) for (turn, value), other in zip(distinct, after, strict=True)]
 
 
 def improved(a: Complex, b: Complex, best: Best, weights: Floats) -> Best:
@@ -151,9 +149,8 @@ def improved(a: Complex, b: Complex, best: Best, weights: Floats) -> Best:
     norm = float(np.linalg.norm(a) * np.linalg.norm(b))
     if norm == 0.0:
         return best
-    rotation, _, steps = _climb(a * weights, b * weights, best.rotation)
-    score = float(np.vdot(b, rotated(a, rotation)).real) / norm
-    return Best(rotation, score, best.runner_up, best.steps + steps)
+    rotation, _ = _climb(a * weights, b * weights, best.rotation)
+    return Best(rotation, float(np.vdot(b, rotated(a, rotation)).real) / norm, best.runner_up)
 
 
 def _starts(grid: Floats, size: int) -> list[Floats]:
@@ -176,12 +173,11 @@ def _starts(grid: Floats, size: int) -> list[Floats]:
     return chosen
 
 
-def _climb(a: Complex, b: Complex, rotation: Floats) -> tuple[Floats, float, int]:
+def _climb(a: Complex, b: Complex, rotation: Floats) -> tuple[Floats, float]:
     """Run Newton's method on the rotation group, with steps halved until they climb."""
-    steps = 40
     turned = rotated(a, rotation)
     value = float(np.vdot(b, turned).real)
-    for step in range(steps):
+    for _ in range(40):  # steps at most
         gradient, hessian = derivatives(turned, b)
         bends, axes = np.linalg.eigh(hessian)
         # Where the function is not concave, climb along the slope instead of to a saddle.
@@ -190,7 +186,7 @@ def _climb(a: Complex, b: Complex, rotation: Floats) -> tuple[Floats, float, int
         # Radians: where steps end. The correlation is flat to round-off 1e-8 away from its maximum; Newton's step is
         # finer.
         if length < 1e-12:
-            return rotation, value, step
+            return rotation, value
         # Longest step: radians; half the shortest wave of degree 16
         move *= min(1.0, 0.2 / length)
         # Most halvings, of a step: it is then below 1e-9 of the first, where the correlation climbs by less than
@@ -203,9 +199,9 @@ def _climb(a: Complex, b: Complex, rotation: Floats) -> tuple[Floats, float, int
                 break
             move = move / 2.0
         else:
-            return rotation, value, step
+            return rotation, value
         rotation, turned, value = candidate, ahead, reached
-    return rotation, value, steps
+    return rotation, value
 
 
 def derivatives(turned: Complex, b: Complex) -> tuple[Floats, Floats]:
@@ -220,8 +216,3 @@ def derivatives(turned: Complex, b: Complex) -> tuple[Floats, Floats]:
             for m in range(3):
                 hessian[k, m] -= np.vdot(left[k], moved[m]).real
     return gradient, (hessian + hessian.T) / 2.0
-
-
-def _apart(one: Floats, other: Floats) -> float:
-    """Return the angle in degrees of the rotation that leads from one rotation to another."""
-    return float(np.degrees(Rotation.from_matrix(one @ other.T).magnitude()))

@@ -132,7 +132,7 @@ def test_a_doubtful_start_is_tried_from_several_rotations():
 def test_the_margin_is_that_of_the_best_rotation_whichever_is_taken(monkeypatch):
     """Of two rotations that agree nearly as well, the second leads to less energy, and has no next best one."""
     half_turn = np.diag([1.0, -1.0, -1.0])
-    given = [Best(half_turn, 0.937, 0.935, 0), Best(np.eye(3), 0.935, -1.0, 0)]
+    given = [Best(half_turn, 0.937, 0.935), Best(np.eye(3), 0.935, -1.0)]
     monkeypatch.setattr(Side, "rotations", lambda _self, _target: (given, True))
     points = points_of(BALL.vertices, folded(BALL))
     found = omtwarp.register(points, points, **FIRM)
