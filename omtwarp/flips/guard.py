@@ -152,11 +152,6 @@ class StepGuard:
             self._ready[key] = begin, find, shorten
         return self._ready[key]
 
-    def limit(self, old: wp.array, new: wp.array) -> int:
-        """Apply :meth:`hold`, and return the number of vertices whose step was shortened."""
-        self.hold(old, new)
-        return int(self.held.numpy()[0])
-
 
 def hold_back(surface: Surface, before: Floats, after: Floats, *, device: str | wp.Device | None = "auto") -> Floats:
     """Move a bijection towards another map as far as it stays a bijection.
@@ -182,7 +177,7 @@ def hold_back(surface: Surface, before: Floats, after: Floats, *, device: str | 
         moved = before + step * 0.5**halvings
         lengths = norms(moved)[..., None]
         held = wp.clone(vectors(np.where(lengths > 0.0, moved / np.where(lengths > 0.0, lengths, 1.0), before), where))
-        guard.limit(start, held)
+        guard.hold(start, held)
         if is_bijective(held, surface.faces, device=where):
             return held.numpy()
     return before

@@ -22,9 +22,10 @@ def limited(
     before = wp.array(np.ascontiguousarray(old), dtype=wp.vec3d, device=where)
     after = wp.array(np.ascontiguousarray(new), dtype=wp.vec3d, device=where)
     with mock.patch.object(guard, "MIN_PART", smallest):
-        held = guard.StepGuard(surface, where).limit(before, after)
+        keeper = guard.StepGuard(surface, where)
+        keeper.hold(before, after)
     np.testing.assert_array_equal(before.numpy(), old)
-    return after.numpy(), held
+    return after.numpy(), int(keeper.held.numpy()[0])
 
 
 def unit(points: np.ndarray) -> np.ndarray:
