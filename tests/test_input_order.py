@@ -6,7 +6,7 @@ import pytest
 import omtwarp
 from omtwarp.mesh import shapes
 from omtwarp.mesh.arrays import edge_keys
-from omtwarp.topology.kind import numbered_in_space, parts_of, places_of
+from omtwarp.topology.kind import parts_of, places_of
 
 
 def renumbered(vertices, faces, seed):
@@ -156,7 +156,7 @@ def test_parts_are_numbered_by_their_places():
     found = []
     for mesh, names in (((vertices, faces), np.arange(len(vertices))), (other, order)):
         parts = parts_of(*mesh)
-        numbered = [numbered_in_space(part) for part in parts]
+        numbered = [part.numbered_in_space() for part in parts]
         for part, given in zip(numbered, parts, strict=True):
             assert np.array_equal(mesh[0][part.vertex_origin], part.vertices) and part.genus == given.genus
             corners = part.vertex_origin[part.faces]

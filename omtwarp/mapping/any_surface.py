@@ -55,9 +55,7 @@ from omtwarp.topology.kind import (
     Part,
     boundary_half_edges,
     boundary_loops,
-    described,
     loop_length,
-    numbered_in_space,
     options_for,
     parts_of,
     places_of,
@@ -146,7 +144,7 @@ def map_surface(
         return in_file(_on_torus(parts[0], progress, chosen), of_file, count)
     _check_domain(domain, parts, components, together, along)
     shares = None if weights is None else face_weights(weights, faces, count, weights_at)
-    given, parts = parts, [numbered_in_space(part) for part in parts]
+    given, parts = parts, [part.numbered_in_space() for part in parts]
     if together:
         parts, domain = [_slit(part) for part in parts], Domain.HEMISPHERE
     maps = [_map_part(part, domain, fill_area, along, progress, chosen, shares, of_file) for part in parts]
@@ -183,7 +181,7 @@ def _check_domain(domain: Domain, parts: list[Part], components: bool, together:
         raise OmtwarpError("parts side by side go to caps: ask for no other domain")
     several = len(parts) > 1
     if domain == Domain.TORUS:
-        kind = f"{len(parts)} parts" if several else described(parts[0])
+        kind = f"{len(parts)} parts" if several else parts[0].words
         options = options_for(parts)
         others = _or(options[:2] if several else options) if options else "map it to the sphere"
         raise OmtwarpError(f"the surface has {kind}, and only one of genus 1, closed, maps to a torus: {others}")
@@ -193,7 +191,7 @@ def _check_domain(domain: Domain, parts: list[Part], components: bool, together:
         which = f"part {number + 1} of {len(parts)}, at face {part.face_origin[0]}," if several else "the surface"
         if part.genus and along is None:
             torus = "domain='torus' or " if part.is_torus and not several else ""
-            raise OmtwarpError(f"{which} has {described(part)}: {torus}cut=True would map it")
+            raise OmtwarpError(f"{which} has {part.words}: {torus}cut=True would map it")
         if domain != Domain.SPHERE and len(part.faces) == 1:
             raise OmtwarpError(f"{which} is a single triangle: domain='sphere' would map it, with the hole filled")
         if domain not in (Domain.AUTO, Domain.SPHERE) and not part.loops:
@@ -325,7 +323,7 @@ def _reach(each: MapResult, centre: Floats) -> float:
 
 def _on_torus(part: Part, progress: Progress | None, options: MapOptions) -> MapResult:
     """Map a part of genus 1 to a flat torus."""
-    ordered = numbered_in_space(part)
+    ordered = part.numbered_in_space()
     surface = Surface(ordered.vertices, ordered.faces)
     surface.origins = ordered
     result = in_input_order(map_to_torus(surface, options, progress=progress), part, exact=options.exact)
@@ -379,9 +377,8 @@ def _map_part(
     areas = triangle_areas(image, result.faces).reshape(-1, parts).sum(axis=1)
     findings = judge(surface, _whole(result)[0], result.report["stages"], options, image=areas)
     mass = result.report["mass"] | kept_mass(areas, surface.face_areas[:count])
-    return result.with_arrays(
-        {"report": result.report | {"mass": mass, "warnings": accepted(findings, options.strict)}}
-    )
+    report = result.report | {"mass": mass, "warnings": accepted(findings, options.strict)}
+    return result.with_arrays({"report": report})
 
 
 def _quartered(opened: _Opened, closed: MapResult, surface: Surface) -> tuple[_Opened, MapResult]:

@@ -95,6 +95,21 @@ class Part(Derived):
         """Whether it is closed and has one handle."""
         return not self.loops and self.genus == 1
 
+    @property
+    def words(self) -> str:
+        """What it is in words: ``genus 1, 2 holes``."""
+        holes = number(len(self.loops), "hole") if self.loops else "closed"
+        return f"genus {self.genus}, {holes}"
+
+    def numbered_in_space(self) -> Part:
+        """Return the part with vertices and faces numbered by their places, see :mod:`omtwarp.geometry.space_order`.
+
+        What is computed from it is the same, to the bit, however the input is numbered. Its origins say where it is
+        there.
+        """
+        ordered = in_space_order(Surface(self.vertices, self.faces))
+        return self.remade(ordered.surface.vertices, ordered.surface.faces, ordered)
+
     def remade(self, vertices: Floats, faces: NDArray[np.integer], made: Origins) -> Part:
         """Return the part as another surface that was made from its own: numbered anew, or cut where it was closed."""
         return replace(self, vertices=vertices, faces=faces, **vars(self.compose(made)))
@@ -126,26 +141,11 @@ def parts_of(vertices: ArrayLike, faces: ArrayLike, name: str = "") -> list[Part
     return parts
 
 
-def numbered_in_space(part: Part) -> Part:
-    """Return a part with its vertices and faces numbered by their places, see :mod:`omtwarp.geometry.space_order`.
-
-    What is computed from it is the same, to the bit, however the input is numbered. Its origins say where it is there.
-    """
-    ordered = in_space_order(Surface(part.vertices, part.faces))
-    return part.remade(ordered.surface.vertices, ordered.surface.faces, ordered)
-
-
 def places_of(parts: list[Part]) -> NDArray[np.int64]:
     """Return the parts' numbers in the order of their first vertices along a curve through all of them, shape [P]."""
     place = np.argsort(order_along_curve(in_range(np.concatenate([part.vertices for part in parts]))))
     ends = np.cumsum([len(part.vertices) for part in parts])
     return np.argsort([own.min() for own in np.split(place, ends[:-1])])
-
-
-def described(part: Part) -> str:
-    """Describe a part in words: ``genus 1, 2 holes``."""
-    holes = number(len(part.loops), "hole") if part.loops else "closed"
-    return f"genus {part.genus}, {holes}"
 
 
 def options_for(parts: list[Part]) -> list[str]:
@@ -174,8 +174,6 @@ def options_for(parts: list[Part]) -> list[str]:
         lines.append("domain='torus': map the surface to the flat torus that it is conformal to")
     if genus:
         handles = number(genus, "handle")
-        beside = " (with components=True)" if several else ""
-        lines.append(
-            f"cut=True: cut {handles} open along short loops, fill the cuts small, and map to the sphere{beside}"
-        )
+        way = f"cut=True: cut {handles} open along short loops, fill the cuts small, and map to the sphere"
+        lines.append(way + " (with components=True)" * several)
     return lines
