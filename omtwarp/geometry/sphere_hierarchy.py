@@ -148,22 +148,17 @@ def sphere_hierarchy(level: int) -> SphereHierarchy:
     """
     level = whole_number(level, "level of the sphere's subdivision", most=HIGHEST_LEVEL)
     vertices, faces = icosahedron()
-    counts, all_faces = [len(vertices)], [faces]
-    all_parents: list[Ints] = []
-    all_wings: list[Ints] = []
+    levels, halved = [(len(vertices), faces)], []
     for _ in range(level):
         parents, wings, edge = _halve_edges(faces, len(vertices))
-        middles = vertices[parents[:, 0]] + vertices[parents[:, 1]]
-        middle = (edge + len(vertices)).astype(np.int32)
         a, b, c = faces.T
-        ab, bc, ca = middle.T
+        ab, bc, ca = (edge + len(vertices)).astype(np.int32).T
         faces = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], axis=1).reshape(-1, 3)
-        vertices = np.concatenate([vertices, normalised(middles)])
-        counts.append(len(vertices))
-        all_faces.append(np.ascontiguousarray(faces))
-        all_parents.append(parents)
-        all_wings.append(wings)
-    return SphereHierarchy(vertices, tuple(counts), tuple(all_faces), tuple(all_parents), tuple(all_wings))
+        vertices = np.concatenate([vertices, normalised(vertices[parents[:, 0]] + vertices[parents[:, 1]])])
+        levels.append((len(vertices), faces))
+        halved.append((parents, wings))
+    counts, all_faces = zip(*levels, strict=True)
+    return SphereHierarchy(vertices, counts, all_faces, *(tuple(each[k] for each in halved) for k in (0, 1)))
 
 
 def level_for(node_budget: float, lowest: int = 0) -> int:
