@@ -100,7 +100,10 @@ class Matching:
         # Σ known (theirs - ours)² around rings is, but for a constant, a correlation of these by the turn.
         here = np.column_stack([known, -2.0 * known[:, None] * ours])
         there = np.column_stack([(theirs**2).sum(axis=1), theirs])
-        shares = _shares()
+        # What a sample of every ring counts: its part of the area around, less with the distance; the sum is 1
+        rings = np.radians(RINGS)
+        areas = np.maximum(np.sin(rings), np.sin(rings[1]) / 4.0) * np.exp(-0.72 * (rings / rings[-1]) ** 2)
+        shares = areas / (TURNS * areas.sum())
         here, there = (
             np.fft.rfft(one.reshape(-1, len(RINGS), TURNS, one.shape[1]), axis=2).transpose(2, 0, 1, 3)
             for one in (here, there)
@@ -218,13 +221,6 @@ def _turns() -> Floats:
     turns[:, 1, 0], turns[:, 2, 2] = np.sin(angles), 1.0
     turns[:, 0, 1] = -turns[:, 1, 0]
     return turns
-
-
-def _shares() -> Floats:
-    """Return what a sample of every ring counts: its part of the area around, less with the distance; the sum is 1."""
-    rings = np.radians(RINGS)
-    areas = np.maximum(np.sin(rings), np.sin(rings[1]) / 4.0) * np.exp(-0.72 * (rings / rings[-1]) ** 2)
-    return np.asarray(areas / (TURNS * areas.sum()))
 
 
 def _samples(grid: Surface, frames: Floats) -> csr_matrix:

@@ -147,7 +147,9 @@ def fill_loop(points: Floats) -> tuple[Floats, NDArray[np.int64]]:
     places, faces = _rings(turns)
     # A membrane, and five renewals of its weights; the area then changes by less than a per cent
     for _ in range(6):
-        places = _harmonic(places, faces, loop)
+        laplacian = cotangent_laplacian(places, faces, (1e-3, 1e3))  # positive: a vertex lies among its neighbours
+        inner = spsolve(laplacian[count:, count:].tocsc(), -(laplacian[count:, :count] @ loop)).reshape(-1, 3)
+        places = np.concatenate([loop, inner])
     return places[count:] * extent + centre, np.where(faces < count, (faces + begin) % count, faces)
 
 
@@ -184,14 +186,6 @@ def _strip(outer: Floats, inner: Floats, first: int, second: int) -> NDArray[np.
     a, b = first + i % len(outer), second + (start + j) % len(inner)
     after = np.where(outwards, first + (i + 1) % len(outer), second + (start + j + 1) % len(inner))
     return np.stack([a, after, b], axis=1)
-
-
-def _harmonic(shape: Floats, faces: NDArray[np.int64], loop: Floats) -> Floats:
-    """Return harmonic positions of all vertices by a shape's cotangent weights, the loop held, shape [n + K, 3]."""
-    held = len(loop)
-    laplacian = cotangent_laplacian(shape, faces, (1e-3, 1e3))  # positive: a vertex lies among its neighbours
-    inner = spsolve(laplacian[held:, held:].tocsc(), -(laplacian[held:, :held] @ loop)).reshape(-1, 3)
-    return np.concatenate([loop, inner])
 
 
 @dataclass(frozen=True, eq=False)
