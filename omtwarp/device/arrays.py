@@ -25,9 +25,7 @@ def vectors(points: ArrayLike | wp.array, device: wp.Device) -> wp.array:
         points: shape [N, 3]; or a Warp array of vec3d.
         device: a Warp device.
     """
-    if isinstance(points, wp.array):
-        return points.to(device)
-    return wp.array(np.ascontiguousarray(points, dtype=np.float64), dtype=wp.vec3d, device=device, copy=False)
+    return points.to(device) if isinstance(points, wp.array) else sent(np.asarray(points, np.float64), wp.vec3d, device)
 
 
 def triangles(faces: ArrayLike | wp.array, device: wp.Device) -> wp.array:
@@ -37,9 +35,7 @@ def triangles(faces: ArrayLike | wp.array, device: wp.Device) -> wp.array:
         faces: whole numbers, shape [F, 3]; or a Warp array of vec3i.
         device: a Warp device.
     """
-    if isinstance(faces, wp.array):
-        return faces.to(device)
-    return wp.array(np.ascontiguousarray(faces, dtype=np.int32), dtype=wp.vec3i, device=device, copy=False)
+    return faces.to(device) if isinstance(faces, wp.array) else sent(np.asarray(faces, np.int32), wp.vec3i, device)
 
 
 def empty(count: int, dtype: type, device: wp.Device) -> wp.array:

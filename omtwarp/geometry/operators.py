@@ -150,18 +150,16 @@ class DifferentialOperators:
         surface = Surface(vertices, faces)
         self.device = resolve_device(device)
         self.vertex_count, self.face_count = surface.vertex_count, surface.face_count
-        offsets, corners = surface.vertex_corners
         self.vertices = wp.array(surface.vertices, dtype=wp.vec3d, device=self.device)
         self.faces = wp.array(surface.faces, dtype=wp.int32, device=self.device)
-        self.corner_offsets = wp.array(offsets, dtype=wp.int32, device=self.device)
-        self.corners = wp.array(corners, dtype=wp.int32, device=self.device)
+        self._around = surface.on(self.device).vertex_corners
 
     def _run(self, kernel: wp.Kernel, field: ArrayLike | wp.array, dtype: type) -> wp.array:
         from_numpy = not isinstance(field, wp.array)
         if from_numpy:
             source = wp.array(real_numbers(field, "field", (self.face_count, 3)), dtype=wp.vec3d, device=self.device)
         out = wp.empty(self.vertex_count, dtype=dtype, device=self.device)
-        inputs = [self.vertices, self.faces, self.corner_offsets, self.corners, source if from_numpy else field]
+        inputs = [self.vertices, self.faces, *self._around, source if from_numpy else field]
         wp.launch(kernel, dim=len(out), inputs=inputs, outputs=[out], device=self.device)
         return out.numpy() if from_numpy else out
 
