@@ -160,8 +160,7 @@ def run_job(line: str) -> Row:
         _own.host = Host()
     job = Job.from_json(line)
     make_folders(Path(job.folder))
-    record: Row = _own.host.run(job)
-    return record
+    return _own.host.run(job)
 
 
 def run_jobs(lines: list[str]) -> list[Row]:

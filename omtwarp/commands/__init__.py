@@ -19,5 +19,4 @@ _HOMES = {
 def function_of(command: str) -> Callable[..., None]:
     """Return the function of a command, ``run_COMMAND``, whose module is loaded where it is first needed."""
     home = next((module for module, commands in _HOMES.items() if command in commands), command)
-    function: Callable[..., None] = getattr(import_module(f"omtwarp.commands.{home}"), f"run_{command}")
-    return function
+    return getattr(import_module(f"omtwarp.commands.{home}"), f"run_{command}")

@@ -94,8 +94,7 @@ def flipped_faces(
     sphere: ArrayLike | wp.array, faces: ArrayLike | wp.array, *, device: str | wp.Device | None = "cpu"
 ) -> NDArray[np.bool_]:
     """Find triangles with det[a, b, c] <= 0, decided exactly, or with a corner that is not finite; bool, shape [F]."""
-    flipped: NDArray[np.bool_] = orientation_signs(sphere, faces, device=device) <= 0
-    return flipped
+    return orientation_signs(sphere, faces, device=device) <= 0
 
 
 def count_flips(

@@ -163,8 +163,7 @@ def _least_squares(points: Floats, data: Floats, weights: Floats, degree: int) -
     # Least squares whose normal matrix is worse conditioned than this determine the highest degrees by rounding alone.
     if spectrum[0] * 1e10 <= spectrum[-1]:
         raise too_many
-    solved: Floats = cho_solve(cho_factor(normal, lower=True), right)
-    return solved
+    return cho_solve(cho_factor(normal, lower=True), right)
 
 
 def _integrals(points: Floats, data: Floats, faces: NDArray[np.int64], degree: int) -> Floats:

@@ -133,10 +133,7 @@ def _shortest_paths(
 ) -> tuple[Floats, NDArray]:
     """Return how far vertices are from roots along edges, none above a limit, and the vertex before each on its way."""
     graph = sparse.csr_array((lengths, edges.T), shape=(count, count))
-    paths: tuple[Floats, NDArray] = csgraph.dijkstra(
-        graph, directed=False, indices=roots, return_predecessors=True, limit=limit
-    )
-    return paths
+    return csgraph.dijkstra(graph, directed=False, indices=roots, return_predecessors=True, limit=limit)
 
 
 def _path_to(end: int, before: NDArray) -> list[int]:
