@@ -22,7 +22,7 @@ from typing import IO, TYPE_CHECKING, BinaryIO
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp.errors import OmtwarpError, brief
+from omtwarp.errors import OmtwarpError, brief, naming
 from omtwarp.files import limits
 from omtwarp.files.limits import LARGEST_ARRAYS, LARGEST_MESH_FILE, LARGEST_REPORT, MOST_KEPT, MOST_TEXELS, amount
 from omtwarp.files.output import as_path, contents, note_input, staged
@@ -47,11 +47,9 @@ def reading(file: Path, kind: str, size: int | None) -> Iterator[None]:
     """
     bounded = contextlib.nullcontext() if size is None else limits.memory_for_file(size)
     try:
-        with warnings.catch_warnings(action="ignore"), bounded:
+        with naming(str(file)), warnings.catch_warnings(action="ignore"), bounded:
             yield
-    except OmtwarpError as error:
-        raise OmtwarpError(f"{file}: {error}") from None
-    except MemoryError:
+    except (OmtwarpError, MemoryError):
         raise
     except Exception as error:
         raise OmtwarpError(f"{file}: cannot be read as {kind}: {brief(error)}") from None
