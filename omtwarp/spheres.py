@@ -213,10 +213,8 @@ def named_grid(name: str) -> SphereGrid:
 
 def is_named(name: str) -> bool:
     """Return whether a text has the form of a grid's name, whether or not there is such a grid."""
-    return (
-        re.fullmatch(r"(ico|fsaverage)\d*|(healpix(-nested)?|equiangular|octahedral):.*", name.strip().lower())
-        is not None
-    )
+    form = r"(ico|fsaverage)\d*|(healpix(-nested)?|equiangular|octahedral):.*"
+    return re.fullmatch(form, name.strip().lower()) is not None
 
 
 def freesurfer_icosahedron(level: int) -> tuple[Floats, Ints]:

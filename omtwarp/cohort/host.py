@@ -55,11 +55,8 @@ def run_item(job: Job) -> Row:
         begun, used = time.perf_counter(), time.process_time()
 
         def recorded(status: str, message: str = "", numbers: Row | None = None) -> Row:
-            numbers = (numbers or {}) | {
-                "seconds": time.perf_counter() - begun,
-                "cpu_seconds": time.process_time() - used,
-            }
-            return write_record(job, status, message, **numbers, memory=_peak_memory())
+            spent = {"seconds": time.perf_counter() - begun, "cpu_seconds": time.process_time() - used}
+            return write_record(job, status, message, **(numbers or {}), **spent, memory=_peak_memory())
 
         try:
             result = _map(job)

@@ -87,11 +87,8 @@ def facts_of(mesh: Path, repair: bool, target: Path | None, *, verbose: bool) ->
         vertices, faces = given.vertices, given.faces
         defects = before = omtwarp.check(vertices, faces)
         done("check")
-        facts: dict = {
-            "mesh": str(mesh), "vertices": len(vertices), "faces": len(faces),
-            "notes": [*of_a_map(mesh), *given.notes],
-            "repairs": [],
-        }  # fmt: skip
+        facts: dict = {"mesh": str(mesh), "vertices": len(vertices), "faces": len(faces)}
+        facts |= {"notes": [*of_a_map(mesh), *given.notes], "repairs": []}
         if repair and defects:
             from omtwarp.mesh.repair import NOTED_LOSS
 

@@ -178,11 +178,6 @@ class Painting:
     detail: Path | None = None
 
     @property
-    def of_the_mesh(self) -> bool:
-        """Whether the mesh's own coordinates or materials are needed."""
-        return self.uv is Coordinates.OWN or self.keep_materials is not None
-
-    @property
     def by_materials(self) -> str:
         """The given options by which each material gets pictures of its own, in words; empty without any."""
         own, keep = self.uv is Coordinates.OWN, self.keep_materials is not None
@@ -336,7 +331,8 @@ def _mapped(
     Raises:
         OmtwarpError: a mesh is missing, or stands beside its map where nothing of the mesh's own is needed.
     """
-    if not painting.of_the_mesh:
+    own_coordinates = painting.uv is Coordinates.OWN
+    if not own_coordinates and painting.keep_materials is None:
         if mesh is not None and source.finished is not None:
             raise OmtwarpError(
                 "a mesh beside --map is for --uv own or --keep-materials: add one of them, or leave the mesh out"
@@ -347,7 +343,7 @@ def _mapped(
     if mesh is None or mesh.suffix.lower() == ".npz":
         raise OmtwarpError("--uv own and --keep-materials need the mesh itself: give it together with the map")
     painted, surface = painted_with_map(mesh, source.finished, source.repair)
-    if painting.uv is Coordinates.OWN:
+    if own_coordinates:
         painted.require_uv(str(mesh))
     return painted, mapped(surface, mesh, mapping, printing)
 

@@ -111,8 +111,7 @@ def symmetric_start(
         half = hemispherical_embedding(surface.scaled_vertices[own], faces, areas, device=device, progress=progress)
     except OmtwarpError:
         return None
-    turned = turned_about_pole(half, source[own], surface.vertex_areas[own])
     image = np.zeros_like(source)  # of the copy until it gets mirror images
-    image[own] = normalised(turned)
+    image[own] = normalised(turned_about_pole(half, source[own], surface.vertex_areas[own]))
     image = folded_map(double, image)
     return image if is_bijective(image, surface.faces, device=device) else None

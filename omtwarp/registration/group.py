@@ -252,11 +252,8 @@ def register_group(
         template = replace(template, origin=origin)
         table = {}
         for name, one in files.items():
-            key = key_of(rounds, digests[name], options, template)
-            facts = kept.result(
-                f"{rounds}_{name}", key, partial(_finish, one, template, options, target / f"{name}.npz"),
-                target / f"{name}.npz",
-            )  # fmt: skip
+            key, file = key_of(rounds, digests[name], options, template), target / f"{name}.npz"
+            facts = kept.result(f"{rounds}_{name}", key, partial(_finish, one, template, options, file), file)
             table[name] = {what: float(value) for what, value in facts.items()}
             done += 1
             tell(progress, "group", done, steps, {})

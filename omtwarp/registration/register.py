@@ -118,9 +118,8 @@ class Registration:
         start, certificate = self.start, self.certificate
         ends = [np.percentile(np.abs(strain), 95) for strain in self._strains.values()]
         of_map = start.score, start.score - start.runner_up, self.doubtful, certificate.flips, certificate.degree
-        values = (*of_map, *ends, self.largest_strain)
         agreement = {name: agreement_of["after"] for name, agreement_of in self.correlations.items()}
-        facts = {**dict(zip(FACTS, values, strict=True)), **agreement}
+        facts = {**dict(zip(FACTS, (*of_map, *ends, self.largest_strain), strict=True)), **agreement}
         return {f"registration_{name}": float(value) for name, value in facts.items()}
 
 

@@ -1,8 +1,8 @@
 """The warp of registration: features that move onto others, coarse to fine, on grids that no mesh determines."""
 
-import functools
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache, partial
 
 import numpy as np
 
@@ -171,9 +171,7 @@ class Warping:
         # Σ m (a / m - 1)² / 4π is Σ (a - m)² / m over 4π; the penalty of areas a that sum to 12π is half of that.
         penalty = None if np.isinf(self._penalty) else 2.0 * scale * self._penalty
         energy = warp_energy(grid, AREA_WEIGHT, strain_limit(self._bound), term, self._penalty > 0.0)
-        return lambda points: minimise(
-            energy, points, gain=tolerance, iterations=ITERATIONS, progress=None, penalty=penalty
-        )
+        return partial(minimise, energy, gain=tolerance, iterations=ITERATIONS, progress=None, penalty=penalty)
 
     def _field(self, width: float) -> FeatureField:
         if width not in self._fields:
@@ -192,13 +190,13 @@ class Warping:
         return np.asarray(out / np.sqrt(areas @ out**2))
 
 
-@functools.cache
+@cache
 def grid_of(frequency: int) -> Surface:
     """Return an icosphere, which is kept with the order of elimination that belongs to it."""
     return icosphere(frequency)
 
 
-@functools.cache
+@cache
 def _matching(frequency: int) -> Matching:
     """Return what matches points of a coarse grid with places, by features on an icosphere; it is kept."""
     return Matching(grid_of(MATCHED_GRID), grid_of(PLACES), grid_of(frequency))

@@ -110,8 +110,7 @@ def shape_distance(
         tell(progress, "distance", done, 3, {})
         ways.append(transport_distance(*ends, device=device))
     tell(progress, "distance", 3, 3, {})
-    there, back = ways
-    return ShapeDistance(apart, min(ways), there, back, alignment.score)
+    return ShapeDistance(apart, min(ways), ways[0], ways[1], alignment.score)
 
 
 def _coefficients(sphere: Floats, one: HasTriangles, degree: int, scale: bool) -> Floats:

@@ -366,10 +366,8 @@ def study_group(
         >>> study.mean, study.components.scores.shape
         (Surface(642 vertices, 1280 faces), (3, 2))
     """
-    maps, components = (
-        listed(maps, "maps", "omtwarp.MapResult", MapResult),
-        whole_number(components, "components", least=1),
-    )
+    maps = listed(maps, "maps", "omtwarp.MapResult", MapResult)
+    components = whole_number(components, "components", least=1)
     permutations, seed = whole_number(permutations, "permutations", least=1), whole_number(seed, "the seed")
     table = table_of(labels, covariates)
     if table:

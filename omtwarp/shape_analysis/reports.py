@@ -66,12 +66,11 @@ def write_group_report(
         rows.append([name, *(str(values[k]) for values in given.values()), *map(float, numbers)])
     files = [folder / "table.csv"]
     write_table(files[0], columns, rows)
-    apart: list[list[str | float]]
     for file, distances in (("distances.csv", study.distances), ("transport.csv", study.transport)):
         if distances is not None:
-            apart = [[name, *map(float, line)] for name, line in zip(names, distances, strict=True)]
             files.append(folder / file)
-            write_table(files[-1], ["id", *names], apart)
+            apart = zip(names, distances, strict=True)
+            write_table(files[-1], ["id", *names], [[name, *map(float, line)] for name, line in apart])
     beside = {f"{name}_{word}": values for name, one in study.effects.items() for word, values in _maps(one).items()}
     files += _write_shape(folder, "mean", study.mean, like, beside)
     for k in range(len(study.components.deviations)):
@@ -117,15 +116,13 @@ def _body(study: GroupStudy, columns: Sequence[str], rows: Sequence[Sequence[str
     ]
     for effect in study.effects.values():
         body += _effect(study, effect)
-    body += [element("h2", "Principal components")]
     lines = [
         (k + 1, f"{deviation:.4g}", f"{100 * share:.1f} %")
         for k, (deviation, share) in enumerate(zip(known.deviations, known.explained, strict=True))
     ]
-    body.append(table(("component", "standard deviation", "share of the variance"), lines))
-    body.append(
-        element("p", f"The mean less and plus {SHOWN:g} standard deviations; red lies outside it, blue inside.")
-    )
+    shares = table(("component", "standard deviation", "share of the variance"), lines)
+    said = f"The mean less and plus {SHOWN:g} standard deviations; red lies outside it, blue inside."
+    body += [element("h2", "Principal components"), shares, element("p", said)]
     # Drawn: components with pictures on the page
     for k in range(min(3, len(known.deviations))):
         normals = vertex_normals(study.alignment.mean, study.alignment.faces)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.policy import resolve_device, solving_with
 from omtwarp.errors import OmtwarpError, OmtwarpWarning
-from omtwarp.maps.result import MapResult, StageReport, Warned, origin_arrays
+from omtwarp.maps.result import MapResult, MeshReport, StageReport, Warned, origin_arrays
 from omtwarp.mesh.quarter import QuarteredSurface, in_parts, quarter
 from omtwarp.mesh.surface import SPHERE_AREA, Surface, triangle_areas
 from omtwarp.metrics.optimality import torus_optimality
@@ -155,21 +155,14 @@ class _TorusComputation:
             if options.strict:
                 raise OmtwarpError(f"the map is not as good as strict=True requires: {finding['text']}")
             warnings.warn(OmtwarpWarning(finding["text"]), stacklevel=5)
-        result.report.update(
-            {
-                "domain": "torus",
-                "mesh": {"vertices": len(result.vertices), "faces": len(result.faces)},
-                "quantum": QUANTUM,
-                "seconds": time.perf_counter() - self.begin,
-                "stages": self.stages,
-                "certificate": result.certificate.to_dict(),
-                "warnings": self.warnings,
-            }
-        )
+        mesh: MeshReport = {"vertices": len(result.vertices), "faces": len(result.faces)}
+        report = result.report
+        report |= {"domain": "torus", "mesh": mesh, "quantum": QUANTUM, "seconds": time.perf_counter() - self.begin}
+        report |= {"stages": self.stages, "certificate": result.certificate.to_dict(), "warnings": self.warnings}
         if options.optimality:
             x, torus = self.maps.conformal.points, self.torus
             measured = torus_optimality(self.maps.surface, x, torus.points, torus.shift, torus.lattice)
-            result.report["optimality"] = measured.to_dict()
+            report["optimality"] = measured.to_dict()
         return result
 
 

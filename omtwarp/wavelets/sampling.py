@@ -150,7 +150,7 @@ class SphereSampler:
             self._level_sums = [wp.empty(count, dtype=wp.float64, device=self.device) for count in counts]
         self._level_masses = self._coarsen(self.adjoint(source), [wp.empty_like(a) for a in self._level_sums])
 
-    def restrict(self, sums: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
+    def restrict(self, sums: ArrayLike | wp.array) -> wp.array:
         """Return a density's means at the nodes from its sums (such as mass times value) at the points, [P] -> [N].
 
         Each node gets the adjoint's sum over its mass. A node that no point reaches takes the mean of the ends of its
@@ -160,12 +160,11 @@ class SphereSampler:
         if not self._level_masses:
             raise OmtwarpError("give the points' masses (set_masses) before restricting to the nodes")
         source, from_numpy = self._take(sums, "sums", self.point_count, wp.float64)
-        out = self._output(out, self.node_count, wp.float64)
+        out = wp.zeros(self.node_count, dtype=wp.float64, device=self.device)
         self.adjoint(source, self._level_sums[self.level])
         self._coarsen(self._level_sums[self.level], self._level_sums)
         # Least mass, of a node's mean share of the sphere: with less no point is near it, and the sum is rounding
         smallest = 1e-12 * 4 * np.pi / self.node_count
-        out.zero_()
         for j in range(self.level + 1):
             count = self.hierarchy.node_counts[j]
             if j > 0:
