@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from omtwarp.device.arrays import triangles, vectors
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import KERNEL_OPTIONS, ONE, ZERO, wp
-from omtwarp.device.threads import Each, each, launch_parts, load, parts_of, run_all
+from omtwarp.device.threads import Each, computed, load, parts_of, run_all
 from omtwarp.mesh.arrays import Floats, Ints, real_numbers, whole_number, whole_numbers
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -78,8 +78,7 @@ def orientation_signs(
     # rounding of the bound. Fused multiply-add only lowers the error.
     # Products below the second number may have lost bits to gradual underflow, which a relative bound does not see.
     inputs = [given, Each(corners), wp.float64(8.0 * 2.0**-53), wp.float64(2.0**-1000)]
-    launch_parts(certain_signs, len(corners), inputs, each(out), where)
-    signs = out.numpy()
+    signs = computed(certain_signs, inputs, out).numpy()
     open_cases = np.flatnonzero(signs == UNCERTAIN)
     if len(open_cases):
         signs[open_cases] = 0
@@ -112,11 +111,8 @@ def exact_signs(a: Floats, b: Floats, c: Floats) -> NDArray[np.int8]:
     if len(a) == 0:
         return np.zeros(0, dtype=np.int8)
     ia, ib, ic = (_common_integers(x) for x in (a, b, c))
-    value = (
-        ia[:, 0] * (ib[:, 1] * ic[:, 2] - ib[:, 2] * ic[:, 1])
-        + ia[:, 1] * (ib[:, 2] * ic[:, 0] - ib[:, 0] * ic[:, 2])
-        + ia[:, 2] * (ib[:, 0] * ic[:, 1] - ib[:, 1] * ic[:, 0])
-    )
+    minors = (ib[:, k - 2] * ic[:, k - 1] - ib[:, k - 1] * ic[:, k - 2] for k in range(3))
+    value = np.asarray(sum(ia[:, k] * minor for k, minor in enumerate(minors)))
     return (value > 0).astype(np.int8) - (value < 0).astype(np.int8)
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from omtwarp.device.arrays import vectors
 from omtwarp.device.start import KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
 from omtwarp.device.sums import Reading
-from omtwarp.device.threads import Each, each, launch_parts
+from omtwarp.device.threads import Each, computed, each, launch_parts
 from omtwarp.geometry.spherical import corners_of
 from omtwarp.mesh.arrays import Floats, dots
 from omtwarp.mesh.surface import SPHERE_AREA, Surface
@@ -152,8 +152,7 @@ class StrainBarrier:
     def value(self, points: wp.array) -> float:
         """Return the barrier at a map, vec3d [V]."""
         strains = wp.empty(self._count, dtype=wp.float64, device=self._device)
-        launch_parts(strain_terms, self._count, [points, *each(*self._mesh[:2])], each(strains), self._device)
-        worst = strains.numpy()
+        worst = computed(strain_terms, [points, *each(*self._mesh[:2])], strains).numpy()
         if not worst.max() < self._limit:
             return float("inf")
         return float(self._mesh[2].numpy() @ (worst**2 / (self._limit - worst))) / SPHERE_AREA
@@ -175,8 +174,7 @@ class StrainBarrier:
         """
         blocks = wp.empty((self._count, 21), dtype=wp.float64, device=self._device)
         inputs = [points, *each(*self._mesh), wp.float64(self._limit), wp.float64(SPHERE_AREA)]
-        launch_parts(barrier_hessian, self._count, inputs, each(blocks), self._device)
-        return np.asarray(blocks.numpy())
+        return np.asarray(computed(barrier_hessian, inputs, blocks).numpy())
 
 
 @dataclass(frozen=True)
@@ -305,8 +303,7 @@ def tangent_blocks(points: wp.array, hessian: NDArray[np.float64]) -> NDArray[np
     count = points.size
     bases = []
     for k in range(2):
-        one = np.zeros((count, 2))
-        one[:, k] = 1.0
+        one = np.tile(np.eye(2)[k], (count, 1))
         vectors = wp.empty(count, dtype=wp.vec3d, device="cpu")
         inputs = [points, wp.array(one, dtype=wp.float64, device="cpu", copy=False)]
         wp.launch(from_tangent, dim=count, inputs=inputs, outputs=[vectors], device="cpu")

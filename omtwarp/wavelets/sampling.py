@@ -14,7 +14,7 @@ from omtwarp.device.arrays import sent
 from omtwarp.device.policy import resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.sums import SparseProduct
-from omtwarp.device.threads import FIRST_THREAD, Each, each, launch_parts
+from omtwarp.device.threads import FIRST_THREAD, Each, computed, each, launch_parts
 from omtwarp.errors import OmtwarpError
 from omtwarp.geometry.sphere_hierarchy import SphereHierarchy
 from omtwarp.mesh.arrays import Floats, cross, norms, real_numbers, whole_number
@@ -92,9 +92,6 @@ class SphereSampler:
     def _launch(self, kernel: wp.Kernel, size: int, inputs: list[object], outputs: list[object]) -> None:
         wp.launch(kernel, dim=size, inputs=inputs, outputs=outputs, device=self.device)
 
-    def _launch_parts(self, kernel: wp.Kernel, size: int, inputs: list[object], out: wp.array) -> None:
-        launch_parts(kernel, size, inputs, each(out), self.device)
-
     def _take(self, array: ArrayLike | wp.array, name: str, count: int, dtype: type) -> tuple[wp.array, bool]:
         if isinstance(array, wp.array):
             return array, False
@@ -135,7 +132,7 @@ class SphereSampler:
         source, from_numpy = self._take(at_points, "at_points", self.point_count, wp.float64)
         out = self._output(out, self.node_count, wp.float64)
         inputs = [Each(self._point_rows, more=1), self._order, self.coordinates, source]
-        self._launch_parts(kernels.gather_scalars_to_faces, self.face_count, inputs, self._face_vectors)
+        computed(kernels.gather_scalars_to_faces, inputs, self._face_vectors)
         self._gather_corners(out)
         return out.numpy() if from_numpy else out
 
@@ -185,7 +182,7 @@ class SphereSampler:
     def _gather_corners(self, out: wp.array) -> None:
         """Sum at every node the numbers that its triangles hold for it."""
         inputs = [*self._corner_rows, self._face_vectors]
-        self._launch_parts(kernels.gather_corners_to_nodes, self.node_count, inputs, out)
+        computed(kernels.gather_corners_to_nodes, inputs, out)
 
     def node_gradient(self, values: ArrayLike | wp.array) -> wp.array:
         """Return the area-weighted mean gradients around the nodes, Warp vec3d [N], in their tangent planes.
@@ -194,9 +191,9 @@ class SphereSampler:
         """
         source, _ = self._take(values, "values", self.node_count, wp.float64)
         inputs = [Each(self._faces), self._nodes, source]
-        self._launch_parts(kernels.level_face_gradients, self.face_count, inputs, self._face_vectors)
+        computed(kernels.level_face_gradients, inputs, self._face_vectors)
         inputs = [*self._corner_rows, *each(self._nodes, self._weights), self._face_vectors]
-        self._launch_parts(kernels.mean_node_gradients, self.node_count, inputs, self._node_vectors)
+        computed(kernels.mean_node_gradients, inputs, self._node_vectors)
         return self._node_vectors
 
     def gradient_adjoint(self, field: ArrayLike | wp.array, out: wp.array | None = None) -> wp.array:
@@ -210,10 +207,10 @@ class SphereSampler:
         source, from_numpy = self._take(field, "field", self.point_count, wp.vec3d)
         out = self._output(out, self.node_count, wp.float64)
         inputs = [Each(self._point_rows, more=1), self._order, self.points, self.coordinates, source]
-        self._launch_parts(kernels.gather_corner_vectors, self.face_count, inputs, self._corner_vectors)
+        computed(kernels.gather_corner_vectors, inputs, self._corner_vectors)
         inputs = [*self._corner_rows, *each(self._nodes, self._weights), self._corner_vectors]
-        self._launch_parts(kernels.mean_node_vectors, self.node_count, inputs, self._node_vectors)
+        computed(kernels.mean_node_vectors, inputs, self._node_vectors)
         inputs = [Each(self._faces), self._nodes, self._node_vectors]
-        self._launch_parts(kernels.spread_to_faces, self.face_count, inputs, self._face_vectors)
+        computed(kernels.spread_to_faces, inputs, self._face_vectors)
         self._gather_corners(out)
         return out.numpy() if from_numpy else out
