@@ -124,9 +124,7 @@ def adaptive(
     looked_at, looking = forward.sign(), backward.sign()
     missed = (looking - looking.multiply(looked_at)).tocsr()
     use_backward = np.asarray(missed.sum(axis=1)).ravel() > 0
-    chosen = sparse.diags_array((~use_backward).astype(float)) @ forward
-    chosen = sparse.csr_matrix(chosen + sparse.diags_array(use_backward.astype(float)) @ backward)
-    chosen.eliminate_zeros()
+    chosen = _without_rows(forward, use_backward) + _without_rows(backward, ~use_backward)
     by_area = sparse.diags_array(target_areas) @ chosen
     given = np.asarray(by_area.sum(axis=0)).ravel()
     scale = np.divide(source_areas, given, out=np.zeros_like(given), where=given > 0)
