@@ -207,12 +207,9 @@ class Alignment:
         report.pop("registration", None)
         changed: dict[str, object] = {"report": report}
         if self.mirrored:
-            for name in ("vertices", "filled_vertices"):
-                points = getattr(result, name)
-                changed[name] = None if points is None else points @ MIRROR
-            for name in ("faces", "filled_faces"):
-                faces = getattr(result, name)
-                changed[name] = None if faces is None else faces[:, ::-1]
+            own = result.arrays
+            changed |= {name: own[name] @ MIRROR for name in ("vertices", "filled_vertices") if name in own}
+            changed |= {name: own[name][:, ::-1] for name in ("faces", "filled_faces") if name in own}
         return result.turned(self.rotation.T).with_arrays(changed)
 
 
@@ -460,8 +457,7 @@ def _onto_directions(points: SpherePoints) -> tuple[Floats, float]:
     """Return the rotation of a sphere to the directions of its surface from the centre, and how well they agree."""
     assert points.vertices is not None  # of own_features
     masses = points.surface_areas()
-    radial = points.vertices - masses @ points.vertices / masses.sum()
-    radial = normalised(radial)
+    radial = normalised(points.vertices - masses @ points.vertices / masses.sum())
     rotation, agreement = fitted_rotation((points.grid.points * masses[:, None]).T @ radial)
     return rotation, agreement / float(masses.sum())
 

@@ -51,11 +51,8 @@ def _slopes(surface: Surface, values: Floats) -> Floats:
     corner = surface.vertices[surface.faces]
     normal = cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     square = dots(normal, normal)[:, None, None]
-    slopes = np.zeros((surface.face_count, 3, values.shape[1]))
-    for k in range(3):
-        across = cross(normal, corner[:, k - 1] - corner[:, k - 2])
-        slopes += across[:, :, None] * values[surface.faces[:, k]][:, None, :] / square
-    return slopes
+    across = [cross(normal, corner[:, k - 1] - corner[:, k - 2])[:, :, None] for k in range(3)]
+    return np.asarray(sum(across[k] * values[surface.faces[:, k]][:, None, :] / square for k in range(3)))
 
 
 class FeatureTerm:

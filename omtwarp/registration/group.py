@@ -105,9 +105,8 @@ def members(
         raise OmtwarpError(f"{len(maps)} map in all: give at least two")
     if len(files) < len(maps):
         raise OmtwarpError(f"{len(maps)} maps have {len(files)} names: results are called as they are, so rename some")
-    for word in taken:
-        if word in files:
-            raise OmtwarpError(f"'{files[word]}' has the name of a result: rename it")
+    if named := [path for word, path in files.items() if word in taken]:
+        raise OmtwarpError(f"'{named[0]}' has the name of a result: rename it")
     real = os.path.realpath
     if replaced := [one for name, one in files.items() if real(one) == real(Path(folder) / f"{name}.npz")]:
         raise OmtwarpError(f"'{replaced[0]}' is a map and would be replaced as a result: choose another folder")

@@ -95,19 +95,16 @@ def pairs_of(landmarks: LandmarksLike, moving: Floats, target: Floats, counts: t
     labels = tuple(str(one.label) for one in given)
     if twice := [label for label in labels if labels.count(label) > 1]:
         raise OmtwarpError(f"two landmarks are called '{twice[0]}'")
-    points, places, weights, owners = [], [], [], []
+    meeting = []  # of each landmark its number, both sides' points and their weights
     for k, one in enumerate(given):
         ours = _on_sphere(one.moving, moving, counts[0], f"landmark '{one.label}' on the map")
         theirs = _on_sphere(one.target, target, counts[1], f"landmark '{one.label}' on the target")
         if (len(ours) == 1) != (len(theirs) == 1):
             raise OmtwarpError(f"landmark '{one.label}' is a point on one side and a curve on the other")
         count = max(len(ours), len(theirs))
-        weight = _positive(one.weight, f"weight of '{one.label}'")
-        points.append(_even(ours, count))
-        places.append(_even(theirs, count))
-        weights.append(np.full(count, weight / count))
-        owners.append(np.full(count, k))
-    return Pairs(labels, *(np.concatenate(parts) for parts in (owners, points, places, weights)))
+        share = _positive(one.weight, f"weight of '{one.label}'") / count
+        meeting.append((np.full(count, k), _even(ours, count), _even(theirs, count), np.full(count, share)))
+    return Pairs(labels, *map(np.concatenate, zip(*meeting, strict=True)))
 
 
 def _positive(weight: float, name: str) -> float:

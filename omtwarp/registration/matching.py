@@ -110,9 +110,8 @@ class Matching:
         )
         here = (here * shares[:, None]).reshape(*here.shape[:2], -1)
         there = there.reshape(*there.shape[:2], -1)
-        products = here.conj() @ there.transpose(0, 2, 1)
         alone = (known * (ours**2).sum(axis=1)).reshape(-1, len(RINGS), TURNS).sum(axis=2) @ shares
-        both = np.fft.irfft(products.transpose(1, 2, 0), n=TURNS, axis=2)
+        both = np.fft.irfft((here.conj() @ there.transpose(0, 2, 1)).transpose(1, 2, 0), n=TURNS, axis=2)
         return np.asarray(both + alone[:, None, None], dtype=np.float32)
 
     def _add_landmarks(self, costs: Singles, pairs: Pairs, scale: float) -> None:

@@ -129,10 +129,9 @@ def _step(one: Member, before: Member, first: Member, options: Options, output: 
     registration = registered(here.moved(chained.closed_sphere), start)
     joined = _joined(here, chained, registration, options["keep_areas"])
     joined.registered(MapResult.load(one.path)).save(output)
-    turned = chained.sphere @ registration.start.rotation.T
     ends = here.grid.points[here.grid.own_triangles]
     edges = norms(ends - np.roll(ends, 1, axis=1))
-    way = norms(joined.sphere - turned)
+    way = norms(joined.sphere - chained.sphere @ registration.start.rotation.T)
     facts = {"drift": np.degrees(np.sqrt((way**2).mean())), "edge": np.degrees(edges.mean())}
     return {**joined.facts(), **facts, **growth(start.points, here.moved(joined.closed_sphere))}
 

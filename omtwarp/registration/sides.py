@@ -75,11 +75,8 @@ class Side:
             OmtwarpError: a feature is constant.
         """
         grid = SpherePoints(_grid())
-        columns: list[dict[str, Floats]] = []
-        for side in (self, target):
-            values = np.where(side.on_grid[1][:, None] > 0.0, side.on_grid[0], np.nan)
-            columns.append(filled_by_means(dict(zip(self.features, values.T, strict=True)), grid))
-        ours, theirs = columns
+        both = [np.where(side.on_grid[1][:, None] > 0.0, side.on_grid[0], np.nan) for side in (self, target)]
+        ours, theirs = (filled_by_means(dict(zip(self.features, each.T, strict=True)), grid) for each in both)
         best = feature_rotations(grid, grid, ours, theirs, most=STARTS)
         # A best rotation whose correlation is not this much above the next best one's may be the wrong one.
         if best[0].score - best[0].runner_up >= 0.1:

@@ -78,19 +78,15 @@ def kept_within(
     if flipped_faces(sphere, surface.faces).any():
         sphere = untangle(surface, sphere, device="cpu").sphere
     energy: ShapeEnergy | None = None
-    near_held = np.zeros(surface.vertex_count, dtype=bool)
-    if held is not None:
-        near_held[held] = True
-        near_held = grow(surface.faces, near_held, FREED_RINGS)
+    near_held = marked(surface.vertex_count, np.zeros(0, np.int64) if held is None else held)
+    near_held = grow(surface.faces, near_held, FREED_RINGS)
     for done in range(ROUNDS):
         over = _beyond(surface, sphere, bound, leave_room)
         if not over.any():
             break
         energy = energy or ShapeEnergy(surface, resolve_device("cpu"), 1.0)
-        chosen = marked(surface.vertex_count, surface.faces[over])
         # Rounds per ring, after so many, a ring of vertices more is freed
-        chosen = grow(surface.faces, chosen, done // 4)
-        chosen &= ~near_held
+        chosen = grow(surface.faces, marked(surface.vertex_count, surface.faces[over]), done // 4) & ~near_held
         if not chosen.any():
             break
         sphere = _relaxed(energy, sphere, grow(surface.faces, chosen, FREED_RINGS))
