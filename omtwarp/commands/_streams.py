@@ -110,20 +110,19 @@ def standard_streams() -> Iterator[None]:
         stack.enter_context(contextlib.redirect_stdout(cast(TextIO, shown)))
         stack.enter_context(contextlib.redirect_stderr(cast(TextIO, messages)))
         try:
-            try:
-                yield
-            except SystemExit as end:
-                if end.code not in (None, 0):
-                    with contextlib.suppress(OmtwarpError):  # what failed first has been said
-                        shown.flush()
-                    raise
-                file = streams.output
-                try:
-                    shown.send(file.read_bytes() if file is not None and file.exists() else b"")
-                except OmtwarpError as error:
-                    say(f"error: {error}")
-                    sys.exit(1)
+            yield
+        except SystemExit as end:
+            if end.code not in (None, 0):
+                with contextlib.suppress(OmtwarpError):  # what failed first has been said
+                    shown.flush()
                 raise
+            file = streams.output
+            try:
+                shown.send(file.read_bytes() if file is not None and file.exists() else b"")
+            except OmtwarpError as error:
+                say(f"error: {error}")
+                sys.exit(1)
+            raise
         finally:
             _current = before
             shown.end()

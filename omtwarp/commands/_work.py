@@ -44,7 +44,7 @@ def facts_of(result: MapResult, output: Path, report: Path | None = None) -> dic
     errors = [stage.get("largest_area_error") for each in reports for stage in each["stages"]]
     apart = result.cap_centres is None  # not side by side on one sphere
     gaps = [each.get("optimality", {}).get("gap") for each in reports]  # the bound is on squared distances only
-    facts: dict = {"output": str(output), "report": None if report is None else str(report), **_counts(result)}
+    facts: dict = {"output": str(output), "report": None if report is None else str(report), **counts_of(result)}
     facts |= {"bijective": certificate.bijective, "flips": certificate.flips, "degree": last["degree"]}
     return facts | {
         "degree_of_parts": [part["stages"][-1]["degree"] for part in parts] if parts and apart else None,
@@ -57,7 +57,7 @@ def facts_of(result: MapResult, output: Path, report: Path | None = None) -> dic
     }
 
 
-def _counts(result: MapResult) -> dict[str, int]:
+def counts_of(result: MapResult) -> dict[str, int]:
     """Count vertices, faces, copies of vertices along cuts, new ones, and the faces that triangles are parts of."""
     import numpy as np
 
@@ -72,12 +72,8 @@ def _counts(result: MapResult) -> dict[str, int]:
     return counts | {"input_faces": given}
 
 
-def sizes(result: MapResult) -> str:
-    """Return the sizes of a map's mesh in words: those of the input, and what cuts and new vertices added."""
-    return _sizes(_counts(result))
-
-
-def _sizes(counts: Mapping[str, int]) -> str:
+def sizes(counts: Mapping[str, int]) -> str:
+    """Return :func:`counts_of` a map's mesh in words: those of the input, and what cuts and new vertices added."""
     copied, new, faces, given = (counts[k] for k in ("copied_vertices", "new_vertices", "faces", "input_faces"))
     more = [f"{copied} copies along cuts"] * bool(copied) + [f"{new} new ones"] * bool(new)
     line = " and ".join([f"{counts['vertices'] - copied - new} vertices", *more])
@@ -86,7 +82,7 @@ def _sizes(counts: Mapping[str, int]) -> str:
 
 def summary(facts: dict) -> str:
     """Return a line for readers about a finished map and its files."""
-    line = f"{facts['output']}: {_sizes(facts)}; {quality(facts)}"
+    line = f"{facts['output']}: {sizes(facts)}; {quality(facts)}"
     return line if facts["report"] is None else f"{line}; report {facts['report']}"
 
 

@@ -246,8 +246,8 @@ def run_report(
         heading = title or (shown.stem if shown is not None else None)
         omtwarp.write_report(result, target, title=heading, up=up, device=mapping.device, **keywords)
         length = target.stat().st_size
-        facts: dict[str, object] = {"output": str(target), "bytes": length}
-        facts |= {"vertices": len(result.vertices), "faces": len(result.faces)}
+        sizes = {"vertices": len(result.vertices), "faces": len(result.faces)}
+        facts: dict[str, object] = {"output": str(target), "bytes": length, **sizes}
         return facts, f"{target}: a report of {length / 1e6:.1f} MB, to be opened in a browser"
 
     show_each(source.meshes, targets, report_one, printing)

@@ -318,7 +318,7 @@ def run_texture(
         files = made.export(target, keep=inputs, texture_format=picture.texture_format)
         facts: dict[str, object] = {"output": str(target), "files": [str(file) for file in files]}
         facts |= {"vertices": len(result.vertices), "faces": len(result.faces), "pictures": pictures}
-        return facts, f"{target}: {_work.sizes(result)}, {words}{_work.with_files(files)}"
+        return facts, f"{target}: {_work.sizes(_work.counts_of(result))}, {words}{_work.with_files(files)}"
 
     _work.show_each(source.meshes, targets, texture_one, printing)
 
@@ -519,5 +519,5 @@ def run_transfer(
     files = made.export(output, keep=(source, target, map_of_source, map_of_target))
     facts: dict[str, object] = {"output": str(output), "files": [str(file) for file in files], "from": str(source)}
     facts |= {"vertices": len(other.vertices), "faces": len(other.faces)}
-    line = f"{output}: {_work.sizes(other)}, with the texture of {source}{_work.with_files(files)}"
+    line = f"{output}: {_work.sizes(_work.counts_of(other))}, with the texture of {source}{_work.with_files(files)}"
     _work.show_facts(facts, line, printing)
