@@ -66,8 +66,7 @@ def colormap_table(name: str, size: int = 256) -> NDArray[np.uint8]:
         control = np.array([list(bytes.fromhex(color)) for color in _CONTROL_COLORS[base].split()], dtype=float)
         at = np.linspace(0.0, 1.0, size)
         steps = np.linspace(0.0, 1.0, len(control))
-        table = np.column_stack([np.interp(at, steps, control[:, k]) for k in range(3)])
-        table = np.rint(table).astype(np.uint8)
+        table = np.rint(np.column_stack([np.interp(at, steps, control[:, k]) for k in range(3)])).astype(np.uint8)
         return table[::-1].copy() if name.endswith("_r") else table
     try:
         from matplotlib import colormaps

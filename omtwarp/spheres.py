@@ -245,9 +245,8 @@ def freesurfer_icosahedron(level: int) -> tuple[Floats, Ints]:
     )
     for _ in range(level):
         ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
-        keys, first, inverse = np.unique(ends @ [len(points), 1], return_index=True, return_inverse=True)
-        rank = np.empty(len(keys), dtype=np.int64)
-        rank[np.argsort(first)] = np.arange(len(keys))  # in the order in which they are met
+        _, first, inverse = np.unique(ends @ [len(points), 1], return_index=True, return_inverse=True)
+        rank = np.argsort(np.argsort(first))  # in the order in which they are met
         middles = (len(points) + rank[inverse.reshape(-1)]).reshape(-1, 3)
         halved = ends[np.sort(first)]
         points = np.concatenate([points, normalised(points[halved[:, 0]] + points[halved[:, 1]])])

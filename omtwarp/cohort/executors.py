@@ -51,8 +51,7 @@ class Host:
 
     def _attempt(self, job: Job) -> tuple[int, bool]:
         process = self._started()
-        assert process.stdin is not None
-        assert process.stdout is not None
+        assert process.stdin is not None and process.stdout is not None
         overdue = threading.Event()
 
         def end() -> None:

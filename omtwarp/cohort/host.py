@@ -137,7 +137,6 @@ def _peak_memory() -> int:
 
 def main() -> None:
     """Serve jobs until standard input ends."""
-    forks = hasattr(os, "fork")
     answers = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)  # other output must not mix with the answers
     warm = False
@@ -150,7 +149,7 @@ def main() -> None:
             pending += block
         line, pending = pending.split(b"\n", 1)
         job = Job.from_json(line.decode())
-        if not forks or asks_for_cuda(job.options.get("device")):
+        if not hasattr(os, "fork") or asks_for_cuda(job.options.get("device")):
             run_item(job)
             answers.write(json.dumps({"exit": 0, "timeout": False}) + "\n")
             return

@@ -283,9 +283,7 @@ def written_by_omtwarp(path: Path) -> bool:
     Raises:
         OSError: the file cannot be read.
     """
-    if path.is_symlink() or not path.is_file():
-        return False
-    return _recorded(path.parent).get(path.name) == digest_of(path)
+    return not path.is_symlink() and path.is_file() and _recorded(path.parent).get(path.name) == digest_of(path)
 
 
 def _content(path: Path) -> bytes:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.arrays import sent
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, TWO, ZERO, wp
-from omtwarp.mesh.arrays import Floats, Ints, edge_keys, norms
+from omtwarp.mesh.arrays import Floats, Ints, edge_keys, marked, norms
 from omtwarp.mesh.surface import Surface
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -141,16 +141,14 @@ def delaunay_edges(surface: Surface, jumps: NDArray[np.int64] | None = None) -> 
     sides = norms(points[np.roll(faces, -1, axis=1)] - points[faces]).ravel()
     sides = np.maximum(sides, np.finfo(float).eps * sides.max())
     corner = np.arange(count)
-    queued = np.zeros(count, dtype=np.int32)
-    queued[first] = 1
-    origins = sent(faces.flatten(), wp.int32)
+    queued, origins = sent(marked(count, first).astype(np.int32), wp.int32), sent(faces.flatten(), wp.int32)
     following = sent((3 * (corner // 3) + (corner + 1) % 3).astype(np.int32), wp.int32)
     lengths = sent(sides, wp.float64)
     steps = sent((np.roll(jumps, -1, axis=1) - jumps).reshape(-1, 2).astype(np.int32), wp.vec2i)
     flips = wp.zeros(1, dtype=wp.int32, device="cpu")
     # Flips per edge: most flips; scans need 0.1 to 1 an edge
     inputs = [sent(twins, wp.int32), 50 * len(first)]
-    outputs = [origins, following, lengths, steps, sent(first.copy(), wp.int32), sent(queued, wp.int32), flips]
+    outputs = [origins, following, lengths, steps, sent(first.copy(), wp.int32), queued, flips]
     wp.launch(flip_to_delaunay, dim=1, inputs=inputs, outputs=outputs, device="cpu")
     own, after, long = origins.numpy(), following.numpy(), lengths.numpy()
     cotangents = _opposite_cotangents(long, long[after], long[after[after]])

@@ -224,10 +224,9 @@ def _convex(points: Floats, faces: NDArray, flipped: NDArray[np.bool_]) -> Float
     corners = points[faces]
     one, other = np.roll(corners, -1, axis=1) - corners, np.roll(corners, -2, axis=1) - corners
     lengths = norms(one), norms(other)
-    cosine = dots(one, other)
     sine = np.abs(one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0])
     tiny = np.finfo(float).tiny
-    tangent = sine / np.maximum(lengths[0] * lengths[1] + cosine, tiny)  # of half the angle
+    tangent = sine / np.maximum(lengths[0] * lengths[1] + dots(one, other), tiny)  # of half the angle
     weights = np.stack([tangent / np.maximum(length, tiny) for length in lengths])
     weights = np.where(marked(count, faces[flipped])[faces], 1.0, weights)
     rows = np.concatenate([faces.ravel(), faces.ravel()])

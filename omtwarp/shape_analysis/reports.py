@@ -58,8 +58,8 @@ def write_group_report(
         raise OmtwarpError(f"{len(names)} names for {len(study.from_mean)} shapes")
     make_folder(folder)
     given = table_of(labels, covariates)
-    columns = ["id", *given, "from_mean", "scale"]
-    columns += [f"score_{k + 1}" for k in range(len(study.components.deviations))]
+    scores = (f"score_{k + 1}" for k in range(len(study.components.deviations)))
+    columns = ["id", *given, "from_mean", "scale", *scores]
     rows: list[list[str | float]] = []
     for k, name in enumerate(names):
         numbers = [study.from_mean[k], study.alignment.scales[k], *study.components.scores[k]]
