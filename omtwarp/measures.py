@@ -63,7 +63,8 @@ class TargetDensity:
 
     def on_triangles(self, sphere: Floats, faces: Ints) -> Floats:
         """Return the mean density over every spherical triangle, shape [F], exact for plane quadratics."""
-        return 3.0 / 4.0 * self.at(normalised(sphere[faces].sum(axis=1))) + self.at(sphere)[faces].sum(axis=1) / 12.0
+        centres = normalised(sphere[faces].sum(axis=1))
+        return 3.0 / 4.0 * self.at(centres) + self.at(sphere)[faces].sum(axis=1) / 12.0
 
     def goal(self, surface: Surface, sphere: Floats) -> Surface:
         """Give every triangle the area m / ρ that it is to cover where it is now; stages then treat ρ as uniform.

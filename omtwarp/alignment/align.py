@@ -52,7 +52,8 @@ def own_features(points: SpherePoints) -> dict[str, Floats]:
             f"{points.grid.name}: a sphere without its surface has no features of its own: give the surface, or data"
         )
     masses, weights, vertices = points.surface_areas(), sphere_weights(points), in_range(points.vertices)
-    features = {"radius": norms(vertices - masses @ vertices / masses.sum())}
+    centre = masses @ vertices / masses.sum()
+    features = {"radius": norms(vertices - centre)}
     here, there = (np.maximum(areas / areas.sum(), smallest_share) for areas in (masses, weights))
     ratio = np.log(here / there)
     if spread(ratio, weights) > least_area_spread:
@@ -84,7 +85,8 @@ def filled_by_means(features: Mapping[str, Floats], points: SpherePoints) -> dic
     weights, out = sphere_weights(points), {}
     for name, values in features.items():
         known = ~np.isnan(values)
-        out[name] = np.where(known, values, weights @ np.where(known, values, 0.0) / (weights @ known))
+        here = np.where(known, values, 0.0)
+        out[name] = np.where(known, values, weights @ here / (weights @ known))
     return out
 
 

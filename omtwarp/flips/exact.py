@@ -121,7 +121,8 @@ def _common_integers(points: Floats) -> NDArray[np.object_]:
     mantissa, exponent = np.frexp(points)
     exponent = np.where(points == 0.0, exponent.max(initial=0), exponent)
     shift = exponent - exponent.min(axis=1, keepdims=True)
-    return np.ldexp(mantissa, 53).astype(np.int64).astype(object) << shift.astype(object)
+    integers = np.ldexp(mantissa, 53).astype(np.int64).astype(object)
+    return integers << shift.astype(object)
 
 
 SCALE = wp.constant(wp.float64(2.0**40))  # steps of a radian: sums of 10^6 angles fit int64, and a step is 1e-12

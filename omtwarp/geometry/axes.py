@@ -49,7 +49,8 @@ def principal_axes(surface: Surface) -> Axes:
 def _axes_of_moments(surface: Surface) -> Axes:
     corners = surface.scaled_vertices[surface.faces]
     areas = surface.own_areas / surface.own_areas.sum()
-    corners = corners - areas @ (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
+    centre = areas @ (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
+    corners = corners - centre
     sums = corners[:, 0] + corners[:, 1] + corners[:, 2]
     # Integral of x x' over a triangle: area / 12 (sum of p p' + s s'), with s the sum of the corners p.
     second = (corners * areas[:, None, None]).reshape(-1, 3).T @ corners.reshape(-1, 3)
@@ -123,7 +124,8 @@ def fitted_rotation(products: Floats) -> tuple[Floats, float]:
     """Return the rotation R that brings points p nearest to others q, and the largest Σ q·Rp, from Σ p qᵀ [3, 3]."""
     left, values, right = np.linalg.svd(products)
     sign = np.sign(np.linalg.det(left @ right))
-    return (left @ np.diag([1.0, 1.0, sign]) @ right).T, float(values[0] + values[1] + sign * values[2])
+    rotation = (left @ np.diag([1.0, 1.0, sign]) @ right).T
+    return rotation, float(values[0] + values[1] + sign * values[2])
 
 
 def order_by_place(surface: Surface) -> NDArray[np.intp]:

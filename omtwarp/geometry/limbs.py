@@ -62,7 +62,8 @@ def rings(surface: Surface) -> Iterator[Ring]:
         inside = far[start] & far[end]
         kept = _graph(np.ones(int(inside.sum())), start[inside], end[inside], count)
         pieces, piece = connected_components(kept, directed=False)
-        outer = np.where(far[start], start, end)[far[start] != far[end]]
+        crossing = far[start] != far[end]
+        outer = np.where(far[start], start, end)[crossing]
         shares = np.bincount(piece[far], areas[far], minlength=pieces)
         crossings = np.bincount(piece[outer], minlength=pieces)
         for k in np.flatnonzero((shares > least_share) & (shares < 1.0 - least_share)):

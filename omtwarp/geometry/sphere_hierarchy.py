@@ -36,7 +36,8 @@ def icosahedron() -> tuple[Floats, Ints]:
     faces = []
     for i, j, k in combinations(range(len(vertices)), 3):
         if near[i, j] and near[j, k] and near[i, k]:
-            faces.append((i, j, k) if np.linalg.det(vertices[[i, j, k]]) > 0 else (i, k, j))
+            outward = np.linalg.det(vertices[[i, j, k]]) > 0
+            faces.append((i, j, k) if outward else (i, k, j))
     return normalised(vertices), np.array(faces, dtype=np.int32)
 
 

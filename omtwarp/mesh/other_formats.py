@@ -111,7 +111,8 @@ def read_freesurfer_text(data: bytes) -> Triangles:
     """
     numbers = _Numbers(data.partition(b"\n")[2])
     vertices, faces = (int(count) for count in numbers.take(2))
-    return numbers.take(4 * vertices).reshape(-1, 4)[:, :3], numbers.take(4 * faces).reshape(-1, 4)[:, :3], []
+    points = numbers.take(4 * vertices).reshape(-1, 4)[:, :3]
+    return points, numbers.take(4 * faces).reshape(-1, 4)[:, :3], []
 
 
 def read_mni(data: bytes) -> Triangles:

@@ -65,7 +65,8 @@ class Patches:
         """
         triangles = np.flatnonzero(touching(faces, freed))
         corners = faces[triangles]
-        vertices = np.concatenate([np.flatnonzero(freed), np.flatnonzero(marked(len(freed), corners) & ~freed)])
+        beside = marked(len(freed), corners) & ~freed
+        vertices = np.concatenate([np.flatnonzero(freed), np.flatnonzero(beside)])
         local = np.full(len(freed), -1, dtype=np.int32)
         local[vertices] = np.arange(len(vertices), dtype=np.int32)
         own = np.ascontiguousarray(local[corners])

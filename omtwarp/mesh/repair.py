@@ -211,10 +211,11 @@ class _Work:
             self.actions.append(f"dropped {number(others, 'face')} at edges of more than two")
 
     def drop_crumbs(self) -> None:
+        # Parts of at most so many faces are dropped from a surface that may have several: artefacts of scanners.
+        crumbs = 8
         _, labels = Topology(self.faces, len(self.points)).components
         sizes = np.bincount(labels)
-        # Parts of at most eight faces are dropped from a surface that may have several: artefacts of scanners.
-        self.keep((sizes[labels] > 8) | (sizes[labels] == sizes.max()), "in tiny components")
+        self.keep((sizes[labels] > crumbs) | (sizes[labels] == sizes.max()), "in tiny components")
 
     def split_touching_vertices(self) -> None:
         """Give every fan of faces around a vertex a vertex of its own."""

@@ -121,7 +121,8 @@ def uv_sphere(rings: int = 32, segments: int = 64) -> Surface:
     polar = np.pi * np.arange(1, rings + 1) / (rings + 1)
     turn = 2.0 * np.pi * np.arange(segments) / segments
     grid = np.empty((rings, segments, 3))
-    grid[..., :2] = np.sin(polar)[:, None, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)[None]
+    circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    grid[..., :2] = np.sin(polar)[:, None, None] * circle[None]
     grid[..., 2] = np.cos(polar)[:, None]
     return Surface(*_capped_grid(grid, np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0])))
 
@@ -238,7 +239,8 @@ def tube(
 
     turn = 2.0 * np.pi * np.arange(segments) / segments
     x = across[:, None] * np.cos(turn)
-    grid = np.stack([x, across[:, None] * np.sin(turn), np.broadcast_to(axial[:, None], x.shape)], axis=2)
+    y = across[:, None] * np.sin(turn)
+    grid = np.stack([x, y, np.broadcast_to(axial[:, None], x.shape)], axis=2)
     ends = np.array([[0.0, 0.0, -radius], [0.0, 0.0, length + radius * taper]])
     vertices, faces = _capped_grid(grid, ends[1], ends[0], flip=True)
     return Surface(_bend(vertices, bend / length, length), faces)
@@ -522,7 +524,8 @@ def flip_edges(surface: Surface, rounds: int = 10, seed: int = 0) -> Surface:
         best = np.full(len(points), -1)
         for vertex in (a, b, c, d):
             np.maximum.at(best, vertex[allowed], priority)
-        chosen = allowed[np.all([best[vertex[allowed]] == priority for vertex in (a, b, c, d)], axis=0)]
+        alone = np.all([best[vertex[allowed]] == priority for vertex in (a, b, c, d)], axis=0)
+        chosen = allowed[alone]
         faces[face[chosen]] = np.stack([c, d, b], axis=1)[chosen]
         faces[other[chosen]] = np.stack([c, a, d], axis=1)[chosen]
     return Surface(points, faces)

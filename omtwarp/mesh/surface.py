@@ -339,7 +339,8 @@ def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
     # Squares stay in range at any scale.
     scaled = (vertices - low) / max(float((high - low).max()), np.finfo(float).tiny)
     p0, p1, p2 = (scaled[faces[:, k]] for k in range(3))
-    return arrays.normalised(arrays.summed(np.repeat(cross(p1 - p0, p2 - p0), 3, axis=0), faces.ravel(), len(vertices)))
+    weighted = cross(p1 - p0, p2 - p0)
+    return arrays.normalised(arrays.summed(np.repeat(weighted, 3, axis=0), faces.ravel(), len(vertices)))
 
 
 def unit_normals(normals: Floats) -> Floats:

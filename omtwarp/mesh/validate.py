@@ -371,10 +371,11 @@ class Topology:
         straight = np.stack([first, second + count * clash], axis=1)
         turned = np.stack([first + count, second + count * ~clash], axis=1)
         _, labels = components_of(2 * count, np.concatenate([straight, turned]))
+        orientable = bool((labels[:count] != labels[count:]).all())
         pieces, piece = components_of(count, np.stack([first, second], axis=1))
         leader = np.full(pieces, count)
         np.minimum.at(leader, piece, np.arange(count))
-        return bool((labels[:count] != labels[count:]).all()), labels[:count] != labels[leader[piece]]
+        return orientable, labels[:count] != labels[leader[piece]]
 
     @cached_property
     def holes(self) -> tuple[int, int, int]:
@@ -399,7 +400,8 @@ class Topology:
 
         Source: D. Eppstein, Dynamic generators of topologically embedded graphs, 2003 (tree-cotree decomposition).
         """
-        inner = np.flatnonzero((self.edge_face_count == 2) & ~spanning_forest(self.vertex_count, self.edges))
+        in_tree = spanning_forest(self.vertex_count, self.edges)
+        inner = np.flatnonzero((self.edge_face_count == 2) & ~in_tree)
         faces_of = np.full((len(self.edges), 2), -1)
         faces_of[self._half_edge_edge[self._pairs[:, 0]]] = self._pairs // 3
         left = inner[~spanning_forest(len(self.faces), faces_of[inner])]

@@ -44,10 +44,11 @@ def label_surfaces(data: bytes, suffix: str, rounds: int = ROUNDS) -> tuple[Floa
         OmtwarpError: no volume of three dimensions, numbers that are not labels, or no label but 0.
         Exception: what nibabel or Pillow raises on a damaged file.
     """
+    # Labels of a volume: more are grey values
+    most_labels = 1000
     volume, affine = _volume(data, suffix)
     labels = np.unique(volume)
-    # More than a thousand are grey values.
-    if not np.isfinite(labels).all() or (labels != np.floor(labels)).any() or len(labels) > 1000:
+    if not np.isfinite(labels).all() or (labels != np.floor(labels)).any() or len(labels) > most_labels:
         raise OmtwarpError("a volume of grey values, not of labels: segment it first, and save the labels")
     labels = labels[labels != 0]
     if not len(labels):

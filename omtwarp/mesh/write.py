@@ -63,12 +63,15 @@ def write_mesh(
             write_vtk(place, points, triangles, beside)
         elif suffix == ".ply":
             place.write_bytes(ply_bytes(points, triangles, (beside or {}).items()))
-        elif suffix in (".obj", ".off"):
-            off = f"OFF\n{len(points)} {len(triangles)} 0\n", "", "3 ", 0
-            head, vertex, face, first = off if suffix == ".off" else ("", "v ", "f ", 1)
-            rows = [f"{vertex}{x!r} {y!r} {z!r}\n" for x, y, z in points.tolist()]
-            rows += [f"{face}{a} {b} {c}\n" for a, b, c in (triangles + first).tolist()]
-            place.write_text(head + "".join(rows), "ascii")
+        elif suffix == ".obj":
+            rows = [f"v {x!r} {y!r} {z!r}\n" for x, y, z in points.tolist()]
+            rows += [f"f {a} {b} {c}\n" for a, b, c in (triangles + 1).tolist()]
+            place.write_text("".join(rows), "ascii")
+        elif suffix == ".off":
+            rows = [f"OFF\n{len(points)} {len(triangles)} 0\n"]
+            rows += [f"{x!r} {y!r} {z!r}\n" for x, y, z in points.tolist()]
+            rows += [f"3 {a} {b} {c}\n" for a, b, c in triangles.tolist()]
+            place.write_text("".join(rows), "ascii")
         elif suffix == ".glb":
             content = GltfFile()
             content.add_triangles(triangles, {"POSITION": in_single_precision(points, triangles, "vertices")})

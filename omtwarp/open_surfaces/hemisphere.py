@@ -45,7 +45,8 @@ def symmetrised(double: Double, turned: Floats) -> Floats:
         turned: a map whose plane of symmetry is nearly the equator's, shape [W, 3].
     """
     # The sum of two numbers has the same bits in either order, so that mirror images agree exactly.
-    means = turned + turned[double.mirror] * ACROSS
+    mirrored = turned[double.mirror] * ACROSS
+    means = turned + mirrored
     means[double.on_boundary, 2] = 0.0
     return normalised(means)
 

@@ -124,7 +124,8 @@ class Matching:
             products = np.einsum("p,pi,pj->ij", weight, pairs.points, pairs.places)
             # Of Σ w |R p - q|² = 2 Σ w - 2 tr(R Σ w p qᵀ), R from the frame here, turned, to the frame there
             inner = self._frames[point].T @ products @ self._place_frames
-            costs[point] += 2.0 * (weight.sum() - np.einsum("tij,lji->lt", _turns(), inner))
+            traces = np.einsum("tij,lji->lt", _turns(), inner)
+            costs[point] += 2.0 * (weight.sum() - traces)
 
     def _rotations(self, choice: Whole) -> Singles:
         """Return the rotations of choices, place times TURNS plus turn, shape [N, C], as [N, C, 3, 3]."""
@@ -208,7 +209,8 @@ class Matching:
 
 def _frames(points: Floats) -> Floats:
     """Return two tangents and the normal at unit vectors, as columns, shape [P, 3, 3]."""
-    along = normalised(cross(np.where(np.abs(points[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]]), points))
+    across = np.where(np.abs(points[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    along = normalised(cross(across, points))
     return np.stack([along, cross(points, along), points], axis=2)
 
 

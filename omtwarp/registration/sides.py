@@ -54,7 +54,8 @@ class Side:
         They are in no filled hole, nor where there is no number.
         """
         values = resample(self.points, places, device="cpu")
-        carried = values.apply(np.column_stack(list(self.features.values()))[: values.matrix.shape[1]])
+        columns = np.column_stack(list(self.features.values()))
+        carried = values.apply(columns[: values.matrix.shape[1]])
         return carried, ~values.empty & np.isfinite(carried).all(axis=1)
 
     @functools.cached_property

@@ -203,7 +203,8 @@ class _Studio:
                     seen[time] = picture.astype(np.int16)
 
         def swept(earlier: float, later: float) -> float:
-            return float(np.minimum(np.abs(seen[later] - seen[earlier]).max(axis=2) / (255.0 * edge), 1.0).mean())
+            change = np.abs(seen[later] - seen[earlier]).max(axis=2) / (255.0 * edge)
+            return float(np.minimum(change, 1.0).mean())
 
         look([float(time) for time in np.linspace(first, last, 9)])
         for level in range(most_halvings):

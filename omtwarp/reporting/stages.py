@@ -46,7 +46,8 @@ def shown_report(result: MapResult) -> MapReport:
 
 def shown_history(result: MapResult) -> list[Record]:
     """Take from a result's history the iterations whose cost is known."""
-    return [entry for entry in cast(list[Record], _fitting(result.history, HISTORY) or []) if "cost" in entry]
+    fitting = cast(list[Record], _fitting(result.history, HISTORY) or [])
+    return [entry for entry in fitting if "cost" in entry]
 
 
 def _fitting(value: object, shape: object) -> object:

@@ -75,7 +75,8 @@ def average_sphere(name: str) -> SphereGrid:
     spheres = (_TABLES["spheres"][which] for which in ("own", "of_fsaverage"))
     own, theirs = (read_mesh(_require(name, names, "sphere")) for names in spheres)
     moved, grid = mesh_grid(theirs.vertices, theirs.faces, name), named_grid("fsaverage")
-    there = Locator(moved.points, moved.triangles, device="cpu").find(mesh_grid(own.vertices, own.faces, name).points)
+    unit = mesh_grid(own.vertices, own.faces, name)
+    there = Locator(moved.points, moved.triangles, device="cpu").find(unit.points)
     return mesh_grid(there.on_sphere(moved.triangles, grid.points), own.faces, name)
 
 

@@ -179,7 +179,8 @@ class Equirectangular(Atlas):
         return np.stack([u, v], axis=-1)
 
     def uv_directions(self, uv: Floats, chart: NDArray) -> Floats:
-        return direction_from_angles((uv[..., 0] - 0.5) * 2.0 * np.pi + (self.seam - np.pi), (uv[..., 1] - 0.5) * np.pi)
+        lon = (uv[..., 0] - 0.5) * 2.0 * np.pi + (self.seam - np.pi)
+        return direction_from_angles(lon, (uv[..., 1] - 0.5) * np.pi)
 
 
 def angles_from_middle(corners: Floats, chart: NDArray) -> Floats:

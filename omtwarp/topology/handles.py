@@ -237,7 +237,8 @@ class _LoopGraph:
         _, before = csgraph.breadth_first_order(links, 0, directed=False)
         upwards = np.full(size, -1, dtype=np.int64)
         one, other = self.dual[cotree].T
-        upwards[np.where(before[other] == one, other, one)] = cotree
+        down = before[other] == one
+        upwards[np.where(down, other, one)] = cotree
         for number, edge in enumerate(self._left.tolist()):
             word, bit = number // 64, np.uint64(1) << np.uint64(number % 64)
             crossed[edge, word] ^= bit

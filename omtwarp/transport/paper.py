@@ -223,7 +223,8 @@ class PaperFlow:
             sent(normalised((weights * places[surface.faces]).sum(axis=1)), wp.vec3d, self.device)
             for places in (start, sphere)
         )
-        self._correction = sent(sphere - self.operators.interpolate_dual(self.dual_map).numpy(), wp.vec3d, self.device)
+        interpolated = self.operators.interpolate_dual(self.dual_map).numpy()
+        self._correction = sent(sphere - interpolated, wp.vec3d, self.device)
         self.map = self._at_vertices(self.dual_map)
 
         sine = norms(cross(self._points.numpy(), self.dual_map.numpy()))
