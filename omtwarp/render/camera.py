@@ -153,9 +153,8 @@ def camera_axes(camera: Camera, up: str = "y", front: str | None = None) -> Floa
     forward = axis_vector(front or DEFAULT_FRONT[up[-1].lower()])
     if abs(upward @ forward) > 0.5:
         raise OmtwarpError(f"the upward axis '{up}' and the front axis '{front}' must be different axes")
-    right = cross(upward, forward)
     azimuth, elevation, roll = np.radians([camera.azimuth, camera.elevation, camera.roll])
-    level = np.cos(azimuth) * forward + np.sin(azimuth) * right
+    level = np.cos(azimuth) * forward + np.sin(azimuth) * cross(upward, forward)
     backward = np.cos(elevation) * level + np.sin(elevation) * upward
     # The derivative of `backward` along the meridian: it stays defined straight above and below.
     above = np.cos(elevation) * upward - np.sin(elevation) * level

@@ -365,9 +365,6 @@ def draw(job: RenderJob, device: str = "auto") -> list[Bytes]:
     Raises:
         OmtwarpError: unknown device.
     """
-    # The footprint of the first pass, in pixels: only smooth areas keep its result, where a sharper filter cannot
-    # alias.
-    first_spacing = 0.75
     where = resolve_device(device)
     together = job.parts[:1] if job.one_each else job.parts
     shape, mesh = _geometry(together, where)
@@ -382,7 +379,8 @@ def draw(job: RenderJob, device: str = "auto") -> list[Bytes]:
             shape, mesh = _geometry(job.parts[k : k + 1], where)
         inputs = [_view(shot, job.width, job.height), shape, pictures, look]
         colors = wp.empty((job.height, job.width), dtype=wp.vec4, device=where)
-        _draw_pixels(np.arange(job.height * job.width), 1, first_spacing, inputs, colors)
+        # With a footprint of 0.75 pixels: only smooth areas keep the result, where a sharper filter cannot alias.
+        _draw_pixels(np.arange(job.height * job.width), 1, 0.75, inputs, colors)
         # More samples matter beside an edge: a step of 6/255 is the smallest that is visible as a jagged one.
         first, around = colors.numpy(), {"size": (3, 3, 1), "mode": "nearest"}
         steps = np.maximum(maximum_filter(first, **around) - first, first - minimum_filter(first, **around))

@@ -397,7 +397,6 @@ def _build_part(view: SurfaceView, edges: bool = False, whole: SurfaceView | Non
 
 def _look_of(view: SurfaceView) -> Appearance:
     """Return the appearance of a surface without materials: its image, its scalar, its colours, or one colour."""
-    clay = (0.80, 0.79, 0.77)  # sRGB of surfaces without any colour of their own
     outside = 1e-6  # of a picture's height: coordinates that exceed it by less are rounded, not repeated
     if view.image is not None:
         picture = cast(Bytes, view.image)  # as the view itself has made it
@@ -413,7 +412,7 @@ def _look_of(view: SurfaceView) -> Appearance:
         return Appearance(kind="uv", value=value, image=image, repeat=False, mipmaps=False)
     if view.colors is not None:
         return Appearance(kind="color", value=np.asarray(view.colors))
-    color = parse_color(clay if view.color is None else view.color)
+    color = parse_color((0.80, 0.79, 0.77) if view.color is None else view.color)  # clay, in sRGB
     return Appearance(kind="color", value=np.broadcast_to(color, (len(_arrays(view)[0]), 3)))
 
 

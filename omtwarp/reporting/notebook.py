@@ -34,13 +34,12 @@ def notebook_view(result: MapResult) -> str:
     Args:
         result: a map to the sphere, or any other map of a surface, of which there is the picture alone.
     """
-    still = (640, 360)
     height = 460  # pixels of the view
     caption = html("<p style='margin:.3em 0;font-size:90%'>{}</p>", repr(result))
     if is_torus_map(result):
         return str(html('<div><img alt="{}" src="{}">{}</div>', repr(result), data_uri(plot(result), "webp"), caption))
     stages = stages_of(result)
-    poster = data_uri(plot(result, transparent=True, size=still, camera=Camera(margin=0.03)), "webp")
+    poster = data_uri(plot(result, transparent=True, size=(640, 360), camera=Camera(margin=0.03)), "webp")
     # A notebook holds all of its outputs: the surface is simplified above this many triangles, and its texture has this
     # many texels along each of six faces.
     most_faces, face_texels = 20_000, 256

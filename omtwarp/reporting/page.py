@@ -120,7 +120,6 @@ def report_page(
         certificate = sections.certificate(report, scene.faces, stages[-1], filled is not None)
         lead = _lead(result, report, stages[-1])
     colouring = "Picture" if image is not None else pattern.capitalize()
-    carried = f"{shown} carried to the surface by the final map"
     figures, distributions = sections.figures(stages, report), sections.distributions(stages)
     return views.page_with_view(
         "page.html",
@@ -129,7 +128,7 @@ def report_page(
         version=report.get("versions", {}).get("omtwarp", ""),
         lead=lead,
         verdict=views.verdict(result.certificate.bijective, result.certificate.flips),
-        view=views.viewer_section(stages, poster, carried, colouring),
+        view=views.viewer_section(stages, poster, f"{shown} carried to the surface by the final map", colouring),
         sections=join([figures, drawn, distributions, cost, sections.stage_table(stages, report), certificate], "\n"),
         versions=", ".join(f"{name} {value}" for name, value in report.get("versions", {}).items()) or "omtwarp",
     )

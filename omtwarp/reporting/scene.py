@@ -186,9 +186,8 @@ def domain_places(
     own = np.zeros(len(stage.sphere), dtype=np.intp)
     own[faces] = stage.number[:, None]
     own = own[used]
-    points = stage.sphere[used]
     seen, kind = camera_axes(Camera(azimuth=AZIMUTH, elevation=ELEVATION)), stage.domain.rstrip("s")
-    matrices, shifts = fits_of(placed, points, triangles, own[triangles[:, 0]], kind, seen)
+    matrices, shifts = fits_of(placed, stage.sphere[used], triangles, own[triangles[:, 0]], kind, seen)
     return np.column_stack([shifts, norms(matrices[:, 0])])[own].astype(np.float32)
 
 

@@ -117,14 +117,13 @@ def _among_neighbours(values: Floats, normals: Floats) -> Floats:
         values: shape [H, W].
         normals: unit vectors, shape [H, W, 3]; zero where a texel has no value.
     """
-    # Cosine of 25 degrees: edges that are sharper stay so
-    same = 0.9
     height, width = values.shape
     around, about = np.pad(values, 1), np.pad(normals, ((1, 1), (1, 1), (0, 0)))
     total, count = np.zeros(values.shape), np.zeros(values.shape)
     for row, column in np.ndindex(3, 3):
         window = np.s_[row : row + height, column : column + width]
-        alike = np.einsum("hwc,hwc->hw", normals, about[window]) > same
+        # Cosine of 25 degrees: edges that are sharper stay so
+        alike = np.einsum("hwc,hwc->hw", normals, about[window]) > 0.9
         total += np.where(alike, around[window], 0.0)
         count += alike
     return total / np.maximum(count, 1.0)

@@ -492,10 +492,9 @@ def tiled_copies(uv: Floats) -> tuple[NDArray[np.int64], Floats]:
 
 def overlap(uv: Floats, width: int, height: int, where: wp.Device) -> float:
     """Return the share of the covered texels that lie in more than one triangle, from 0 to 1."""
-    # Texels by which a centre lies inside a triangle for certain: neighbours share their sides to round-off.
-    inside = 0.02
     corners = (in_texels(some, width, height, where) for some in (uv, uv[::-1]))
-    first, last = (claimed(some, width, height, -inside, where) for some in corners)
+    # Texels by which a centre lies inside a triangle for certain: neighbours share their sides to round-off
+    first, last = (claimed(some, width, height, -0.02, where) for some in corners)
     covered_texels = first != NOBODY
     return float((covered_texels & (first != len(uv) - 1 - last)).sum() / max(covered_texels.sum(), 1))
 

@@ -53,10 +53,9 @@ def image_density(image: PictureLike, floor: float = 0.0) -> TargetDensity:
 
     def density(points: Floats) -> Floats:
         u, v = direction_to_image(points).T
-        places = [(1.0 - v) * height + 0.5, u * width + 0.5]
         from scipy.ndimage import map_coordinates  # takes a tenth of a second to import
 
-        return map_coordinates(padded, places, order=1, mode="nearest")
+        return map_coordinates(padded, [(1.0 - v) * height + 0.5, u * width + 0.5], order=1, mode="nearest")
 
     return TargetDensity(density, floor)
 

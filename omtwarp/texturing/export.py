@@ -248,10 +248,9 @@ def split_corners(faces: Ints, values: Floats, count: int) -> tuple[Ints, Ints, 
     number[more] = count + np.arange(np.count_nonzero(more))
     rows = vertex.astype(np.int32)
     rows[order] = number[np.cumsum(new) - 1]
-    of_row = np.concatenate([np.arange(count), owner[more]]).astype(np.int32)
     at = np.concatenate([at, each[new][more]])
     at[number] = each[new]
-    return rows.reshape(-1, 3), of_row, at
+    return rows.reshape(-1, 3), np.concatenate([np.arange(count), owner[more]]).astype(np.int32), at
 
 
 def export(
@@ -358,9 +357,8 @@ def obj_files(model: Model, place: Path, kept: tuple[Path | None, ...]) -> list[
     alone = len({id(picture) for _, _, picture, _ in drawn}) == 1
     # Without spaces and comments, at which readers of these files end a name
     names = _distinct([re.sub(r"[\s#\x00-\x1f]+", "_", part.material.name).strip("_") for part in parts])
-    of_files = _distinct(
-        [re.sub(r"[^A-Za-z0-9._-]+", "_", part.material.name).strip("._") for part in parts], str.lower
-    )
+    safe = [re.sub(r"[^A-Za-z0-9._-]+", "_", part.material.name).strip("._") for part in parts]
+    of_files = _distinct(safe, str.lower)
     written: dict[int, tuple[Path, bytes]] = {}
     for number, _, picture, ending in drawn:
         if id(picture) not in written:

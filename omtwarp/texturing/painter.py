@@ -283,11 +283,11 @@ class _Painting:
             color = None if draw is None else pictures.with_opacity(draw(which[mine], tiled[mine], extent))
             doubled = max(doubled, baking.overlap(tiled[mine], *extent, self.where))
             target = bakes.Target(self.vertices, self.faces, tiled[mine], which[mine], None, extent, self.where)
-            at = None if tangents is None else tangents[which[mine]]
             if color is not None and self.keep is not None:
                 inside = baking.covered(tiled[mine], extent, device=self.where)[..., None]
                 base = self._base(color, mesh, which[mine], tiled[mine], material, extent)
                 color = np.where(inside, self._together(color, base), base)
+            at = None if tangents is None else tangents[which[mine]]
             materials.append(self._finish(material, color, target, at))
         if doubled > 0.002:  # rounding gives less
             text = (
@@ -300,8 +300,6 @@ class _Painting:
 
     def _drawn(self) -> Callable[[NDArray, Floats, tuple[int, int]], Picture]:
         """Return what draws the pattern on triangles, shape [T], with coordinates [T, 3, 2], on a picture of a size."""
-        # Triangles up to which a mesh is divided for smooth lines; those of larger meshes are small on the picture.
-        most_divided = 400_000
         if self.torus is not None:
             own, shown = self.torus.corners, Material(picture=self._textured(self.torus, None).image)
 
@@ -312,7 +310,8 @@ class _Painting:
 
             return on_torus
         turn = pictures.rotation_matrix(cast(ArrayLike | None, self.rotate))
-        parts = next((n for n in (4, 2) if n * n * len(self.faces) <= most_divided), 1)
+        # Most triangles that a mesh is divided into for smooth lines; those of larger meshes are small on the picture
+        parts = next((n for n in (4, 2) if n * n * len(self.faces) <= 400_000), 1)
         smooth = smooth_map(self.vertices, self.faces, self.sphere, parts)
 
         def on_sphere(which: NDArray, uv: Floats, size: tuple[int, int]) -> Picture:

@@ -90,12 +90,11 @@ def _face_charts(mesh: "CutMesh", atlas: Atlas, which: NDArray | slice = slice(N
 
 def _refine(mesh: "CutMesh", atlas: Atlas) -> None:
     """Divide triangles until texture coordinates are linear over each to within a third of a texel."""
-    most_passes = 24
     # Faces that are added to four times the mesh's, at most: room for coarse meshes, while a folded or collapsed map is
     # not refined without end.
     limit = 4 * len(mesh.faces) + 100_000
     fresh = np.ones(len(mesh.faces), dtype=bool)
-    for _ in range(most_passes):
+    for _ in range(24):  # passes at the most
         which = np.flatnonzero(fresh)
         points = mesh.points[mesh.faces[which]]
         chart = _face_charts(mesh, atlas, which)

@@ -199,11 +199,10 @@ def pack_rows(sizes: Floats, width: float, margin: float, least: Floats | float 
     .. [1] E. G. Coffman, M. R. Garey, D. S. Johnson and R. E. Tarjan, "Performance bounds for level-oriented
        two-dimensional packing algorithms", SIAM J. Comput. 9 (1980).
     """
-    halvings = 40  # of the interval of scales, which is then known to rounding
     low, high = 0.0, float((np.array([width, 1.0]) / np.maximum(sizes.max(axis=0), TINY)).min())
     fitted = _rows(np.maximum(high * sizes, least), width, margin)
     low = high if fitted is not None else low
-    for _ in range(halvings if fitted is None else 0):
+    for _ in range(40 if fitted is None else 0):  # halvings of the interval, which is then known to rounding
         middle = 0.5 * (low + high)
         placed = _rows(np.maximum(middle * sizes, least), width, margin)
         if placed is None:

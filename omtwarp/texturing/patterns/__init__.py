@@ -100,9 +100,8 @@ class Pattern(ValueSource):
             The reach of every direction, float64, shape [N]: an angle in radians within which there is no edge.
         """
         device = directions.device
-        inputs = self._inputs(device)
         reach = wp.empty(len(directions), dtype=wp.float64, device=device)
-        launch_parts(self._kernel, len(directions), [Each(directions), *inputs], each(out, reach), device)
+        launch_parts(self._kernel, len(directions), [Each(directions), *self._inputs(device)], each(out, reach), device)
         return reach
 
     _kernel: wp.Kernel
