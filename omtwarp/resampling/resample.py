@@ -444,8 +444,8 @@ def resample(
     chosen = choose(Interpolation, method)
     here, there = as_points(source, "the source"), as_points(target, "the target")
     if chosen is not Interpolation.ADAPTIVE:
-        ways = {"nearest": nearest, "conservative": conservative, "barycentric": barycentric}
-        matrix = ways[chosen](here.grid, there.grid, device)
+        others = {Interpolation.NEAREST: nearest, Interpolation.CONSERVATIVE: conservative}
+        matrix = others.get(chosen, barycentric)(here.grid, there.grid, device)
     else:
         # Source points in a filled hole of the target give their area to what is there, not to the hole's rim.
         given = here.surface_areas() if source_areas is None else _areas(source_areas, here, "source")
