@@ -8,7 +8,8 @@ whose last block makes it a step of the augmented Lagrangian method with penalty
 Optimization", chapter 17): q is added to the multipliers, and u lowers L + μ / 24π Σ (a_v - 3m_v)² / 3m_v. A step that
 does not is corrected where areas alone keep it from that, or else halved; areas that a whole step leaves in error are
 corrected too. After each step the few vertices that have the most to gain take steps of their own
-(:mod:`omtwarp.optimal.local`). The minimisation ends with the step that was expected to gain next to nothing.
+(:mod:`omtwarp.optimal.local`). The minimisation ends with the step that was expected to gain next to nothing, or with
+the one before, where that is foreseen.
 """
 
 from __future__ import annotations
