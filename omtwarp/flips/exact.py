@@ -111,8 +111,11 @@ def exact_signs(a: Floats, b: Floats, c: Floats) -> NDArray[np.int8]:
     if len(a) == 0:
         return np.zeros(0, dtype=np.int8)
     ia, ib, ic = (_common_integers(x) for x in (a, b, c))
-    minors = (ib[:, k - 2] * ic[:, k - 1] - ib[:, k - 1] * ic[:, k - 2] for k in range(3))
-    value = np.asarray(sum(ia[:, k] * minor for k, minor in enumerate(minors)))
+    value = (
+        ia[:, 0] * (ib[:, 1] * ic[:, 2] - ib[:, 2] * ic[:, 1])
+        + ia[:, 1] * (ib[:, 2] * ic[:, 0] - ib[:, 0] * ic[:, 2])
+        + ia[:, 2] * (ib[:, 0] * ic[:, 1] - ib[:, 1] * ic[:, 0])
+    )
     return (value > 0).astype(np.int8) - (value < 0).astype(np.int8)
 
 

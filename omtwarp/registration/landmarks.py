@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omtwarp.errors import OmtwarpError
+from omtwarp.errors import OmtwarpError, naming
 from omtwarp.files.inputs import table_rows, table_text
 from omtwarp.location import Locator
 from omtwarp.mesh.arrays import TINY, Floats, listed, normalised, norms, real_number, real_numbers, whole_numbers
@@ -235,22 +235,21 @@ def read_landmarks(path: str | os.PathLike[str]) -> list[Landmark]:
     text = table_text(path, 2**24, "a table of landmarks (.csv, .tsv)")
     _, rows = table_rows(text, f"'{path}'", "\t" if Path(path).suffix.lower() == ".tsv" else ",", "label", "side")
     for line, row in rows:
-        label, side = (row["label"] or "").strip(), (row["side"] or "").strip()
-        if side not in SIDES:
-            raise OmtwarpError(f"'{path}', line {line}: the side is '{side}': use {' or '.join(SIDES)}")
-        try:
-            vertex = (row.get("vertex") or "").strip()
-            place = [float(int(vertex))] if vertex else [float(row.get(axis) or "") for axis in "xyz"]
-            weight = (row.get("weight") or "").strip()
-            number = np.inf if weight == "exact" else float(weight or "nan")
-        except ValueError:
-            words = "give a vertex, or x, y and z, and a weight or 'exact'"
-            raise OmtwarpError(f"'{path}', line {line}: {words}") from None
-        name = f"'{path}', line {line}: weight of '{label}'"
-        before = weights.setdefault(label, _positive(number, name)) if weight else number
-        if before is not number and before != number:
-            raise OmtwarpError(f"'{path}', line {line}: landmark '{label}' has another weight in a line before")
-        places.setdefault(label, {name: [] for name in SIDES})[side].append(place)
+        with naming(f"'{path}', line {line}"):
+            label, side = (row["label"] or "").strip(), (row["side"] or "").strip()
+            if side not in SIDES:
+                raise OmtwarpError(f"the side is '{side}': use {' or '.join(SIDES)}")
+            try:
+                vertex = (row.get("vertex") or "").strip()
+                place = [float(int(vertex))] if vertex else [float(row.get(axis) or "") for axis in "xyz"]
+                weight = (row.get("weight") or "").strip()
+                number = np.inf if weight == "exact" else float(weight or "nan")
+            except ValueError:
+                raise OmtwarpError("give a vertex, or x, y and z, and a weight or 'exact'") from None
+            before = weights.setdefault(label, _positive(number, f"weight of '{label}'")) if weight else number
+            if before is not number and before != number:
+                raise OmtwarpError(f"landmark '{label}' has another weight in a line before")
+            places.setdefault(label, {name: [] for name in SIDES})[side].append(place)
     return [_landmark(path, label, sides, weights) for label, sides in places.items()]
 
 

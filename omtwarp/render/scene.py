@@ -308,7 +308,8 @@ def weld(vertices: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Number the distinct places: the place of every vertex [V], and one vertex of every place."""
     order = np.lexsort(vertices.T)
     ordered = vertices[order]
-    new = np.append(True, (ordered[1:] != ordered[:-1]).any(axis=1))[: len(ordered)]
+    new = np.ones(len(vertices), dtype=bool)
+    new[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
     group = np.empty(len(vertices), dtype=np.intp)
     group[order] = np.cumsum(new) - 1
     return group, order[new]

@@ -182,9 +182,8 @@ def figures(stages: Sequence[Stage], report: MapReport) -> Markup:
     first, last = stages[0], stages[-1]
     known = (stage.record.get("transport_cost") for stage in reversed(stages))
     cost = next((cost for cost in known if cost is not None), None)  # disks and caps are made of optimal maps
-    figures = [
-        ("Flipped triangles", f"{last.distortion.flips:,}", f"of {len(last.distortion.triple):,}; {_cover(last)}")
-    ]
+    covered = f"of {len(last.distortion.triple):,}; {_cover(last)}"
+    figures = [("Flipped triangles", f"{last.distortion.flips:,}", covered)]
     for name in ("area", "angle"):
         before, after = (_number(getattr(stage.distortion, name)["surface"]) for stage in (first, last))
         figures.append((f"{name.capitalize()} distortion", after, f"2 is perfect; {first.label.lower()} {before}"))

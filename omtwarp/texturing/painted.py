@@ -341,9 +341,8 @@ class PaintedMesh:
             return Part(material, corners, used, belongs=belongs)
         values = self.uv[of_it]
         if material.normal_picture is not None and material.own_tangents:
-            values = np.concatenate(
-                [values, corner_tangents(self.vertices, self.faces[of_it], values, normals)], axis=2
-            )
+            tangents = corner_tangents(self.vertices, self.faces[of_it], values, normals)
+            values = np.concatenate([values, tangents], axis=2)
         rows, vertex, values = split_corners(corners, values, len(used))
         turned = values[:, 2:] if values.shape[1] > 2 else None
         return Part(material, rows, used[vertex], values[:, :2], turned, belongs)
