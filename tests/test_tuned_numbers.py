@@ -97,7 +97,8 @@ OTHERS = {
         "moser.py": "parts",
         "solvers/cholesky/dissection.py": "MAX_LEAF_VERTICES CUT_WINDOW MIN_REFINED BAND_RINGS",
         "solvers/cholesky/envelope.py": "COLUMNS smoothings",
-        "solvers/cholesky/multifrontal.py": "MIN_PARALLEL_OPERATIONS MIN_LIMITED_OPERATIONS BRANCHES_PER_THREAD",
+        "solvers/cholesky/multifrontal.py": "MIN_PARALLEL_OPERATIONS MIN_SHARED_NUMBERS MIN_LIMITED_OPERATIONS"
+        " BRANCHES_PER_THREAD",
         "solvers/cholesky/saddle.py": "UNKNOWNS COORDINATES",
         "optimal/local.py": "MIN_SHARED_TRIANGLES BLOCK",
         "start/decimation.py": "MAX_VALENCE INSIDE RIM POLE",

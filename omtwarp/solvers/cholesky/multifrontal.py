@@ -45,6 +45,7 @@ def routine(name: str) -> int:
 
 # Total operations below which a second thread costs more than it saves.
 MIN_PARALLEL_OPERATIONS = 1e7
+MIN_SHARED_NUMBERS = 1e6  # of a factor below which the same holds for its solves
 # Total operations from which on setting a library's number of threads takes no time that counts.
 MIN_LIMITED_OPERATIONS = 5e7
 # Branches of the tree for every thread: with several of them their work evens out.
@@ -99,13 +100,17 @@ class MultifrontalCholesky(Factor[MeshMatrix, Floats]):
         self._carried = workspace or Workspace()
         self._x = np.empty((0, dissection.vertex_count, block))  # right-hand sides and solutions, in the order
         self._negative_places = self._find_negative() if negative is not None else None
-        # What is launched at once: the jobs, the pieces of the trunk's depths, and for solves all of the trunk.
+        # What is launched at once: the jobs, the pieces of the trunk's depths, and for solves all of the trunk, or of a
+        # small factor everything.
         pieces = [np.array_split(fronts, min(self.threads, len(fronts))) for fronts in self._trunk]
-        trunk = [np.concatenate(self._trunk)] if self._trunk else []
-        groups = [*self._jobs, *(piece for depth in pieces for piece in depth), *trunk]
+        branches, trunk = self._jobs, [np.concatenate(self._trunk)] if self._trunk else []
+        if self._factor_length < MIN_SHARED_NUMBERS:
+            branches, trunk = [dissection.postorder.astype(np.int32)], []
+        groups = [*self._jobs, *(piece for depth in pieces for piece in depth), *branches, *trunk]
         numbers = iter(range(len(groups)))
         self._of_jobs = [next(numbers) for _ in self._jobs]
         self._of_depths = [[next(numbers) for _ in depth] for depth in pieces]
+        self._of_branches = [next(numbers) for _ in branches]
         self._of_trunk = list(numbers)
         self._failed = np.empty(len(groups), dtype=np.int32)
         self._groups = [wp.array(fronts, dtype=wp.int32, device="cpu", copy=False) for fronts in groups]
@@ -316,11 +321,11 @@ class MultifrontalCholesky(Factor[MeshMatrix, Floats]):
             own = [self._groups[group], transposed, *inputs]
             wp.launch(solve_triangular, dim=count, inputs=own, device="cpu")
 
-        run_all(partial(run, transposed=0), self._of_jobs)
+        run_all(partial(run, transposed=0), self._of_branches)
         for trunk in self._of_trunk:
             run(trunk, 0)
         if self._negative_places is not None:
             self._x.reshape(count, -1)[:, self._negative_places] *= -1.0
         for trunk in self._of_trunk:
             run(trunk, 1)
-        run_all(partial(run, transposed=1), self._of_jobs)
+        run_all(partial(run, transposed=1), self._of_branches)
