@@ -14,7 +14,7 @@ from omtwarp.optimal import energy
 from omtwarp.optimal.kernels import Fit, area_gradient, cost_slope, moving_cost, neighbour_fit, raised_fit
 from omtwarp.optimal.shape_kernels import SPHERE_AREA, distortion_gradient, distortion_hessian, distortion_terms
 from omtwarp.solvers import newton
-from omtwarp.solvers.cholesky.envelope import Envelope, add_block, clear_row, factorise_envelope, meet, solve_envelope
+from omtwarp.solvers.cholesky.envelope import Envelope, add_block, clear_row, meet, solve_envelope
 from omtwarp.solvers.motion_kernels import keeps_volume
 from omtwarp.solvers.newton import corner_block
 from omtwarp.solvers.triangle import first_tangents, in_tangent, tangent_coordinates
@@ -169,19 +169,23 @@ def differentiate(p: int, lane: int, lanes: int, here: LocalProblem):
 
 
 @wp.func
-def saddle_block(t: int, m: int, n: int, here: LocalProblem) -> wp.mat33d:
-    """Return what triangle t adds to the matrix, rows of its corner m and columns of its corner n, m <= n."""
+def saddle_block(
+    t: int, m: int, n: int, one: wp.bool, other: wp.bool, blocks: wp.array2d[wp.float64], bends: wp.array2d[wp.vec2d]
+) -> wp.mat33d:
+    """Return what triangle t adds to the matrix, rows of its corner m and columns of its corner n, each free or not.
+
+    Of the patches it takes the arrays that it reads: their struct would be copied for every block.
+    """
     block = wp.mat33d()
-    one, other = here.free[here.faces[t][m]], here.free[here.faces[t][n]]
     if one and other:
-        own = corner_block(t, m, n, here.blocks)
+        own = corner_block(t, m, n, blocks)
         for k in range(4):
             block[k // 2, k % 2] = own[k]
     for k in range(2):
-        if m < n and one:
-            block[k, 2] = here.bends[t, m][k]
-        if m < n and other:
-            block[2, k] = here.bends[t, n][k]
+        if m != n and one:
+            block[k, 2] = bends[t, m][k]
+        if m != n and other:
+            block[2, k] = bends[t, n][k]
     return block
 
 
@@ -196,24 +200,23 @@ def assemble_row(i: int, here: LocalProblem):
     slope = -scale * pull
     fit = Fit()
     block = wp.mat33d()
+    free = here.free[i]
     for k in range(here.offsets[i], here.offsets[i + 1]):
         t = here.corners[k] // 3
         m = here.corners[k] - 3 * t
         face = here.faces[t]
-        block = block + saddle_block(t, m, m, here)
+        block = block + saddle_block(t, m, m, free, free, here.blocks, here.bends)
         for turn in range(1, 3):
             n = (m + turn) % 3
-            if face[n] < i and (here.free[i] or here.free[face[n]]):
-                beside = saddle_block(t, wp.min(m, n), wp.max(m, n), here)
-                if n < m:
-                    beside = wp.transpose(beside)
-                add_block(i, face[n], beside, here.matrix)
-        if here.free[i]:
-            j = face[(m + 1) % 3]
+            j = face[n]
+            if j < i and (free or here.free[j]):
+                add_block(i, j, saddle_block(t, m, n, free, here.free[j], here.blocks, here.bends), here.matrix)
+        if free:
+            after = face[(m + 1) % 3]
             slope = slope + here.pulls[t, m]
-            fit = fit + neighbour_fit(y, x, here.softness, here.points[j], here.start[j])
+            fit = fit + neighbour_fit(y, x, here.softness, here.points[after], here.start[after])
     right = wp.vec3d(ZERO, ZERO, here.wanted[i] - here.ring[i])
-    if here.free[i]:
+    if free:
         metric = scale * raised_fit(fit, LEAST)
         block[0, 0] = (ONE + REGULARISATION) * (block[0, 0] + metric[0])
         block[0, 1] = block[0, 1] + metric[1]
@@ -280,13 +283,10 @@ def settle_small_patches(
         differentiate(p, lane, lanes, here)
         for i in range(begin + lane, end, lanes):
             assemble_row(i, here)
-        meet(p, lane, lanes, here.gates)
-        matrix = here.matrix
-        factorise_envelope(p, lane, lanes, matrix, here.gates, here.diagonal, here.numbers)
+        solve_envelope(p, lane, lanes, here.matrix, here.gates, here.diagonal, here.step, here.numbers)
         length = ZERO
         expected = ZERO
         if here.numbers[p, DEFINITE] > ZERO:
-            solve_envelope(p, lane, lanes, matrix, here.gates, here.diagonal, here.step)
             if lane == 0:
                 expect(p, here)
             meet(p, lane, lanes, here.gates)

@@ -38,6 +38,7 @@ class Envelope:
     last: wp.array[wp.int32]
     rows: wp.array[wp.int64]
     left: wp.array[wp.float64]  # their blocks left of the diagonal
+    right: wp.array[wp.float64]  # right-hand sides, as rows of one unknown, each matrix from a group of its own on
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +101,8 @@ class Envelopes:
         )
         matrices.rows = sent(self.rows, wp.int64, device)
         matrices.left = wp.empty(9 * COLUMNS * self.size, dtype=wp.float64, device=device)
+        groups = len(self.first) // COLUMNS + len(self.starts)
+        matrices.right = wp.zeros(3 * COLUMNS * groups, dtype=wp.float64, device=device)
         return matrices
 
 
@@ -130,33 +133,42 @@ ROWS = """
     const int *first = m.first.data, *last = m.last.data;
     auto row = [&](int i) { return m.left.data + (long long)width * (m.rows.data[i] - first[i] / 4); };
 """
-# The sum of X S Yᵀ, S = diag(1, 1, -1), over the blocks X of ``count`` groups from one on and Y of as many from other
-# on. A product and its sum are one instruction, which Warp's flags leave to be asked for: a sixth less time.
+# ``product``: the sum of X S Yᵀ, S = diag(1, 1, -1), over the blocks X of ``count`` groups from one on, of so many rows
+# each, and Y of as many from other on. A product and its sum are one instruction, which Warp's flags leave to be asked
+# for: a sixth less time. ``divide``: what is left of a block's row, from its first entry on, by the transposed pivot.
 PRODUCT = """
 #ifdef __CUDA_ARCH__
     typedef double Columns;
+#define INLINED
 #else
     typedef double Columns __attribute__((vector_size(32), aligned(8)));
+#define INLINED __attribute__((always_inline))
 #endif
-    auto product = [](const double* one, const double* other, int count, double* total) {
+    const int parts = 4 * sizeof(double) / sizeof(Columns);
+    auto product = [](const int rows, const double* one, const double* other, int count, double* total) INLINED {
         #pragma clang fp contract(fast)
-        const int in_one = sizeof(Columns) / sizeof(double), parts = 4 / in_one;
         Columns sums[9] = {};
         for (int k = 0; k < count * parts; ++k) {
-            const Columns* x = (const Columns*)one + k / parts * 9 * parts + k % parts;
+            const Columns* x = (const Columns*)one + k / parts * 3 * rows * parts + k % parts;
             const Columns* y = (const Columns*)other + k / parts * 9 * parts + k % parts;
             for (int c = 0; c < 3; ++c)
-                for (int a = 0; a < 3; ++a)
+                for (int a = 0; a < rows; ++a)
                     for (int b = 0; b < 3; ++b) {
                         if (c < 2) sums[3 * a + b] += x[(3 * a + c) * parts] * y[(3 * b + c) * parts];
                         else sums[3 * a + b] -= x[(3 * a + c) * parts] * y[(3 * b + c) * parts];
                     }
         }
-        for (int e = 0; e < 9; ++e) {
+        for (int e = 0; e < 3 * rows; ++e) {
             const double* sum = (const double*)&sums[e];
             total[e] = 0.0;
-            for (int n = 0; n < in_one; ++n) total[e] += sum[n];
+            for (int n = 0; n < 4 / parts; ++n) total[e] += sum[n];
         }
+    };
+    auto divide = [](double* at, const double* total, const double* pivot) {
+        const double x = (at[0] - total[0]) * pivot[0], y = (at[4] - total[1] - x * pivot[3]) * pivot[4];
+        at[8] = -(at[8] - total[2] - x * pivot[6] - y * pivot[7]) * pivot[8];
+        at[0] = x;
+        at[4] = y;
     };
 """
 
@@ -176,13 +188,20 @@ MEET = """
 """
 
 # The pivot of vertex j is factorised, with its diagonal inverted; then every lane computes the blocks below it of its
-# rows, from those left of them.
-FACTORISE = """
-    double* definite = (double*)((char*)numbers.data + p * (long long)numbers.strides[0]);
-    for (int j = m.starts.data[p]; j < m.starts.data[p + 1]; ++j) {
-        double *own = (double*)(diagonal.data + j), *above = row(j), total[9];
+# rows, from those left of them. The right-hand side is a row below all: what is in its place then is S L^-1 of it, from
+# which the unknowns follow last to first, as every lane takes the columns of its groups.
+SOLVE = """
+    const int begin = m.starts.data[p], end = m.starts.data[p + 1];
+    double *definite = (double*)((char*)numbers.data + p * (long long)numbers.strides[0]), *solved = (double*)x.data;
+    double *right = m.right.data + 12 * p, total[9];
+    for (int i = begin + lane; i < end; i += lanes)
+        for (int c = 0; c < 3; ++c) right[12 * (i / 4) + i % 4 + 4 * c] = solved[3 * i + c];
+    MEET
+    for (int j = begin; j < end; ++j) {
+        double *own = (double*)(diagonal.data + j), *above = row(j);
         if (lane == 0) {
-            product(above + width * (first[j] / 4), above + width * (first[j] / 4), (j + 3) / 4 - first[j] / 4, total);
+            const int from = first[j] / 4, count = (j + 3) / 4 - from;
+            product(3, above + width * from, above + width * from, count, total);
             for (int e = 0; e < 9; ++e) own[e] -= total[e];
             const double l00 = 1.0 / sqrt(own[0]), l10 = own[3] * l00, l20 = own[6] * l00;
             const double second = own[4] - l10 * l10, l11 = 1.0 / sqrt(second), l21 = (own[7] - l20 * l10) * l11;
@@ -190,67 +209,36 @@ FACTORISE = """
             *definite = own[0] > 0.0 && second > 0.0 && third > 0.0 ? 1.0 : 0.0;
             const double pivot[9] = {l00, 0.0, 0.0, l10, l11, 0.0, l20, l21, 1.0 / sqrt(third)};
             for (int e = 0; e < 9; ++e) own[e] = pivot[e];
+            product(1, right + 12 * from, above + width * from, count, total);
+            divide(right + 12 * (j / 4) + j % 4, total, own);
         }
         MEET
         if (!(*definite > 0.0)) return;
         for (int i = j + 1 + lane; i <= last[j]; i += lanes) {
             if (first[i] > j) continue;
-            const int begin = (first[i] > first[j] ? first[i] : first[j]) / 4;
-            double* at = row(i) + width * (j / 4) + j % 4;
-            product(row(i) + width * begin, above + width * begin, (j + 3) / 4 - begin, total);
-            for (int a = 0; a < 3; ++a, at += 12) {
-                const double x = (at[0] - total[3 * a]) * own[0];
-                const double y = (at[4] - total[3 * a + 1] - x * own[3]) * own[4];
-                at[8] = -(at[8] - total[3 * a + 2] - x * own[6] - y * own[7]) * own[8];
-                at[0] = x;
-                at[4] = y;
-            }
+            const int from = (first[i] > first[j] ? first[i] : first[j]) / 4;
+            product(3, row(i) + width * from, above + width * from, (j + 3) / 4 - from, total);
+            for (int a = 0; a < 3; ++a) divide(row(i) + width * (j / 4) + j % 4 + 12 * a, total + 3 * a, own);
         }
         MEET
     }
-"""
-
-# Every lane computes the unknowns of column j from what it reads; the first writes them when all have read.
-SUBSTITUTE = """
-    const int begin = m.starts.data[p], end = m.starts.data[p + 1];
-    double* y = (double*)x.data;
-    double s[3];
-    for (int j = begin; j < end; ++j) {
-        const double* own = (const double*)(diagonal.data + j);
-        for (int a = 0; a < 3; ++a) {
-            s[a] = y[3 * j + a];
-            for (int b = 0; b < a; ++b) s[a] -= own[3 * a + b] * s[b];
-            s[a] *= own[3 * a + a];
-        }
-        for (int i = j + 1 + lane; i <= last[j]; i += lanes) {
-            if (first[i] > j) continue;
-            const double* block = row(i) + width * (j / 4) + j % 4;
-            for (int a = 0; a < 3; ++a)
-                for (int b = 0; b < 3; ++b) y[3 * i + a] -= block[4 * (3 * a + b)] * s[b];
-        }
-        MEET
-        if (lane == 0)
-            for (int a = 0; a < 3; ++a) y[3 * j + a] = a < 2 ? s[a] : -s[a];
-    }
-    MEET
     for (int i = end - 1; i >= begin; --i) {
-        const double *own = (const double*)(diagonal.data + i), *before = row(i);
+        const double *own = (const double*)(diagonal.data + i), *left = right + 12 * (i / 4) + i % 4;
+        double s[3];
         for (int a = 3 - 1; a >= 0; --a) {
-            s[a] = y[3 * i + a];
+            s[a] = left[4 * a];
             for (int b = a + 1; b < 3; ++b) s[a] -= own[3 * b + a] * s[b];
             s[a] *= own[3 * a + a];
         }
-        for (int j = first[i] + lane; j < i; j += lanes) {
-            const double* block = before + width * (j / 4) + j % 4;
-            for (int b = 0; b < 3; ++b) {
-                double sum = 0.0;
-                for (int a = 0; a < 3; ++a) sum += block[4 * (3 * a + b)] * s[a];
-                y[3 * j + b] -= sum;
-            }
+        for (int k = first[i] / 4 * parts + lane; k < (i + 3) / 4 * parts; k += lanes) {
+            const Columns* block = (const Columns*)row(i) + k / parts * 9 * parts + k % parts;
+            Columns* before = (Columns*)right + k / parts * 3 * parts + k % parts;
+            for (int b = 0; b < 3; ++b)
+                for (int a = 0; a < 3; ++a) before[b * parts] -= block[(3 * a + b) * parts] * s[a];
         }
         MEET
         if (lane == 0)
-            for (int a = 0; a < 3; ++a) y[3 * i + a] = s[a];
+            for (int a = 0; a < 3; ++a) solved[3 * i + a] = s[a];
     }
     MEET
 """
@@ -280,33 +268,21 @@ def add_block(i: int, j: int, block: wp.mat33d, m: Envelope):
     """Add a block with rows of vertex i and columns of vertex j < i."""
 
 
-@wp.func_native(ROWS + PRODUCT + FACTORISE.replace("MEET", MEET))
-def factorise_envelope(
-    p: int,
-    lane: int,
-    lanes: int,
-    m: Envelope,
-    gates: wp.array[wp.int32],
-    # Data in and out:
-    diagonal: wp.array[wp.mat33d],
-    numbers: wp.array2d[wp.float64],
-):
-    """Factorise quasi-definite matrix p as L S Lᵀ, S = diag(1, 1, -1) at every vertex, the diagonal of L inverted.
-
-    The third unknown of every vertex is a multiplier (:mod:`omtwarp.solvers.cholesky.saddle`). The first of the numbers
-    of p gets 1 where all pivots have their signs, otherwise 0.
-    """
-
-
-@wp.func_native(ROWS + SUBSTITUTE.replace("MEET", MEET))
+@wp.func_native(ROWS + PRODUCT + SOLVE.replace("MEET", MEET))
 def solve_envelope(
     p: int,
     lane: int,
     lanes: int,
     m: Envelope,
     gates: wp.array[wp.int32],
-    diagonal: wp.array[wp.mat33d],
     # Data in and out:
+    diagonal: wp.array[wp.mat33d],
     x: wp.array[wp.vec3d],
+    numbers: wp.array2d[wp.float64],
 ):
-    """Replace the right-hand side of matrix p by the solution: two coordinates and the multiplier of every vertex."""
+    """Replace the right-hand side of quasi-definite matrix p by the solution: two coordinates and a multiplier each.
+
+    The matrix is factorised as L S Lᵀ, S = diag(1, 1, -1) at every vertex, the diagonal of L inverted: the third
+    unknown of every vertex is a multiplier (:mod:`omtwarp.solvers.cholesky.saddle`). The first of the numbers of p gets
+    1 where all pivots have their signs; otherwise 0, and nothing is solved.
+    """

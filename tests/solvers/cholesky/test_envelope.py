@@ -8,7 +8,7 @@ from hypothesis import given, settings, strategies as st
 
 from omtwarp.device.start import KERNEL_OPTIONS, wp
 from omtwarp.mesh.shapes import blob, icosphere
-from omtwarp.solvers.cholesky.envelope import COLUMNS, Envelope, Envelopes, factorise_envelope, solve_envelope
+from omtwarp.solvers.cholesky.envelope import COLUMNS, Envelope, Envelopes, solve_envelope
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -24,9 +24,7 @@ def solve_each(
 ):
     p, _compiled_once = wp.tid()
     gates = m.starts  # one lane has no others to wait for
-    factorise_envelope(p, 0, 1, m, gates, diagonal, definite)
-    if definite[p, 0] > wp.float64(0.0):
-        solve_envelope(p, 0, 1, m, gates, diagonal, x)
+    solve_envelope(p, 0, 1, m, gates, diagonal, x, definite)
 
 
 def solved(edges, matrix, count, dense, right):
