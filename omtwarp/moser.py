@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from omtwarp.device.arrays import vectors
-from omtwarp.device.policy import resolve_device, solving_with
+from omtwarp.device.policy import SLOW_LAUNCH, resolve_device, solving_with
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, THREE, TWO, ZERO, wp
 from omtwarp.device.threads import FIRST_THREAD, blas_threads, each, launch_parts
 from omtwarp.errors import choose
@@ -249,7 +249,7 @@ def moser_map(
     # Largest step, at the start; it grows with s
     limits = [wp.float64(0.25), wp.float64(courant), wp.float64(14.0)]
     inputs = [*each(points, rows[0]), points, faces, mesh.face_neighbours, field, numbers, rows[1], *limits]
-    launch_parts(integrate_particles, vertices, inputs, each(moved, steps), where)
+    launch_parts(integrate_particles, vertices, inputs, each(moved, steps), where, SLOW_LAUNCH)
     longest = int(steps.numpy().max())
     tell(progress, "moser", parts, parts, {"steps": longest})
     return MoserMap(moved.numpy(), potential.numpy(), longest)

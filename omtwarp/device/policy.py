@@ -13,6 +13,7 @@ from omtwarp.errors import OmtwarpError, choose
 # registrations take a tenth less of all cores' time than with 4,096.
 SMALLEST_SHARED_LAUNCH = 16_384
 HEAVY_LAUNCH = 2_048  # the same of kernels whose threads take a tenth of a microsecond or more
+SLOW_LAUNCH = 128  # and where they take several microseconds
 
 
 def resolve_device(device: str | None = "auto") -> wp.Device:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.arrays import triangles, vectors
-from omtwarp.device.policy import resolve_device
+from omtwarp.device.policy import HEAVY_LAUNCH, resolve_device
 from omtwarp.device.start import KERNEL_OPTIONS, ONE, ZERO, wp
 from omtwarp.device.threads import Each, computed, load, parts_of, run_all
 from omtwarp.mesh.arrays import Floats, Ints, real_numbers, whole_number, whole_numbers
@@ -220,7 +220,7 @@ def ring_turns(
         return sums.numpy()
 
     load(add_turning_angles, where)
-    angles, errors = np.sum(run_all(added, parts_of(len(corners), where)), axis=0)
+    angles, errors = np.sum(run_all(added, parts_of(len(corners), where, HEAVY_LAUNCH)), axis=0)
     total, error = angles / (2.0 * np.pi * float(SCALE)), errors / float(SCALE)
     certain = error < _CERTAIN
     turns: Ints = np.rint(np.where(certain, total, 0.0)).astype(np.int32)

@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from omtwarp.device.arrays import triangles, vectors
-from omtwarp.device.policy import resolve_device
+from omtwarp.device.policy import HEAVY_LAUNCH, resolve_device
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, wp
+from omtwarp.device.threads import Each, each, launch_parts
 from omtwarp.geometry.spherical import TINY, solid_angle, triple_product
 from omtwarp.mesh.arrays import Floats, cross, dots, in_range, norms, real_numbers, require_unit_length, squared_norms
 from omtwarp.mesh.surface import MeshLike, as_faces, as_triangles
@@ -179,7 +180,7 @@ def measure_triangles(
     inputs = [vectors(vertices, where), vectors(sphere, where), triangles(faces, where)]
     count = len(inputs[2])
     outputs = [wp.empty(count, dtype=wp.float64, device=where) for _ in range(6)]
-    wp.launch(triangle_distortion, dim=count, inputs=inputs, outputs=outputs, device=where)
+    launch_parts(triangle_distortion, count, [*inputs[:2], Each(inputs[2])], each(*outputs), where, HEAVY_LAUNCH)
     finite = bool(np.isfinite(sphere.numpy() if isinstance(sphere, wp.array) else sphere).all())
     surface_area, sphere_area, determinant, angle, triple, solid = (array.numpy() for array in outputs)
     return summarize(surface_area, sphere_area, determinant, angle, triple, solid, finite)

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omtwarp.device.arrays import sent, vectors
-from omtwarp.device.policy import HEAVY_LAUNCH, resolve_device
+from omtwarp.device.policy import HEAVY_LAUNCH, SLOW_LAUNCH, resolve_device
 from omtwarp.device.start import wp
-from omtwarp.device.threads import FIRST_THREAD, each, launch_parts
+from omtwarp.device.threads import FIRST_THREAD, each, launch_parts, parts_of, run_all
 from omtwarp.mesh.arrays import TINY, Floats, cross, dots, norms, squared_norms
 from omtwarp.mesh.surface import Surface
 from omtwarp.metrics import optimality_kernels as kernels, tree_kernels as trees
@@ -196,15 +196,16 @@ class MapDual:
         order = trees.order_by_halves((parts @ corners[triangles]).mean(axis=1))
         leaves, samples = trees.leaf_count(len(order)), kernels.SAMPLES * len(order)
         tree = self._tree = kernels.Tree()
-        tree.flat, tree.images = lattice is not None, sent(corners, wp.mat33d, self.device)
-        tree.edge, tree.mean, tree.bend = self.edge_terms
-        tree.faces, tree.leaf_count = surface.on(self.device).faces, leaves
+        psi = self._potential = kernels.Potential()
+        psi.flat, psi.images = lattice is not None, sent(corners, wp.mat33d, self.device)
+        psi.edge, psi.mean, psi.bend = self.edge_terms
+        psi.faces, tree.leaf_count = surface.on(self.device).faces, leaves
         tree.triangles = sent(triangles[order].astype(np.int32), wp.int32, self.device)
         tree.corners = sent(parts[order], wp.mat33d, self.device)
         tree.places, tree.values = (wp.empty(samples, kind, device=self.device) for kind in (wp.vec3d, wp.float64))
         tree.bulges = wp.empty(len(order), wp.float64, device=self.device)
         tree.centres, tree.axes = (wp.empty(2 * leaves, wp.vec3d, device=self.device) for _ in range(2))
-        tree.models, tree.extremes = (wp.empty(2 * leaves, kernels.vec6d, device=self.device) for _ in range(2))
+        tree.models = wp.empty(2 * leaves, kernels.vec6d, device=self.device)
         self._fitted = False  # whether there are paraboloids, to the first potential; for others they are raised
         self._sources = vectors(x, self.device)
         self._solver: EdgeLaplacianSolver | None = None
@@ -231,18 +232,26 @@ class MapDual:
     def bound(self, potential: Floats) -> Bound:
         """Return the lower bound on the cost that a potential ψ gives, with its c-transform φ at every x_i."""
         tree, device, own = self._tree, self.device, self.cost - potential
-        tree.nodal = sent(potential, wp.float64, device)
+        self._potential.nodal = sent(potential, wp.float64, device)
+        tree.potential = self._potential
         launch_parts(kernels.sample_triangles, len(tree.triangles), [FIRST_THREAD], [tree], device, HEAVY_LAUNCH)
         if not self._fitted:
             launch_parts(kernels.fit_nodes, len(tree.models) - 1, [FIRST_THREAD], [tree], device)
             self._fitted = True
-        tree.extremes.fill_(kernels.NOTHING)
-        wp.launch(kernels.raise_paraboloids, dim=len(tree.triangles), outputs=[tree], device=device)
+
+        def raised(part: slice) -> wp.array:
+            extremes = wp.full(len(tree.models), kernels.NOTHING, kernels.vec6d, device=device)
+            inputs, count = [part.start, tree], part.stop - part.start
+            wp.launch(kernels.raise_paraboloids, count, inputs, [extremes], device=device)
+            return extremes
+
+        tree.extremes, *others = run_all(raised, parts_of(len(tree.triangles), device, HEAVY_LAUNCH))
+        for other in others:  # on the host alone
+            np.maximum(tree.extremes.numpy(), other.numpy(), out=tree.extremes.numpy())
         lowest = [wp.empty(len(own), dtype=kind, device=device) for kind in (wp.float64, wp.int32, wp.vec3d)]
         inputs = [vectors(self._copies(own), device), self.tolerance, tree]
         inputs = [*each(self._sources, sent(own, wp.float64, device)), *inputs]
-        # Points whose transforms are worth a launch of their own on another core: each takes 10 microseconds.
-        launch_parts(kernels.c_transform, len(own), inputs, each(*lowest), device, 128)
+        launch_parts(kernels.c_transform, len(own), inputs, each(*lowest), device, SLOW_LAUNCH)
         proven, face, weights = (array.numpy() for array in lowest)
         gap = own - proven
         return Bound(potential, gap, float(self.mass @ gap), face.astype(np.int64), weights)

@@ -27,12 +27,8 @@ SAMPLES = wp.constant(6)  # of the potential in a triangle: as many as a quadrat
 
 
 @wp.struct
-class Tree:
-    """A potential on F triangles, its samples on P leaves, and a paraboloid above it on each of N nodes.
-
-    With a_k = w · axis_k at a place z = c + w below a node with the centre c, ψ(z) is at most
-    level + s_0 a_0 + s_1 a_1 + b_00 a_0² / 2 + b_01 a_0 a_1 + b_11 a_1² / 2.
-    """
+class Potential:
+    """ψ on F triangles: what is passed for every place, apart from the tree, as structs are copied."""
 
     flat: wp.bool  # whether the triangles lie in a plane, or else on the sphere
     images: wp.array[wp.mat33d]  # corners of the triangles, as rows, [F]
@@ -41,6 +37,17 @@ class Tree:
     edge: wp.array[wp.vec3d]  # e_k of every face
     mean: wp.array[wp.vec3d]  # s_k
     bend: wp.array[wp.vec3d]  # t_k
+
+
+@wp.struct
+class Tree:
+    """A potential, its samples on P leaves, and a paraboloid above it on each of N nodes.
+
+    With a_k = w · axis_k at a place z = c + w below a node with the centre c, ψ(z) is at most
+    level + s_0 a_0 + s_1 a_1 + b_00 a_0² / 2 + b_01 a_0 a_1 + b_11 a_1² / 2.
+    """
+
+    potential: Potential
     leaf_count: wp.int32  # a power of two, of which the first P are taken; N is twice this
     triangles: wp.array[wp.int32]  # that each leaf is a part of, [P]
     corners: wp.array[wp.mat33d]  # its own in barycentric coordinates there, as rows, [P]
@@ -74,15 +81,15 @@ def slope_part(nodal: wp.vec3d, mean: wp.vec3d, bend: wp.vec3d, b: wp.vec3d) -> 
 
 
 @wp.func
-def sample_at(f: int, b: wp.vec3d, tree: Tree):
+def sample_at(f: int, b: wp.vec3d, psi: Potential):
     """Return the place at barycentric coordinates b of a triangle of the mesh, and ψ there."""
-    face = tree.faces[f]
-    place = b @ tree.images[f]
-    nodal = wp.vec3d(tree.nodal[face[0]], tree.nodal[face[1]], tree.nodal[face[2]])
-    value = potential_at(nodal, tree.edge[f], b)
-    if not tree.flat:
+    face = psi.faces[f]
+    place = b @ psi.images[f]
+    nodal = wp.vec3d(psi.nodal[face[0]], psi.nodal[face[1]], psi.nodal[face[2]])
+    value = potential_at(nodal, psi.edge[f], b)
+    if not psi.flat:
         place = wp.normalize(place)
-        value += slope_part(nodal, tree.mean[f], tree.bend[f], b)
+        value += slope_part(nodal, psi.mean[f], psi.bend[f], b)
     return place, value
 
 
@@ -111,14 +118,14 @@ def sample_triangles(
     part = tree.corners[leaf]
     sampled = vec6d()
     for s in range(SAMPLES):
-        place, value = sample_at(face, sample_weights(s) @ part, tree)
+        place, value = sample_at(face, sample_weights(s) @ part, tree.potential)
         tree.places[SAMPLES * leaf + s] = place
         tree.values[SAMPLES * leaf + s] = value
         sampled[s] = value
     bulge = ZERO
     for k in range(3):
         after = (k + 1) % 3
-        _, value = sample_at(face, part[k] + HALF * HALF * (part[after] - part[k]), tree)
+        _, value = sample_at(face, part[k] + HALF * HALF * (part[after] - part[k]), tree.potential)
         through = wp.float64(0.125) * (wp.float64(3.0) * sampled[k] - sampled[after] + wp.float64(6.0) * sampled[k + 3])
         bulge += wp.float64(1.03) * wp.abs(value - through)
     tree.bulges[leaf] = bulge
@@ -179,12 +186,12 @@ def fit_nodes(
         f = first + ((2 * k + 1) * count) // (2 * fitted)
         for s in range(3):
             c += tree.places[SAMPLES * f + s] / wp.float64(3 * fitted)
-    if not tree.flat:
+    if not tree.potential.flat:
         # Length of the mean of a node's directions: less where they cancel, as over a whole great circle.
         if wp.length(c) < wp.float64(1.0e-9):
             c = tree.places[SAMPLES * first]
         c = wp.normalize(c)
-    normal = normal_at(c, tree.flat)
+    normal = normal_at(c, tree.potential.flat)
     axis = wp.vec3d(ONE, ZERO, ZERO)
     # Of a unit vector's x: another axis helps to make a frame where it is larger. Anything from 0.58 to 1 leaves one to
     # take.
@@ -232,21 +239,23 @@ def fit_nodes(
 
 @wp.kernel
 def raise_paraboloids(
-    # Data in and out:
+    begin: int,
     tree: Tree,
+    # Data in and out:
+    extremes: wp.array[vec6d],
 ):
     """Raise the paraboloids of the nodes above a leaf so that they bound the potential there, and widen the nodes.
 
     They are upper bounds at all samples, and between them to third order, as far as the residual of ψ is a quadratic in
     barycentric coordinates.
     """
-    leaf = wp.tid()
+    leaf = begin + wp.tid()
     bulge = tree.bulges[leaf]
     node = tree.leaf_count + leaf
     while node > 0:
         c = tree.centres[node]
         axis = tree.axes[node]
-        other = wp.cross(normal_at(c, tree.flat), axis)
+        other = wp.cross(normal_at(c, tree.potential.flat), axis)
         most = vec6d(-LARGE, ZERO, ZERO, ZERO, ZERO, ZERO)
         above = wp.vec3d()
         for s in range(SAMPLES):
@@ -260,7 +269,7 @@ def raise_paraboloids(
                 # No quadratic on the triangle exceeds its coefficients in Bernstein's form.
                 most[0] = wp.max(most[0], TWO * over - HALF * (above[s - 3] + above[(s - 2) % 3]))
         most[0] = most[0] + bulge
-        wp.atomic_max(tree.extremes, node, most)
+        wp.atomic_max(extremes, node, most)
         node = node // 2
 
 
@@ -296,8 +305,8 @@ def node_bound(x: wp.vec3d, node: int, enough: wp.float64, tree: Tree) -> wp.flo
     base = v - extremes[0]
     kappa = ONE
     curve = ZERO
-    normal = normal_at(c, tree.flat)
-    if not tree.flat:
+    normal = normal_at(c, tree.potential.flat)
+    if not tree.potential.flat:
         # 1 - cos θ, a thousandth of a radian short of the antipode, where the squared distance has no second
         # derivative.
         if radius > ONE or v > wp.float64(1.999999):
@@ -383,7 +392,7 @@ def c_transform(
                 sampled = vec6d()
                 for s in range(SAMPLES):
                     one = SAMPLES * leaf + s
-                    sampled[s] = cost_of(x, tree.places[one], tree.flat) - tree.values[one]
+                    sampled[s] = cost_of(x, tree.places[one], tree.potential.flat) - tree.values[one]
                     if sampled[s] < best:
                         best = sampled[s]
                         best_leaf = leaf
@@ -394,8 +403,8 @@ def c_transform(
                     bulge[k] = wp.float64(4.0) * sampled[k + 3] - TWO * (corner[k] + corner[(k + 1) % 3])
                 b = lowest_on_triangle(corner, bulge)
                 if potential_at(corner, bulge, b) < best:
-                    z, psi = sample_at(tree.triangles[leaf], b @ tree.corners[leaf], tree)
-                    value = cost_of(x, z, tree.flat) - psi
+                    z, psi = sample_at(tree.triangles[leaf], b @ tree.corners[leaf], tree.potential)
+                    value = cost_of(x, z, tree.potential.flat) - psi
                     if value < best:
                         best = value
                         best_leaf = leaf

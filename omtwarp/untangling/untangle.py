@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from omtwarp.device.arrays import empty, sent, vectors
-from omtwarp.device.policy import resolve_device
+from omtwarp.device.policy import HEAVY_LAUNCH, resolve_device
 from omtwarp.device.start import wp
 from omtwarp.device.threads import Each, blas_threads, computed, each, launch_parts
 from omtwarp.errors import OmtwarpError
@@ -296,7 +296,7 @@ class _Untangling:
         inputs = [*self.triangles, Each(sent(epsilon[patches.face_patch], wp.float64, self.device)), self.area_weight]
         energy, count = self._energy(points, inputs), len(patches.faces)
         slopes, hessians = (wp.empty((count, size), dtype=wp.float64, device=self.device) for size in (6, 21))
-        launch_parts(untangle_newton, count, [points, *inputs], each(slopes, hessians), self.device)
+        launch_parts(untangle_newton, count, [points, *inputs], each(slopes, hessians), self.device, HEAVY_LAUNCH)
         sums: Floats = np.bincount(self.gradient_place, slopes.numpy().ravel()).astype(np.float64, copy=False)
         gradient = sums[: 2 * patches.free].reshape(-1, 2)
         try:
