@@ -30,7 +30,7 @@ def sphere_weights(points: SpherePoints) -> Floats:
     The sum is 4π, less what fills holes: values there are not the surface's, and count for nothing.
     """
     faces = points.grid.own_triangles
-    angles = triangle_solid_angles(*(points.grid.points[faces[:, k]] for k in range(3)))
+    angles = triangle_solid_angles(*points.grid.points.take(faces.T, axis=0))
     return sums_around(angles / 3.0, faces, len(points.grid.points))
 
 

@@ -118,7 +118,7 @@ def centre_points(
         if size <= TOLERANCE:
             return points, step
         # The derivative of the mean with respect to the centre of inversion is 2 (I - sum of w p p').
-        jacobian = 2.0 * (np.eye(3) - np.einsum("v,vi,vj->ij", weights, points, points))
+        jacobian = 2.0 * (np.eye(3) - (weights[:, None] * points).T @ points)
         try:
             centre = -np.linalg.solve(jacobian, mean)
         except np.linalg.LinAlgError:

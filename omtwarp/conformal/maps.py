@@ -135,7 +135,7 @@ def most_regular_face(points: Floats, faces: Ints) -> int:
     Of equals, as on symmetric shapes, the one that lies farthest in a direction along none of the axes: the order of
     the faces plays no role.
     """
-    p0, p1, p2 = (points[faces[:, k]] for k in range(3))
+    p0, p1, p2 = points.take(faces.T, axis=0)
     squares = ((p1 - p0) ** 2).sum(1) + ((p2 - p1) ** 2).sum(1) + ((p0 - p2) ** 2).sum(1)
     regularity = triangle_areas(points, faces) / squares
     # Faces that differ by less are equally regular but for rounding.
@@ -299,7 +299,7 @@ def covers_once(sphere: Floats, faces: Ints) -> bool:
         sphere: unit vectors, shape [V, 3].
         faces: shape [F, 3].
     """
-    shares = triangle_solid_angles(*(sphere[faces[:, k]] for k in range(3))) / SPHERE_AREA
+    shares = triangle_solid_angles(*sphere.take(faces.T, axis=0)) / SPHERE_AREA
     return bool(abs(shares.sum() - 1.0) < 0.5 and np.abs(shares).sum() < 2.0)
 
 
@@ -319,7 +319,7 @@ class _DirichletEnergy:
     def value(self, sphere: Floats) -> float:
         """Return ½ Σ w |y_i - y_j|²."""
         i, j = self._ends.T
-        return 0.5 * float(self._weights @ squared_norms(sphere[i] - sphere[j]))
+        return 0.5 * float(self._weights @ squared_norms(sphere.take(i, axis=0) - sphere.take(j, axis=0)))
 
     def pull(self, sphere: Floats) -> Floats:
         """Return L y, shape [V, 3]; its tangent part is the gradient."""
@@ -337,9 +337,9 @@ class _DirichletEnergy:
         """
         masses = self._masses[:, None]
         mean = float(masses.sum()) * np.eye(3) - (masses * sphere).T @ sphere  # Σ B
-        pull = np.linalg.solve(mean, slope.sum(axis=0))
+        pull = np.linalg.solve(mean, np.ones(len(slope)) @ slope)
         moved = self._solver.solve(slope - masses * tangential_parts(sphere, pull))
-        shift = np.linalg.solve(mean, (masses * tangential_parts(sphere, moved)).sum(axis=0))
+        shift = np.linalg.solve(mean, self._masses @ tangential_parts(sphere, moved))
         return tangential_parts(sphere, moved - shift)
 
 

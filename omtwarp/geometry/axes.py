@@ -47,7 +47,7 @@ def principal_axes(surface: Surface) -> Axes:
 
 
 def _axes_of_moments(surface: Surface) -> Axes:
-    corners = surface.scaled_vertices[surface.faces]
+    corners = surface.scaled_vertices.take(surface.faces, axis=0)
     areas = surface.own_areas / surface.own_areas.sum()
     centre = areas @ (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
     corners = corners - centre

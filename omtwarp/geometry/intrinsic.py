@@ -138,7 +138,7 @@ def delaunay_edges(surface: Surface, jumps: NDArray[np.int64] | None = None) -> 
     twins[halves[:, 0]], twins[halves[:, 1]] = halves[:, 1], halves[:, 0]
     first = halves.min(axis=1).astype(np.int32)
     points = surface.scaled_vertices
-    sides = norms(points[np.roll(faces, -1, axis=1)] - points[faces]).ravel()
+    sides = norms(points.take(np.roll(faces, -1, axis=1), axis=0) - points.take(faces, axis=0)).ravel()
     sides = np.maximum(sides, np.finfo(float).eps * sides.max())
     corner = np.arange(count)
     queued, origins = sent(marked(count, first).astype(np.int32), wp.int32), sent(faces.flatten(), wp.int32)

@@ -88,7 +88,7 @@ def interpolate_at_vertices(
 def _corner_points(vertices: ArrayLike, faces: ArrayLike) -> tuple[Floats, NDArray[np.int64], list[Floats]]:
     points = real_numbers(vertices, "vertices", (None, 3), finite=False)
     triangles = whole_numbers(faces, "faces", (None, 3), below=len(points))
-    return points, triangles, [points[triangles[:, k]] for k in range(3)]
+    return points, triangles, list(points.take(triangles.T, axis=0))
 
 
 def corner_cotangents(vertices: ArrayLike, faces: ArrayLike) -> Floats:
@@ -188,4 +188,5 @@ def cotangent_edge_weights(surface: Surface, points: Floats) -> Floats:
         surface: a closed surface.
         points: positions of its vertices, shape [V, 3].
     """
-    return 0.5 * corner_cotangents(points, surface.faces).ravel()[surface.edge_corners].sum(axis=1)
+    one, other = corner_cotangents(points, surface.faces).take(surface.edge_corners.T)
+    return np.asarray(0.5 * (one + other))

@@ -84,7 +84,7 @@ class SphereHierarchy:
 
         This is the quadrature with respect to which the wavelets' integrals vanish: ∫ f = sum of node_areas * f(node).
         """
-        shares = np.repeat(triangle_solid_angles(*(self.vertices[self.faces[:, k]] for k in range(3))) / 3, 3)
+        shares = np.repeat(triangle_solid_angles(*self.vertices.take(self.faces.T, axis=0)) / 3, 3)
         return np.bincount(self.faces.ravel(), weights=shares, minlength=self.node_count).astype(np.float64)
 
     def node_spacing(self, level: int) -> float:

@@ -226,7 +226,7 @@ def _areas_around(goal: Surface, sphere: Floats, own: NDArray[np.integer]) -> li
     """Find the warning about the areas around the vertices ``own``, which a map promises."""
     # Relative error of the area around a vertex. Where the optimal map is found it is at round-off.
     max_vertex_area_error = 0.10
-    around = goal.sum_to_vertices(triangle_solid_angles(*sphere[goal.faces].transpose(1, 0, 2)))
+    around = goal.sum_to_vertices(triangle_solid_angles(*sphere.take(goal.faces.T, axis=0)))
     error = np.abs(around / around.sum() * SPHERE_AREA / goal.vertex_areas - 1.0)[own]
     off = int((error > max_vertex_area_error).sum())
     if not off:

@@ -4,6 +4,7 @@ import math
 import operator
 import sys
 from collections.abc import Iterable, Mapping
+from functools import reduce
 from typing import Protocol, TypeAlias, TypeVar, runtime_checkable
 
 import numpy as np
@@ -405,6 +406,11 @@ def mean_edge_lengths(points: Floats, ends: NDArray[np.integer]) -> Floats:
     lengths = np.repeat(norms(points[ends[:, 0]] - points[ends[:, 1]]), 2)
     counts = np.bincount(ends.ravel(), minlength=len(points))
     return np.bincount(ends.ravel(), lengths, len(points)) / np.maximum(counts, 1)
+
+
+def row_maxima(rows: Floats) -> Floats:
+    """Return the largest number of every row, shape [N], column by column as :func:`dots` does."""
+    return np.asarray(reduce(np.maximum, rows.T))
 
 
 def squared_norms(vectors: Floats) -> Floats:

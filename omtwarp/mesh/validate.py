@@ -16,7 +16,18 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from omtwarp.errors import OmtwarpError, naming
-from omtwarp.mesh.arrays import ROUND_OFF, Floats, HasTriangles, Ints, cross, marked, norms, real_numbers, whole_numbers
+from omtwarp.mesh.arrays import (
+    ROUND_OFF,
+    Floats,
+    HasTriangles,
+    Ints,
+    cross,
+    marked,
+    norms,
+    real_numbers,
+    row_maxima,
+    whole_numbers,
+)
 
 REPAIR = "omtwarp.repair"
 """How the remedies name the package's own repair."""
@@ -176,10 +187,11 @@ def zero_area_faces(unit: Floats, faces: NDArray[np.int64]) -> NDArray[np.bool_]
     Coordinates near 1 are rounded at 1e-16, which moves twice the area by that times the longest edge: areas
     below a few times this count as zero.
     """
-    corners = unit[faces]
+    corners = unit.take(faces, axis=0)
     edges = norms(np.roll(corners, -1, axis=1) - corners)
     twice_area = norms(cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
-    return ~(twice_area > 4 * np.finfo(np.float64).eps * edges.max(axis=1) * np.abs(corners).max(axis=(1, 2)))
+    reach = row_maxima(row_maxima(np.abs(unit)).take(faces))
+    return ~(twice_area > 4 * np.finfo(np.float64).eps * row_maxima(edges) * reach)
 
 
 def duplicate_faces(faces: NDArray[np.int64], vertex_count: int) -> NDArray[np.bool_]:

@@ -152,7 +152,7 @@ def certify_triangles(
     wound = np.flatnonzero(marked(len(turns), faces) & (turns != 1))
     areas = triangle_areas(sphere, faces)
     smallest = int(np.argmin(areas))
-    a, b, c = (sphere[faces[:, k]] for k in range(3))
+    a, b, c = sphere.take(faces.T, axis=0)
     # The exact sign decides which half of the sphere a triangle of nearly half the sphere covers.
     triple = np.abs(np.einsum("ij,ij->i", a, cross(b, c))) * signs
     dots = 1.0 + sum(np.einsum("ij,ij->i", u, v) for u, v in ((a, b), (b, c), (c, a)))

@@ -177,8 +177,8 @@ class MapDual:
         self.surface, self.mass, self._x, self._y, self._lattice = surface, mass, x, y, lattice
         self._apart = np.zeros(3) if shift is None else edge_steps(surface, shift)
         self.cost = self._costs(x, y)
-        corners = y[surface.faces] if shift is None else y[surface.faces] + shift
-        slopes = (-self._logs(y, x) if slopes is None else slopes)[surface.faces]
+        corners = y.take(surface.faces, axis=0) + (0.0 if shift is None else shift)
+        slopes = (-self._logs(y, x) if slopes is None else slopes).take(surface.faces, axis=0)
         # Slopes of ψ along the edges (k, k+1) at both ends: by the length of the arc, which decide on ψ in the middle,
         # and half of those by the length of the edge, as places move along it.
         others, ends = np.roll(corners, -1, axis=1), np.roll(slopes, -1, axis=1)
@@ -193,7 +193,7 @@ class MapDual:
             corners = corners - self._cells(corners.mean(axis=1))[:, None]
             triangles, parts = np.arange(len(corners)), np.broadcast_to(np.eye(3), corners.shape)
         # Triangles near each other in space next to each other in the tree.
-        order = trees.order_by_halves((parts @ corners[triangles]).mean(axis=1))
+        order = trees.order_by_halves((parts @ corners.take(triangles, axis=0)).mean(axis=1))
         leaves, samples = trees.leaf_count(len(order)), kernels.SAMPLES * len(order)
         tree = self._tree = kernels.Tree()
         psi = self._potential = kernels.Potential()
@@ -226,8 +226,9 @@ class MapDual:
     def admissible_differences(self) -> tuple[Floats, Floats]:
         """Return the least and the largest difference of ψ along every edge with which its ends swap no partners."""
         a, b = self.surface.edges.T
-        x, y, apart = self._x, self._y, self._apart
-        return self.cost[b] - self._costs(x[b] + apart, y[a]), self._costs(x[a], y[b] + apart) - self.cost[a]
+        apart = self._apart
+        (x_a, x_b), (y_a, y_b) = (points.take([a, b], axis=0) for points in (self._x, self._y))
+        return self.cost[b] - self._costs(x_b + apart, y_a), self._costs(x_a, y_b + apart) - self.cost[a]
 
     def bound(self, potential: Floats) -> Bound:
         """Return the lower bound on the cost that a potential ψ gives, with its c-transform φ at every x_i."""

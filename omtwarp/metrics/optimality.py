@@ -192,7 +192,7 @@ def optimality(
 
     notify(0, {})
     log = log_maps(y, x)
-    curl = _curl(surface, y[surface.faces], log)
+    curl = _curl(surface, y.take(surface.faces, axis=0), log)
     dual = MapDual(surface, x, y, mass, device, slopes=curl.field - log)
     notify(1, {})
     fitted, swapped = dual.initial_potential()
@@ -327,7 +327,7 @@ def _curl(surface: Surface, places: Floats, moved: Floats) -> Curl:
         places: of the corners of image triangles, shape [F, 3, 3].
         moved: the displacement of every vertex, shape [V, 3].
     """
-    field = moved[surface.faces].mean(axis=1)
+    field = moved.take(surface.faces, axis=0).mean(axis=1)
     normal = cross(places[:, 1] - places[:, 0], places[:, 2] - places[:, 0])
     doubled = np.maximum(norms(normal)[..., None], TINY)
     field -= dots(field, normal)[..., None] / doubled**2 * normal
@@ -340,9 +340,9 @@ def _curl(surface: Surface, places: Floats, moved: Floats) -> Curl:
     flux = -0.5 * dots(before - after, field[:, None])
     vorticity: Floats = np.bincount(surface.faces.ravel(), flux.ravel(), surface.vertex_count).astype(np.float64)
     cotangents = dots(after - places, before - places) / doubled
-    weights = 0.5 * cotangents.ravel()[surface.edge_corners].sum(axis=1)
-    stream = EdgeLaplacianSolver(surface, weights).solve(vorticity)
-    turned = (stream[surface.faces][..., None] * (after - before)).sum(axis=1)  # twice the area times J∇H
+    one, other = cotangents.take(surface.edge_corners.T)
+    stream = EdgeLaplacianSolver(surface, 0.5 * (one + other)).solve(vorticity)
+    turned = (stream.take(surface.faces)[..., None] * (after - before)).sum(axis=1)  # twice the area times J∇H
     sums = np.stack([surface.sum_to_vertices(of_faces) for of_faces in (*turned.T, doubled[:, 0])], axis=1)
     field = sums[:, :3] / np.maximum(sums[:, 3:], TINY)
     return Curl(float(np.sqrt(max(float(stream @ vorticity), 0.0) / norm)), stream, field)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from omtwarp.device.start import HALF, KERNEL_OPTIONS, LARGE, ONE, TWO, ZERO, wp
 from omtwarp.geometry.space_order import in_strips
-from omtwarp.mesh.arrays import Floats, Ints, normalised, norms
+from omtwarp.mesh.arrays import Floats, Ints, normalised, norms, row_maxima
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -132,14 +132,15 @@ def narrow_parts(points: Floats, faces: Ints) -> tuple[NDArray[np.int64], Floats
     finished: list[tuple[NDArray[np.int64], Floats]] = []
     # Rounds: two cut a triangle both ways, others what is uneven; more need ends of edges that are nearly opposite
     for _ in range(8):
-        places = normalised(corners @ points[faces[triangles]])
+        places = normalised(corners @ points.take(faces[triangles], axis=0))
         arcs = 2.0 * np.arcsin(np.minimum(0.5 * norms(places - np.roll(places, -1, axis=1)), 1.0))
-        long = arcs.max(axis=1) > LONGEST_EDGE
+        arc = row_maxima(arcs)
+        long = arc > LONGEST_EDGE
         finished.append((triangles[~long], corners[~long]))
         triangles, corners = triangles[long], corners[long]
         if len(triangles) == 0:
             break
-        arc = arcs[long].max(axis=1)
+        arc = arc[long]
         counts = np.ceil(arc / LONGEST_EDGE).astype(np.int64)
         step = arc / counts
 

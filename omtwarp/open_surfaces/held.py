@@ -199,7 +199,7 @@ def untangle_on_cap(points: Floats, surface: Surface) -> Floats:
     """
     if not flipped_faces(points, surface.faces).any():
         return points
-    of_cap = float(triangle_solid_angles(*(points[surface.faces[:, k]] for k in range(3))).sum())
+    of_cap = float(triangle_solid_angles(*points.take(surface.faces.T, axis=0)).sum())
     areas = surface.face_areas * (of_cap / surface.face_areas.sum())
     faces, apex = surface.faces, len(points)
     (rim,) = boundary_loops(faces, apex)

@@ -124,7 +124,7 @@ def areas_around(points: Floats, faces: NDArray[np.int32]) -> Floats:
         points: unit vectors, shape [V, 3].
         faces: shape [F, 3].
     """
-    return sums_around(triangle_solid_angles(*(points[faces[:, k]] for k in range(3))), faces, len(points))
+    return sums_around(triangle_solid_angles(*points.take(faces.T, axis=0)), faces, len(points))
 
 
 def warp_energy(

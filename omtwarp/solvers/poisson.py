@@ -123,7 +123,7 @@ class EdgeLaplacianSolver:
         # The pinned vertex stays in the matrix without couplings: its unknown is its right-hand side, zero.
         joined = (edges[:, 0] != pinned) & (edges[:, 1] != pinned)
         self._edges, self._weights, self._count = edges, weights, count
-        self._pinned = pinned
+        self._pinned, self._equal = pinned, np.full(count, 1.0 / count)  # weights of a mean
         self._fallback: LaplacianSolver | None = None
         self._factor = surface_factor(surface, edges=edges)
         try:
@@ -137,10 +137,10 @@ class EdgeLaplacianSolver:
         """Solve for one right-hand side, shape [V], or several, shape [V, K]."""
         if self._fallback is not None:
             return self._fallback.solve(right)
-        right = right - right.mean(axis=0)
+        right = right - self._equal @ right
         right[self._pinned] = 0.0
         out = self._factor.solve(right)
-        return out - out.mean(axis=0)
+        return out - self._equal @ out
 
     def fit(self, differences: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return values at vertices, shape [V], whose differences u_j - u_i along edges (i, j) fit those given [E].

@@ -39,7 +39,7 @@ def triangle_frames(surface: Surface, thinnest: float = 0.0, triangles: NDArray[
         float64, shape [T, 3].
     """
     chosen = slice(None) if triangles is None else triangles
-    corner = surface.scaled_vertices[surface.faces[chosen]]
+    corner = surface.scaled_vertices.take(surface.faces[chosen], axis=0)
     first, second = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
     base = norms(first)
     base = np.maximum(base, np.finfo(float).tiny ** 0.25)
