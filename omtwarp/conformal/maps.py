@@ -337,7 +337,7 @@ class _DirichletEnergy:
         """
         masses = self._masses[:, None]
         mean = float(masses.sum()) * np.eye(3) - (masses * sphere).T @ sphere  # Σ B
-        pull = np.linalg.solve(mean, np.ones(len(slope)) @ slope)
+        pull = np.asarray(np.linalg.solve(mean, np.ones(len(slope)) @ slope), dtype=np.float64)
         moved = self._solver.solve(slope - masses * tangential_parts(sphere, pull))
         shift = np.linalg.solve(mean, self._masses @ tangential_parts(sphere, moved))
         return tangential_parts(sphere, moved - shift)

@@ -375,9 +375,11 @@ def c_transform(
     best_leaf = int(-1)
     best_weights = wp.vec3d()
     relied = LARGE
+    # Of the nodes of a sphere's tree above this one, wide as they are, hardly any can be skipped.
+    top = wp.where(tree.potential.flat, 1, wp.min(16, tree.leaf_count))
     for copy in range(copies.shape[0]):
         x = sources[i] - copies[copy]
-        node = int(1)
+        node = int(top)
         while node > 0:
             inside = bool(False)
             if tree.extremes[node][0] > -LARGE:
@@ -410,6 +412,8 @@ def c_transform(
                         best_leaf = leaf
                         best_weights = b
             node = next_node(node, inside, tree.leaf_count)
+            while node > 0 and node < top:
+                node = 2 * node
     proven_out[i] = wp.min(best, relied)
     triangle_out[i] = -1
     if best_leaf >= 0:
