@@ -115,7 +115,7 @@ def vertex_cells(points: Floats, faces: Ints) -> tuple[Floats, Ints]:
     Its corners are the vertex, the middles of its two edges and the triangle's centre, pushed out to the sphere; seen
     from the centre it is the quadrilateral of the flat triangle, which is convex.
     """
-    a, b, c = (points[faces[:, k]] for k in range(3))
+    a, b, c = points.take(faces.T, axis=0)
     ab, bc, ca, centre = normalised(a + b), normalised(b + c), normalised(c + a), normalised(a + b + c)
     quads = [(a, ab, centre, ca), (b, bc, centre, ab), (c, ca, centre, bc)]
     return np.concatenate([np.stack(quad, axis=1) for quad in quads]), faces.T.ravel().astype(np.int32)
@@ -159,7 +159,7 @@ def mesh_grid(
     corners = arrays.whole_numbers(faces, f"{name}: faces", (None, 3), below=len(unit)).astype(np.int32)
     if len(corners) == 0:
         raise OmtwarpError(f"{name}: there are no faces")
-    a, b, c = (unit[corners[:, k]] for k in range(3))
+    a, b, c = unit.take(corners.T, axis=0)
     cover = float(triangle_solid_angles(a, b, c).sum() / (4.0 * np.pi))
     if round(cover) == -1 and abs(cover + 1.0) < whole_cover:
         raise OmtwarpError(f"{name}: the triangles are clockwise seen from outside; reverse them")

@@ -74,7 +74,7 @@ def sphere_from_directions(directions: ArrayLike) -> Surface:
     except (ValueError, QhullError):  # fewer than four, or all in a plane
         raise OmtwarpError("directions: must be points that surround the centre, four or more") from None
     faces = hull.simplices.astype(np.int64)
-    p0, p1, p2 = (points[faces[:, k]] for k in range(3))
+    p0, p1, p2 = points.take(faces.T, axis=0)
     inward = np.einsum("ij,ij->i", cross(p1 - p0, p2 - p0), hull.equations[:, :3]) < 0
     faces[inward] = faces[inward][:, ::-1]
     # Every face begins at its smallest vertex, and faces are sorted: their order does not depend on a library.

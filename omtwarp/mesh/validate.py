@@ -16,18 +16,8 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from omtwarp.errors import OmtwarpError, naming
-from omtwarp.mesh.arrays import (
-    ROUND_OFF,
-    Floats,
-    HasTriangles,
-    Ints,
-    cross,
-    marked,
-    norms,
-    real_numbers,
-    row_maxima,
-    whole_numbers,
-)
+from omtwarp.mesh import arrays
+from omtwarp.mesh.arrays import ROUND_OFF, Floats, HasTriangles, Ints, cross, marked, norms, real_numbers, whole_numbers
 
 REPAIR = "omtwarp.repair"
 """How the remedies name the package's own repair."""
@@ -190,8 +180,8 @@ def zero_area_faces(unit: Floats, faces: NDArray[np.int64]) -> NDArray[np.bool_]
     corners = unit.take(faces, axis=0)
     edges = norms(np.roll(corners, -1, axis=1) - corners)
     twice_area = norms(cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
-    reach = row_maxima(row_maxima(np.abs(unit)).take(faces))
-    return ~(twice_area > 4 * np.finfo(np.float64).eps * row_maxima(edges) * reach)
+    reach = arrays.row_maxima(arrays.row_maxima(np.abs(unit)).take(faces))
+    return ~(twice_area > 4 * np.finfo(np.float64).eps * arrays.row_maxima(edges) * reach)
 
 
 def duplicate_faces(faces: NDArray[np.int64], vertex_count: int) -> NDArray[np.bool_]:

@@ -196,7 +196,7 @@ class MapDual:
         order = trees.order_by_halves((parts @ corners.take(triangles, axis=0)).mean(axis=1))
         leaves, samples = trees.leaf_count(len(order)), kernels.SAMPLES * len(order)
         tree = self._tree = kernels.Tree()
-        psi = self._potential = kernels.Potential()
+        psi = tree.potential
         psi.flat, psi.images = lattice is not None, sent(corners, wp.mat33d, self.device)
         psi.edge, psi.mean, psi.bend = self.edge_terms
         psi.faces, tree.leaf_count = surface.on(self.device).faces, leaves
@@ -233,8 +233,7 @@ class MapDual:
     def bound(self, potential: Floats) -> Bound:
         """Return the lower bound on the cost that a potential ψ gives, with its c-transform φ at every x_i."""
         tree, device, own = self._tree, self.device, self.cost - potential
-        self._potential.nodal = sent(potential, wp.float64, device)
-        tree.potential = self._potential
+        tree.potential.nodal = sent(potential, wp.float64, device)
         launch_parts(kernels.sample_triangles, len(tree.triangles), [FIRST_THREAD], [tree], device, HEAVY_LAUNCH)
         if not self._fitted:
             launch_parts(kernels.fit_nodes, len(tree.models) - 1, [FIRST_THREAD], [tree], device)

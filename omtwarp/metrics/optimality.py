@@ -307,7 +307,7 @@ def torus_optimality(surface: Surface, x: Floats, y: Floats, shift: Floats, latt
     x, y, shift, lattice = (np.pad(a, [(0, 0)] * (a.ndim - 1) + [(0, 1)]) for a in (x, y, shift, lattice))
     moved = y - x
     cost = float(surface.vertex_areas @ squared_norms(moved))
-    curl = _curl(surface, y[surface.faces] + shift, moved).relative
+    curl = _curl(surface, y.take(surface.faces, axis=0) + shift, moved).relative
     dual = MapDual(surface, x, y, surface.vertex_areas, "cpu", shift, lattice)
     best, taken = ascend(dual, dual.bound(dual.initial_potential()[0]), ASCENT_STEPS, _excess_at(cost, GOOD_ENOUGH))
     lower = max(cost - 2.0 * best.excess, 0.0)
@@ -373,7 +373,7 @@ def relative_curl(
     surface, cost = as_surface(surface), choose(Cost, cost)
     x, y = (p.numpy() if isinstance(p, wp.array) else as_sphere(p, surface) for p in (start, sphere))
     log = log_maps(y, x)
-    return _curl(surface, y[surface.faces], normalised(log) if cost == Cost.GEODESIC else log).relative
+    return _curl(surface, y.take(surface.faces, axis=0), normalised(log) if cost == Cost.GEODESIC else log).relative
 
 
 def _masses(given: ArrayLike, count: int) -> Floats:
